@@ -25,9 +25,9 @@ use geometry::remesh::report::to_json;
 use geometry::rvd::PieceBatch;
 use geometry::token::Token;
 use jobs::BackendInfo;
-use jobs::diagram::Diagram;
+use jobs::executor::diagram::Diagram;
+use jobs::executor::prepared::{Input, Prepared};
 use jobs::memory;
-use jobs::spec::{Input, Prepared};
 use server::config::{BackendArgs, count, whole};
 
 /// `tessera rvd`'s options.

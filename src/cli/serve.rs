@@ -19,7 +19,7 @@ use geometry::mesh::TriMesh;
 use geometry::remesh::{RemeshOptions, Seeds, remesh};
 use geometry::rvd::BackendChoice;
 use geometry::token::Token;
-use jobs::api::JobApiError;
+use jobs::executor::api::JobApiError;
 use jobs::memory;
 use jobs::store::StoreError;
 use jobs::{

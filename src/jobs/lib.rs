@@ -1,6 +1,6 @@
 //! Jobs: the queue, the threads that do the work, and jobs as data.
 //!
-//! A job as data is a [`record`], moves along the machine of [`state`], says what happens by [`event`], and is kept in a
+//! A job as data is a [`record`], moves along the machine of [`record::state`], says what happens by [`record::event`], and is kept in a
 //! [`store`].
 //!
 //! Purpose: [`Engine`] takes work from many callers and does it on a bounded number of host threads, which share the device.
@@ -29,13 +29,9 @@ use geometry::remesh::RemeshError;
 use geometry::rvd::{Backend, BackendChoice, BackendKind, RvdError};
 use geometry::token::{Stopped, Token};
 
-pub use admission::{estimate, forecast};
 pub use engine::{Admission, AdmissionRequest, Bytes, Ceilings, Engine, EngineOptions, LossPolicy, Retry, Weights};
-pub use engine::{Device, Pending, Reservation, Timed, Work, WorkContext, probe};
-pub use executor::{BlobRoom, Executor, ExecutorOptions, JobBounds, Stores, api};
-pub use executor::{diagram, prepared as spec, session};
-pub use observe::activity as observer;
-pub use record::{event, state};
+pub use engine::{Device, Pending, Reservation, Timed, Work, WorkContext};
+pub use executor::{BlobRoom, Executor, ExecutorOptions, JobBounds, Stores};
 
 /// Makes a CPU backend with so many threads of its own.
 pub type PoolFactory = fn(usize) -> Result<Arc<dyn Backend>, RvdError>;
@@ -61,7 +57,7 @@ impl Backends {
         &self,
         gate: &Arc<engine::Gate>,
         host: Option<&Arc<dyn Backend>>,
-        activity: &Arc<observer::Activity>,
+        activity: &Arc<observe::activity::Activity>,
     ) -> Self {
         let seen = |backend: &Arc<dyn Backend>, shared| -> Arc<dyn Backend> {
             Arc::new(engine::Gated { backend: Arc::clone(backend), shared, activity: Arc::clone(activity) })

@@ -27,8 +27,8 @@ use strum::IntoStaticStr;
 
 use crate::readiness::{Condition, Reason};
 use geometry::rvd::BackendKind;
-use jobs::estimate::Kind;
-use jobs::observer::{JobOutcome, Observer, Origin, Phase};
+use jobs::admission::estimate::Kind;
+use jobs::observe::activity::{JobOutcome, Observer, Origin, Phase};
 
 pub(crate) use calls::{Call, Calls};
 pub use format::Format;

@@ -50,9 +50,9 @@ use crate::config::Limits;
 use crate::lifecycle::{self, Step};
 use crate::metrics::Metrics;
 use crate::readiness::{Readiness, Reason};
-use jobs::api::{JobApi, JobApiError};
 use jobs::blob::{BlobError, BlobStore};
-use jobs::spec::Input;
+use jobs::executor::api::{JobApi, JobApiError};
+use jobs::executor::prepared::Input;
 use jobs::{Device, Engine, JobError};
 use wire::{WireError, proto};
 

@@ -79,8 +79,9 @@ pub fn of(path: &str) -> Option<(&'static str, &str)> {
 /// A text that begins with a path of a message, with the option's name in its place, as `name` writes it.
 pub fn in_text(text: &str, name: impl Fn(&str) -> String) -> Option<String> {
     let (path, reason) = text.split_once(' ')?;
+    let (path, colon) = path.strip_suffix(':').map_or((path, ""), |path| (path, ":"));
     let (option, rest) = of(path)?;
-    Some(format!("{}{rest} {reason}", name(option)))
+    Some(format!("{}{rest}{colon} {reason}", name(option)))
 }
 
 #[cfg(test)]
@@ -106,6 +107,8 @@ mod tests {
         let flag = |name: &str| format!("--{}", name.replace('_', "-"));
         let text = in_text("header.crease_angle_deg is 200; give 0 to 180", flag);
         assert_eq!(text.as_deref(), Some("--crease-angle is 200; give 0 to 180"));
+        let text = in_text("work.remesh.creases: line 3: not two vertices", flag);
+        assert_eq!(text.as_deref(), Some("--creases: line 3: not two vertices"));
         assert_eq!(in_text("the queue is full", flag), None);
     }
 }

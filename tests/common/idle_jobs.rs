@@ -3,9 +3,9 @@
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-use jobs::api::{Estimate, JobApi, JobApiError, Preview};
 use jobs::blob::{BlobError, BlobStore, Digest};
-use jobs::event::Events;
+use jobs::executor::api::{Estimate, JobApi, JobApiError, Preview};
+use jobs::record::event::Events;
 use jobs::record::*;
 use jobs::store::*;
 use tokio::sync::watch;

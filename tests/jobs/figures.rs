@@ -5,8 +5,8 @@
 use std::sync::Arc;
 use std::time::Instant;
 
+use jobs::record::state::State;
 use jobs::record::*;
-use jobs::state::State;
 use jobs::store::*;
 
 use super::{spec, wait};

@@ -6,9 +6,9 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
-use jobs::event::{KEPT_PROGRESS, Progress, What};
+use jobs::record::event::{KEPT_PROGRESS, Progress, What};
+use jobs::record::state::State;
 use jobs::record::*;
-use jobs::state::State;
 use jobs::store::*;
 
 use super::{spec, wait};

@@ -4,8 +4,8 @@ use std::cmp::Reverse;
 use std::collections::BTreeMap;
 use std::time::Duration;
 
+use jobs::record::state::{State, apply};
 use jobs::record::*;
-use jobs::state::{State, apply};
 use jobs::store::*;
 
 use super::{KEEP, spec};
@@ -274,7 +274,7 @@ pub async fn on_store(store: &dyn JobStore, step: Step) -> Option<(Gives, Option
         }
         Step::Renew { id, at, lease } => store.renew(id, at, lease).await.map(|()| Gives::Done),
         Step::Progress { id, at } => {
-            let progress = jobs::event::Progress::Stage { name: "s".to_owned(), done: 0, total: 0 };
+            let progress = jobs::record::event::Progress::Stage { name: "s".to_owned(), done: 0, total: 0 };
             let given = store.progress(id, at, progress).await;
             number = given.as_ref().ok().copied();
             given.map(|_| Gives::Done)

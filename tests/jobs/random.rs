@@ -9,9 +9,9 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
-use jobs::event::What;
+use jobs::record::event::What;
+use jobs::record::state::State;
 use jobs::record::*;
-use jobs::state::State;
 use jobs::store::*;
 use proptest::prelude::*;
 use proptest::test_runner::{Config, RngAlgorithm, TestRng, TestRunner};

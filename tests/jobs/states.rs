@@ -1,6 +1,6 @@
 //! Promise: the machine of states is the table in its documentation, and what has ended never works again.
 
-use jobs::state::{State, Transition, apply};
+use jobs::record::state::{State, Transition, apply};
 
 #[test]
 fn the_machine_is_the_table() {

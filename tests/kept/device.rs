@@ -251,5 +251,5 @@ async fn a_device_that_does_not_come_back_ends_the_server_or_its_use() {
     let ended = tokio::time::timeout(LIMIT, server.served).await.expect("it ends").unwrap();
     assert!(matches!(ended, Err(ServeError::DeviceMissing)), "{ended:?}");
     let job = journal.get(id.parse().unwrap()).await.unwrap();
-    assert_eq!((job.status.state, job.status.crashes), (state::State::Queued, 0));
+    assert_eq!((job.status.state, job.status.crashes), (jobs::record::state::State::Queued, 0));
 }

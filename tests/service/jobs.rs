@@ -4,7 +4,7 @@
 use std::time::Duration;
 
 use jobs::blob::{Digest, put};
-use jobs::event::Progress;
+use jobs::record::event::Progress;
 use jobs::record::{self, Change, Failure, FailureKind, JobId, ResultSet};
 use jobs::store::{JobStore, Offer};
 use server::service::{BLOB_SERVICE_NAME, JOB_SERVICE_NAME};

@@ -22,7 +22,7 @@ use geometry::remesh::Seeds;
 use geometry::rvd::{DeviceWork, Surface};
 use geometry::token::Token;
 use jobs::JobError;
-use jobs::spec::{Input, Prepared};
+use jobs::executor::prepared::{Input, Prepared};
 
 /// Steps of a kind before the first that is timed: buffers and rows of neighbours get their sizes.
 const WARM_UP: usize = 2;

@@ -17,8 +17,8 @@ use serde::{Deserialize, Serialize};
 use super::StoreError;
 use crate::record::{Bytes, Status};
 
-/// The layout that is written.
-const VERSION: u8 = 1;
+/// The layout that is written. 2 has the memory that a job needs. Older ones are read: what they lack has a default.
+const VERSION: u8 = 2;
 
 /// What is kept of a job beside its specification: what changes, and what lists look for.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -53,12 +53,35 @@ pub(crate) fn encode<T: Serialize>(what: &str, value: &T) -> Result<Vec<u8>, Sto
 
 pub(crate) fn decode<T: DeserializeOwned>(what: &str, bytes: &[u8]) -> Result<T, StoreError> {
     match bytes.split_first() {
-        Some((&VERSION, rest)) => serde_json::from_slice(rest).map_err(|e| damaged(what, &e)),
+        Some((1..=VERSION, rest)) => serde_json::from_slice(rest).map_err(|e| damaged(what, &e)),
         Some((&found, _)) => Err(StoreError::UnknownVersion {
             what: format!("the record {what}"),
             found: found.into(),
             known: VERSION.into(),
         }),
         None => Err(damaged(what, &"it is empty")),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn older_layouts_are_read_and_newer_ones_refused() {
+        let mut record = encode("a", &7).unwrap();
+        for layout in 1..=VERSION {
+            record[0] = layout;
+            assert_eq!(decode::<i32>("a", &record).unwrap(), 7);
+        }
+        for layout in [0, VERSION + 1] {
+            record[0] = layout;
+            let refused = decode::<i32>("a", &record).unwrap_err();
+            assert!(
+                matches!(refused, StoreError::UnknownVersion { found, known, .. }
+                    if found == u32::from(layout) && known == u32::from(VERSION)),
+                "{refused:?}"
+            );
+        }
     }
 }

@@ -4,7 +4,7 @@
 //! file, never as a value.
 //! Must not know: certificates, keys.
 
-use std::net::SocketAddr;
+use std::net::{IpAddr, SocketAddr};
 use std::path::PathBuf;
 
 use clap::Args;
@@ -51,6 +51,17 @@ impl SecurityArgs {
     /// Checks the options of TLS.
     pub(super) fn check(&self) -> Result<Option<TlsFiles>, ConfigError> {
         let reload = seconds("--tls-reload-s", self.tls_reload_s)?;
+        let is_name = |host: &str| {
+            host.ends_with(|c: char| c.is_ascii_alphanumeric())
+                && host.chars().all(|c| c.is_ascii_alphanumeric() || ['-', '_', '.'].contains(&c))
+        };
+        if let Some(host) = self.allow_host.iter().find(|host| !is_name(host) && host.parse::<IpAddr>().is_err()) {
+            return Err(ConfigError {
+                option: "--allow-host",
+                value: format!("{host:?}"),
+                must: "a name or an address without scheme and port, as tessera.example",
+            });
+        }
         let without =
             |option, other: &str, must| ConfigError { option, value: format!("not given, though {other} is"), must };
         match (&self.tls_cert, &self.tls_key) {
@@ -122,6 +133,17 @@ mod tests {
             assert_eq!(args(given).check().unwrap_err().option, missing, "{given:?}");
         }
         assert!(SecurityArgs { tls_reload_s: 0.0, ..args(&[]) }.check().is_err());
+    }
+
+    #[test]
+    fn an_allowed_host_has_neither_scheme_nor_port() {
+        let with = |host: &str| SecurityArgs { allow_host: vec![host.to_owned()], ..args(&[]) }.check();
+        for good in ["tessera.example", "tessera", "10.0.0.1", "::1", "a-b.c_d"] {
+            assert_eq!(with(good), Ok(None), "{good}");
+        }
+        for bad in ["", "tessera.example:8080", "http://tessera", "[::1]", "tessera.", "a b"] {
+            assert_eq!(with(bad).unwrap_err().option, "--allow-host", "{bad}");
+        }
     }
 
     #[test]

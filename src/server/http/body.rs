@@ -17,7 +17,7 @@ use tokio::time::Instant;
 use super::problem::wrong;
 use crate::service::{Desk, Phase, RequestError, Share};
 use geometry::mesh::io::{DataError, unpacked_limit, unpacked_wrong, unpacker};
-use jobs::api::JobApiError;
+use jobs::executor::api::JobApiError;
 
 /// See the module's head.
 pub(super) struct Arriving<'a> {

@@ -20,9 +20,9 @@ use super::media;
 use super::options::Asked;
 use super::problem::{Answered, Problem, wrong};
 use crate::service::{self, Desk, Detail, Fault, FaultKind, Phase, RequestError, job_id, to_the_end};
-use jobs::event::{Event, Progress, What};
+use jobs::record::event::{Event, Progress, What};
+use jobs::record::state::State as JobState;
 use jobs::record::{Cause, Failure, FailureKind, Job, JobId, JobSpec, Outcome, ResultFormat};
-use jobs::state::State as JobState;
 use jobs::store::Query;
 use telemetry::trace;
 
@@ -197,7 +197,7 @@ pub(super) async fn send_result(
     headers: &HeaderMap,
     until: impl Send + 'static,
 ) -> Answered {
-    let Some(Outcome::Succeeded(set)) = &job.status.outcome else { return Err(Problem(without_result(job))) };
+    let Some(Outcome::Succeeded(set)) = &job.status.outcome else { return Err(Problem::of(without_result(job))) };
     let Some(digest) = set.blobs.get(name) else {
         let names: Vec<&str> = set.blobs.keys().map(String::as_str).collect();
         return Err(wrong("name", format!("is {name:?}; this job's results are {}", names.join(", "))).into());

@@ -23,13 +23,18 @@ pub(super) type Answered = Result<Response, Problem>;
 
 impl<E: Into<RequestError>> From<E> for Problem {
     fn from(error: E) -> Self {
-        let mut problem = Self(Fault::from(error.into()));
-        problem.name_options();
-        problem
+        Self::of(error.into().into())
     }
 }
 
 impl Problem {
+    /// A fault, with the names that options have here.
+    pub(super) fn of(fault: Fault) -> Self {
+        let mut problem = Self(fault);
+        problem.name_options();
+        problem
+    }
+
     /// Says the names of options, where the fault has paths of messages.
     fn name_options(&mut self) {
         let fault = &mut self.0;

@@ -21,10 +21,10 @@ use super::options::Asked;
 use super::problem::{Answered, wrong};
 use crate::service::{self, Desk, Phase, RequestError};
 use geometry::mesh::io::Format;
-use jobs::api::{JobApi, JobApiError};
 use jobs::blob::Digest;
+use jobs::executor::api::{JobApi, JobApiError};
+use jobs::record::state::State as JobState;
 use jobs::record::{Job, JobId, JobSpec, MeshSource, ResultFormat};
-use jobs::state::State as JobState;
 
 /// `POST /v1/remesh`.
 pub(super) async fn remesh(

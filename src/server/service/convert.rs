@@ -16,8 +16,8 @@ use std::fmt;
 
 use geometry::mesh::io::Format;
 use jobs::blob::Digest;
+use jobs::record::state::State;
 use jobs::record::{self, JobId, Time};
-use jobs::state::State;
 use wire::{WireError, proto};
 
 /// The path of a field, written out only when something is wrong with it.

@@ -21,7 +21,7 @@ use geometry::remesh::RemeshError;
 use geometry::rvd::RvdError;
 use geometry::token::Stopped;
 use jobs::JobError;
-use jobs::api::JobApiError;
+use jobs::executor::api::JobApiError;
 use jobs::record::SpecError;
 use jobs::store::StoreError;
 use wire::WireError;

@@ -14,7 +14,7 @@ use super::budget::{Budget, Share};
 use super::stream::{Answers, Gate, Inbox, Kind, Outbox, respond};
 use super::{Phase, RequestError, tenant};
 use crate::config::Limits;
-use ::jobs::spec::{Input, Prepared};
+use ::jobs::executor::prepared::{Input, Prepared};
 pub(super) use ::jobs::{AdmissionRequest, BackendInfo, CancelOnDrop, Engine, JobError, Reservation};
 use geometry::mesh::TriMesh;
 use geometry::remesh::Seeds;

@@ -16,7 +16,7 @@ use super::{BLOB_SERVICE_NAME, JOB_SERVICE_NAME};
 use crate::metrics::{BlobBytes, Metrics};
 use crate::readiness::{Condition, Readiness, Reason};
 use jobs::blob::{BlobError, BlobStore};
-use jobs::probe::probe;
+use jobs::engine::probe::probe;
 use jobs::{Device, Engine, Work};
 
 /// Between two probes while they fail.

@@ -9,8 +9,8 @@ use super::RequestError;
 use crate::metrics::Refused;
 use geometry::rvd::RvdError;
 use jobs::JobError;
-use jobs::api::JobApiError;
 use jobs::blob::BlobError;
+use jobs::executor::api::JobApiError;
 
 /// Why somebody is refused by this error, if he is.
 pub(super) fn of(error: &RequestError) -> Option<Refused> {
@@ -58,7 +58,7 @@ fn of_blob(error: &BlobError) -> Option<Refused> {
 mod tests {
     use super::*;
     use geometry::token::Stopped;
-    use jobs::api::Memory;
+    use jobs::executor::api::Memory;
     use wire::WireError;
 
     #[test]

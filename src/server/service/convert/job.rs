@@ -6,8 +6,8 @@
 use prost::Message as _;
 
 use super::{At, Choice, spec, time, timestamp};
-use jobs::api::Estimate;
-use jobs::event::{Event, Progress, What};
+use jobs::executor::api::Estimate;
+use jobs::record::event::{Event, Progress, What};
 use jobs::record::{Cause, Failure, Job, Outcome, ResultSet, Status};
 use jobs::store::{Page, PageToken, Query};
 use wire::{WireError, proto};

@@ -7,8 +7,8 @@ use std::sync::Arc;
 
 use super::*;
 pub(super) use ::jobs::Timed;
-pub(super) use ::jobs::session::{CvtSession, SeedsWanted};
-use ::jobs::spec::Prepared;
+use ::jobs::executor::prepared::Prepared;
+pub(super) use ::jobs::executor::session::{CvtSession, SeedsWanted};
 use wire::WireError;
 use wire::counts::within;
 use wire::options::of_cvt;

@@ -9,8 +9,8 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use super::*;
-pub(super) use ::jobs::diagram::{Diagram, RvdReport, WorldSums};
-use ::jobs::spec::Prepared;
+pub(super) use ::jobs::executor::diagram::{Diagram, RvdReport, WorldSums};
+use ::jobs::executor::prepared::Prepared;
 pub(super) use ::jobs::{Admission, Pending, Retry, Timed, WorkContext};
 use geometry::rvd::{BackendChoice, PieceBatch};
 use wire::cells::{CELLS_VERTEX_BYTES, cells_chunks};

@@ -13,9 +13,9 @@ use crate::service::convert::{job, job_id, spec};
 use crate::service::desk::{self, DESK_TIME, to_the_end};
 use crate::service::stream::{Answers, Gate, Kind, Outbox, answer, respond};
 use crate::service::{Phase, RequestError, tenant};
-use jobs::api::JobApi;
 use jobs::blob::BlobStore;
-use jobs::event::Event;
+use jobs::executor::api::JobApi;
+use jobs::record::event::Event;
 use wire::proto;
 
 /// The service.

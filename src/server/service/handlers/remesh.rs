@@ -8,7 +8,7 @@ use std::sync::Arc;
 use tokio::sync::mpsc;
 
 use super::*;
-use ::jobs::observer::Listener;
+use ::jobs::observe::activity::Listener;
 pub(super) use ::jobs::{Admission, Retry, Timed};
 use geometry::cvt::Iteration;
 use geometry::remesh::Remesh;
