@@ -4,7 +4,7 @@
 //! a caller can look, stop or edit the seeds between steps.
 //! Invariant: sees the backend through its trait and cannot name one. Energy and gradient come
 //! from one pass over the diagram. The seeds stay where the backend keeps them, and come to the host
-//! when somebody asks.
+//! on demand.
 //! Must not know: files, remeshing, jobs.
 
 mod convergence;
@@ -36,7 +36,7 @@ use crate::rvd::{
     Backend, CellSums, DeviceWork, Evaluation, Resident, RvdError, Session, SessionOptions, Surface, check_seeds,
 };
 
-/// Who has the present seeds.
+/// Where the present seeds are.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Newest {
     /// The host alone.
@@ -47,7 +47,8 @@ enum Newest {
     InSession,
 }
 
-/// One surface, its seeds, and the session that computes their diagram.
+/// One surface, its seeds, and the session that computes their diagram. An error of the device, such as
+/// [`RvdError::DeviceLost`], changes no seeds; the session must be opened again.
 pub struct Cvt {
     surface: Arc<Surface>,
     session: Box<dyn Session>,
@@ -73,9 +74,6 @@ pub struct Cvt {
 
 impl Cvt {
     /// Opens a session for `seeds` (caller's coordinates) and room for more.
-    ///
-    /// # Errors
-    /// What the backend says of the seeds and of the memory it needs.
     pub fn new(
         backend: &dyn Backend,
         surface: Arc<Surface>,
@@ -110,9 +108,6 @@ impl Cvt {
     }
 
     /// The seeds now, caller's coordinates.
-    ///
-    /// # Errors
-    /// Those of the device, such as [`RvdError::DeviceLost`]: nothing was changed; the session must be opened again.
     pub fn seeds(&mut self) -> Result<Vec<DVec3>, RvdError> {
         self.download()?;
         Ok(self.seeds.iter().map(|&p| self.surface.frame().to_world(p)).collect())
@@ -129,18 +124,12 @@ impl Cvt {
     }
 
     /// The seeds now, unit frame.
-    ///
-    /// # Errors
-    /// Those of the device, such as [`RvdError::DeviceLost`]: nothing was changed; the session must be opened again.
     pub fn unit_seeds(&mut self) -> Result<&[DVec3], RvdError> {
         self.download()?;
         Ok(&self.seeds)
     }
 
     /// The diagram's session with the present seeds set, for a caller that wants cells.
-    ///
-    /// # Errors
-    /// What the backend says of the seeds.
     pub fn session(&mut self) -> Result<&mut dyn Session, RvdError> {
         self.upload()?;
         Ok(&mut *self.session)

@@ -121,9 +121,6 @@ pub trait Backend: Send + Sync {
 pub trait Session: Send {
     /// Sets the seeds. Their neighbour table is built by the next pass, which can be cancelled. May
     /// be called any number of times, with another number of seeds each time, up to `max_seeds`.
-    ///
-    /// # Errors
-    /// `NoSeeds`, `TooManySeeds`, `NonFiniteSeed`.
     fn set_seeds(&mut self, seeds: &[DVec3]) -> Result<(), RvdError>;
 
     /// The sums over every cell for the present seeds. `out` is reset to their number.

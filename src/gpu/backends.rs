@@ -92,10 +92,7 @@ impl BackendOptions {
         Err(NoGpu::NotBuilt)
     }
 
-    /// The GPU backend, for who needs more of it than a backend.
-    ///
-    /// # Errors
-    /// [`NoGpu`].
+    /// The GPU backend with all its methods.
     #[cfg(feature = "device")]
     pub fn open_gpu(&self) -> Result<Arc<Gpu>, NoGpu> {
         let usual = DeviceOptions::default();
@@ -107,9 +104,6 @@ impl BackendOptions {
 }
 
 /// The GPU if there is one, else all cores of the CPU: [`BackendOptions::open`] with the defaults.
-///
-/// # Errors
-/// `Internal` if the system refuses threads.
 pub fn auto_backend() -> Result<Arc<dyn Backend>, RvdError> {
     BackendOptions::new().open()
 }

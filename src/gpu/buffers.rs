@@ -28,7 +28,7 @@ pub struct Allocation {
 }
 
 impl Allocation {
-    /// Nothing yet, of a plan of so many bytes.
+    /// Nothing yet, of a plan of `needed_bytes`.
     pub fn new(device: &Device, needed_bytes: u64) -> Self {
         Self { buffers: Vec::new(), needed_bytes, spare: device.spare() }
     }
@@ -70,19 +70,13 @@ pub struct Staging {
 }
 
 impl Staging {
-    /// Of so many bytes.
-    ///
-    /// # Errors
-    /// Those of [`Allocation::make`].
+    /// A staging buffer of `bytes`.
     pub fn new(device: &Device, allocation: &mut Allocation, bytes: u64) -> Result<Self, GpuError> {
         let buffer = allocation.make(device, "staging", bytes, Usage::MAP_READ | Usage::COPY_DST)?;
         Ok(Self { buffer, bytes })
     }
 
     /// Reads entries `range` of a buffer of `T`.
-    ///
-    /// # Errors
-    /// Those of [`Device::run`].
     pub fn read<T: Pod>(
         &self,
         device: &Device,
@@ -102,9 +96,6 @@ impl Staging {
 
     /// Ends `encoder` with a copy of entries `range`, which must fit the staging buffer, submits,
     /// waits, and shows them.
-    ///
-    /// # Errors
-    /// Those of [`Device::run`].
     pub fn read_with<T: Pod>(
         &self,
         device: &Device,
@@ -126,9 +117,6 @@ impl Staging {
 
     /// Ends `encoder` with copies of (buffer, first byte, bytes), which must fit the staging buffer
     /// together, submits, waits, and shows them one behind the other.
-    ///
-    /// # Errors
-    /// Those of [`Device::run`].
     pub fn read_parts(
         &self,
         device: &Device,
@@ -145,7 +133,7 @@ impl Staging {
             return device.run(encoder);
         }
         let index = device.submit(encoder)?;
-        device.count_read(bytes);
+        device.meters().read_bytes += bytes;
         let (mapped, answer) = mpsc::sync_channel(1);
         // Refusals reach the flags of the device; this one only says that the bytes are there.
         self.buffer.map_async(wgpu::MapMode::Read, 0..bytes, move |r| {
@@ -166,9 +154,6 @@ impl Staging {
 }
 
 /// Writes `values` to `buffer` from entry `first` on.
-///
-/// # Errors
-/// Those of [`Device::run`].
 pub fn write<T: NoUninit>(device: &Device, buffer: &wgpu::Buffer, first: usize, values: &[T]) -> Result<(), GpuError> {
     let bytes: &[u8] = bytemuck::cast_slice(values);
     let mut offset = (first * size_of::<T>()) as u64;
@@ -177,7 +162,7 @@ pub fn write<T: NoUninit>(device: &Device, buffer: &wgpu::Buffer, first: usize, 
             device.run(device.encoder())?;
         }
         device.queue().write_buffer(buffer, offset, portion);
-        device.count_upload(portion.len());
+        device.meters().uploaded_bytes += portion.len() as u64;
         offset += portion.len() as u64;
     }
     device.check()

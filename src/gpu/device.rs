@@ -9,7 +9,6 @@
 //! Must not know: what is computed.
 
 use std::panic::AssertUnwindSafe;
-use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
@@ -22,7 +21,7 @@ use super::timing::{LANES, Timer};
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct DeviceOptions {
     /// Whether an adapter that runs on the CPU will do. Off by default: it is slower than the
-    /// CPU backend, so nobody should get it without asking.
+    /// CPU backend.
     pub software: bool,
     /// Only adapters whose name contains this, whatever the case.
     pub name: Option<String>,
@@ -82,19 +81,27 @@ fn instance() -> wgpu::Instance {
     wgpu::Instance::new(descriptor)
 }
 
+/// Kinds of adapters, the best first.
+const KINDS: [(wgpu::DeviceType, &str); 5] = [
+    (wgpu::DeviceType::DiscreteGpu, "discrete"),
+    (wgpu::DeviceType::VirtualGpu, "virtual"),
+    (wgpu::DeviceType::IntegratedGpu, "integrated"),
+    (wgpu::DeviceType::Other, "other"),
+    (wgpu::DeviceType::Cpu, "software"),
+];
+
+fn rank(adapter: &wgpu::Adapter) -> usize {
+    let device_type = adapter.get_info().device_type;
+    KINDS.iter().position(|kind| kind.0 == device_type).unwrap_or_default()
+}
+
 fn summarize(adapter: &wgpu::Adapter) -> AdapterSummary {
     let (info, limits) = (adapter.get_info(), adapter.limits());
-    let kind = match info.device_type {
-        wgpu::DeviceType::DiscreteGpu => "discrete",
-        wgpu::DeviceType::IntegratedGpu => "integrated",
-        wgpu::DeviceType::VirtualGpu => "virtual",
-        wgpu::DeviceType::Cpu => "software",
-        wgpu::DeviceType::Other => "other",
-    };
-    let mut summary = AdapterSummary {
+    AdapterSummary {
+        unusable: shortage(&info.name, &limits),
         name: info.name,
         backend: info.backend.to_string(),
-        kind,
+        kind: KINDS[rank(adapter)].1,
         driver: [info.driver, info.driver_info].join(" ").trim().to_owned(),
         software: info.device_type == wgpu::DeviceType::Cpu,
         max_buffer_bytes: limits.max_buffer_size,
@@ -102,25 +109,18 @@ fn summarize(adapter: &wgpu::Adapter) -> AdapterSummary {
         max_storage_buffers: limits.max_storage_buffers_per_shader_stage,
         max_workgroups: limits.max_compute_workgroups_per_dimension,
         subgroup: (info.subgroup_min_size, info.subgroup_max_size),
-        unusable: None,
-    };
-    summary.unusable = support(&summary, &limits).err().map(|e| e.to_string());
-    summary
+    }
 }
 
-/// Whether the shaders can run within `limits`.
-fn support(adapter: &AdapterSummary, limits: &wgpu::Limits) -> Result<(), GpuError> {
-    let needs: [(&'static str, u64, u64); 3] = [
-        ("storage buffers per stage", limits.max_storage_buffers_per_shader_stage.into(), STORAGE_BUFFERS.into()),
-        ("invocations per workgroup", limits.max_compute_invocations_per_workgroup.into(), WORKGROUP.into()),
-        ("workgroups per dimension", limits.max_compute_workgroups_per_dimension.into(), 65_535),
+/// What the shaders lack within `limits`.
+fn shortage(adapter: &str, limits: &wgpu::Limits) -> Option<String> {
+    let needs = [
+        ("storage buffers per stage", limits.max_storage_buffers_per_shader_stage, STORAGE_BUFFERS),
+        ("invocations per workgroup", limits.max_compute_invocations_per_workgroup, WORKGROUP),
+        ("workgroups per dimension", limits.max_compute_workgroups_per_dimension, 65_535),
     ];
-    for (what, offered, needed) in needs {
-        if offered < needed {
-            return Err(GpuError::Unsupported { adapter: adapter.name.clone(), what, offered, needed });
-        }
-    }
-    Ok(())
+    let (what, offered, needed) = needs.into_iter().find(|(_, offered, needed)| offered < needed)?;
+    Some(format!("adapter {adapter} offers {offered} {what}, {needed} are needed"))
 }
 
 /// All adapters of this machine, best first.
@@ -131,13 +131,7 @@ pub fn adapters() -> Vec<AdapterSummary> {
 
 fn ranked(instance: &wgpu::Instance) -> Vec<wgpu::Adapter> {
     let mut found = pollster::block_on(instance.enumerate_adapters(wgpu::Backends::PRIMARY));
-    found.sort_by_key(|a| match a.get_info().device_type {
-        wgpu::DeviceType::DiscreteGpu => 0,
-        wgpu::DeviceType::VirtualGpu => 1,
-        wgpu::DeviceType::IntegratedGpu => 2,
-        wgpu::DeviceType::Other => 3,
-        wgpu::DeviceType::Cpu => 4,
-    });
+    found.sort_by_key(rank);
     found
 }
 
@@ -171,14 +165,6 @@ pub struct Traffic {
     pub read_bytes: u64,
 }
 
-#[derive(Default)]
-struct Meters {
-    submissions: AtomicU64,
-    allocations: AtomicU64,
-    uploaded_bytes: AtomicU64,
-    read_bytes: AtomicU64,
-}
-
 /// An open device. Meant to be used by one thread at a time; shared by `Arc`.
 pub struct Device {
     device: wgpu::Device,
@@ -186,7 +172,7 @@ pub struct Device {
     adapter: AdapterSummary,
     timeout: Duration,
     flags: Arc<Flags>,
-    meters: Meters,
+    meters: Mutex<Traffic>,
     timer: Mutex<Option<Timer>>,
     spare: Arc<Spare>,
     /// The last: it closes the device when all else here has let go of it.
@@ -256,7 +242,7 @@ impl Device {
             adapter: summary,
             timeout: options.timeout,
             flags,
-            meters: Meters::default(),
+            meters: Mutex::default(),
             timer: Mutex::default(),
             spare: Arc::default(),
             submitter,
@@ -295,21 +281,11 @@ impl Device {
 
     /// What went to and fro so far.
     pub fn traffic(&self) -> Traffic {
-        let read = |meter: &AtomicU64| meter.load(Ordering::Relaxed);
-        Traffic {
-            submissions: read(&self.meters.submissions),
-            allocations: read(&self.meters.allocations),
-            uploaded_bytes: read(&self.meters.uploaded_bytes),
-            read_bytes: read(&self.meters.read_bytes),
-        }
+        *self.meters()
     }
 
-    pub(super) fn count_upload(&self, bytes: usize) {
-        self.meters.uploaded_bytes.fetch_add(bytes as u64, Ordering::Relaxed);
-    }
-
-    pub(super) fn count_read(&self, bytes: u64) {
-        self.meters.read_bytes.fetch_add(bytes, Ordering::Relaxed);
+    pub(super) fn meters(&self) -> MutexGuard<'_, Traffic> {
+        self.meters.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// What the callbacks saw since the device was opened.
@@ -326,8 +302,8 @@ impl Device {
         }
     }
 
-    /// What an error of the device means: that it is lost, if it is, whatever the error says. The driver tells of a loss
-    /// when it is asked for news, and what is asked of a lost device fails before that.
+    /// `Lost` if the device is lost, else `Failed` with this reason. The driver reports a loss only when it is polled, and
+    /// calls on a lost device may fail before that.
     fn fault(&self, why: String) -> GpuError {
         drop(std::panic::catch_unwind(AssertUnwindSafe(|| self.device.poll(wgpu::PollType::Poll))));
         match noted(&self.flags.lost) {
@@ -369,7 +345,7 @@ impl Device {
             return Ok(buffer);
         }
         let descriptor = wgpu::BufferDescriptor { label: Some(label), size, usage, mapped_at_creation: false };
-        self.meters.allocations.fetch_add(1, Ordering::Relaxed);
+        self.meters().allocations += 1;
         let make = || self.scoped(|| self.device.create_buffer(&descriptor));
         let made = match make() {
             Err(GpuError::OutOfMemory { .. }) if self.spare.free() => make(),
@@ -386,7 +362,7 @@ impl Device {
         })
     }
 
-    /// Where buffers go that nobody uses any more.
+    /// The store of unused buffers.
     pub(super) fn spare(&self) -> Arc<Spare> {
         Arc::clone(&self.spare)
     }
@@ -398,9 +374,6 @@ impl Device {
 
     /// Times every compute pass from now on, by the device's own clock. What that takes is not counted as
     /// traffic. Returns whether the device has a clock.
-    ///
-    /// # Errors
-    /// Those of [`Self::scoped`].
     pub fn keep_time(&self) -> Result<bool, GpuError> {
         if !self.device.features().contains(wgpu::Features::TIMESTAMP_QUERY) {
             return Ok(false);
@@ -412,13 +385,13 @@ impl Device {
 
     /// Milliseconds of the passes of each lane since [`Self::keep_time`]; `None` without it.
     pub fn stage_ms(&self) -> Option<[f64; LANES]> {
-        self.timer().as_ref().map(Timer::total_ms)
+        self.timer().as_ref().map(|timer| timer.total_ms)
     }
 
     /// Milliseconds of the longest pass of each lane since [`Self::keep_time`], and so no less than its longest
     /// dispatch took; `None` without it.
     pub fn longest_ms(&self) -> Option<[f64; LANES]> {
-        self.timer().as_ref().map(Timer::longest_ms)
+        self.timer().as_ref().map(|timer| timer.longest_ms)
     }
 
     /// Begins a compute pass, timed as one of `lane` if time is kept.
@@ -439,18 +412,14 @@ impl Device {
     }
 
     /// Submits, waits for the end, and checks the flags.
-    ///
-    /// # Errors
-    /// `Timeout`, `Lost`, `Failed`.
     pub fn run(&self, encoder: wgpu::CommandEncoder) -> Result<(), GpuError> {
         let index = self.submit(encoder)?;
         self.wait(Some(index))
     }
 
-    /// Submits without waiting.
     pub(super) fn submit(&self, mut encoder: wgpu::CommandEncoder) -> Result<wgpu::SubmissionIndex, GpuError> {
         self.check()?;
-        self.meters.submissions.fetch_add(1, Ordering::Relaxed);
+        self.meters().submissions += 1;
         let mut timer = self.timer();
         let timed = timer.as_mut().map(|timer| timer.finish(&mut encoder));
         let index = self.hand_over(encoder)?;

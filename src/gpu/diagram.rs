@@ -43,7 +43,7 @@ use geometry::rvd::{
 use geometry::token::Token;
 pub use measure::AccumulationMs;
 pub use neighbours::Found;
-use pipelines::{Pipelines, SLOTS};
+use pipelines::Pipelines;
 use session::GpuSession;
 
 impl From<GpuError> for RvdError {
@@ -53,9 +53,7 @@ impl From<GpuError> for RvdError {
             GpuError::NeverFits { needed_bytes, limit_bytes, .. } => Self::NeverFits { needed_bytes, limit_bytes },
             GpuError::Lost(why) => Self::DeviceLost(why),
             GpuError::Timeout { .. } => Self::DeviceLost(error.to_string()),
-            GpuError::NoAdapter { .. } | GpuError::Unsupported { .. } | GpuError::Failed(_) | GpuError::Shader(_) => {
-                Self::Device(error.to_string())
-            }
+            GpuError::NoAdapter { .. } | GpuError::Failed(_) | GpuError::Shader(_) => Self::Device(error.to_string()),
         }
     }
 }
@@ -80,16 +78,13 @@ impl Gpu {
             .thread_name(|i| format!("tessera-gpu-host-{i}"))
             .build()
             .map_err(|e| RvdError::Internal(format!("no thread pool: {e}")))?;
-        let pipelines = Arc::new(Pipelines::new(&device, SLOTS)?);
+        let pipelines = Arc::new(Pipelines::compile(&device)?);
         let gpu = Self { device, pool: Arc::new(pool), pipelines };
         gpu.warm_up()?;
         Ok(gpu)
     }
 
     /// From now on the device's own clock times the stages ([`Session::device_phases`]). Returns whether it can.
-    ///
-    /// # Errors
-    /// `Device`, `DeviceLost`.
     pub fn keep_time(&self) -> Result<bool, RvdError> {
         Ok(self.device.keep_time()?)
     }

@@ -1,6 +1,6 @@
 //! Dispatches, long ones in parts.
 //!
-//! Purpose: how many workgroups and parts so many items take. A driver may take a dispatch of a tenth of a second for a hung
+//! Purpose: how many workgroups and parts a number of items takes. A driver may take a dispatch of a tenth of a second for a hung
 //! device, so a stage of many items is dispatched part by part, and after some parts the host may stop.
 //! Invariant: numbers come from counts and limits alone. A stage that fits one part takes no pass, copy or submission more.
 //! Must not know: what a stage does.
@@ -29,7 +29,7 @@ pub fn part_count(items: u64) -> u64 {
     items.min(u64::from(u32::MAX)).div_ceil(PART).max(1)
 }
 
-/// Where each of so many parts begins.
+/// The first item of each part.
 pub fn origins(parts: u64) -> Vec<u32> {
     (0..parts).map(|k| (k * PART) as u32).collect()
 }
@@ -61,13 +61,34 @@ pub fn run(
     items: u64,
     limits: Limits,
 ) {
-    let [x, y] = workgroups(items, limits);
+    run_groups(compute, pipeline, bindings, workgroups(items, limits));
+}
+
+/// Dispatches a stage in these workgroups.
+pub fn run_groups(
+    compute: &mut wgpu::ComputePass<'_>,
+    pipeline: &wgpu::ComputePipeline,
+    bindings: &wgpu::BindGroup,
+    [x, y]: [u32; 2],
+) {
     compute.set_pipeline(pipeline);
     compute.set_bind_group(0, bindings, &[]);
     compute.dispatch_workgroups(x, y, 1);
 }
 
-/// How a stage is told at which item its part begins.
+/// Dispatches a stage in as many workgroups as the device has written to `arguments`.
+pub fn run_indirect(
+    compute: &mut wgpu::ComputePass<'_>,
+    pipeline: &wgpu::ComputePipeline,
+    bindings: &wgpu::BindGroup,
+    (arguments, offset): (&wgpu::Buffer, u64),
+) {
+    compute.set_pipeline(pipeline);
+    compute.set_bind_group(0, bindings, &[]);
+    compute.dispatch_workgroups_indirect(arguments, offset);
+}
+
+/// Where a stage reads the first item of its part.
 #[derive(Clone, Copy, Debug)]
 pub struct Origins<'a> {
     /// What [`origins`] says.
@@ -78,7 +99,7 @@ pub struct Origins<'a> {
     pub offset: u64,
 }
 
-/// A stage over so many items.
+/// A stage over a number of items.
 #[derive(Debug)]
 pub struct Stage<'a> {
     /// The pipeline to run.
@@ -108,16 +129,11 @@ impl Stage<'_> {
         let Some((arguments, first)) = self.arguments else {
             return run(compute, self.pipeline, self.bindings, items, limits);
         };
-        compute.set_pipeline(self.pipeline);
-        compute.set_bind_group(0, self.bindings, &[]);
-        compute.dispatch_workgroups_indirect(arguments, first + part * ARGUMENTS_BYTES);
+        run_indirect(compute, self.pipeline, self.bindings, (arguments, first + part * ARGUMENTS_BYTES));
     }
 }
 
 /// Encodes `stages` in their order. Those that take many parts are submitted on the way.
-///
-/// # Errors
-/// Those of [`Device::run`]; that the token says so between submissions.
 pub fn encode<E: From<GpuError> + From<Stopped>>(
     device: &Device,
     encoder: &mut wgpu::CommandEncoder,

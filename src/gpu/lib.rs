@@ -46,18 +46,6 @@ pub enum GpuError {
         /// "name (backend, type): why not".
         found: Vec<String>,
     },
-    /// The adapter lacks something that the shaders need.
-    #[error("adapter {adapter} offers {offered} {what}, {needed} are needed")]
-    Unsupported {
-        /// The adapter's name.
-        adapter: String,
-        /// Which limit.
-        what: &'static str,
-        /// Its value.
-        offered: u64,
-        /// What the shaders need.
-        needed: u64,
-    },
     /// A buffer is larger than this device allows, however much memory is free.
     #[error("{what} needs {needed_bytes} bytes and this device allows {limit_bytes}")]
     NeverFits {

@@ -35,9 +35,6 @@ pub type Sources = &'static [(&'static str, &'static str)];
 pub type Constant<'a> = (&'a str, i64);
 
 /// Composes stage `name` of `sources` with `constants`.
-///
-/// # Errors
-/// [`ComposeError`], naming file and line.
 pub fn compose(sources: Sources, name: &str, constants: &[Constant<'_>]) -> Result<String, ComposeError> {
     let mut composer = Composer {
         sources,
@@ -185,6 +182,8 @@ fn closing(text: &str) -> Option<usize> {
     None
 }
 
+type Operator = fn(i64, i64) -> Option<i64>;
+
 /// A recursive-descent evaluator; `rest` never begins with a blank.
 struct Expression<'a> {
     scope: &'a [(String, i64)],
@@ -206,29 +205,20 @@ impl Expression<'_> {
     }
 
     fn sum(&mut self) -> Option<i64> {
-        let mut value = self.product()?;
-        loop {
-            if self.take('+') {
-                value = value.checked_add(self.product()?)?;
-            } else if self.take('-') {
-                value = value.checked_sub(self.product()?)?;
-            } else {
-                return Some(value);
-            }
-        }
+        self.chain([('+', i64::checked_add), ('-', i64::checked_sub)], Self::product)
     }
 
     fn product(&mut self) -> Option<i64> {
-        let mut value = self.atom()?;
-        loop {
-            if self.take('*') {
-                value = value.checked_mul(self.atom()?)?;
-            } else if self.take('%') {
-                value = value.checked_rem(self.atom()?)?;
-            } else {
-                return Some(value);
-            }
+        self.chain([('*', i64::checked_mul), ('%', i64::checked_rem)], Self::atom)
+    }
+
+    /// Operands with these operators between them, from left to right.
+    fn chain(&mut self, operators: [(char, Operator); 2], operand: fn(&mut Self) -> Option<i64>) -> Option<i64> {
+        let mut value = operand(self)?;
+        while let Some((_, apply)) = operators.into_iter().find(|(sign, _)| self.take(*sign)) {
+            value = apply(value, operand(self)?)?;
         }
+        Some(value)
     }
 
     fn atom(&mut self) -> Option<i64> {

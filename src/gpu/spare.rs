@@ -9,7 +9,6 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 /// What is kept at most, bytes.
 const MOST_BYTES: u64 = 512 << 20;
 
-/// See the module's head.
 #[derive(Debug, Default)]
 pub(crate) struct Spare(Mutex<VecDeque<wgpu::Buffer>>);
 
@@ -25,7 +24,6 @@ impl Spare {
         spare.remove(found)
     }
 
-    /// Keeps buffers that nobody uses any more.
     pub(super) fn keep(&self, buffers: impl IntoIterator<Item = wgpu::Buffer>) {
         let mut spare = self.lock();
         spare.extend(buffers);

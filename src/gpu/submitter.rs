@@ -1,7 +1,7 @@
 //! The thread that makes the calls after which a driver may never return.
 //!
 //! Purpose: hand command buffers to the queue, and at last close queue and device. A driver may hold up either until all earlier
-//! work has ended, which is never if that hangs; whoever asks waits no longer than a submission may take.
+//! work has ended, which is never if that hangs; a caller waits no longer than a submission may take.
 //! Invariant: one call at a time, in the order in which they were asked for. A thread that a driver keeps goes on to hold the device,
 //! and closes it when the driver lets go.
 //! Must not know: what is computed, what a lost device means for a job.
@@ -19,7 +19,6 @@ struct Request {
     answer: SyncSender<wgpu::SubmissionIndex>,
 }
 
-/// See the module's head.
 pub(super) struct Submitter {
     requests: Option<Sender<Request>>,
     /// Behind a lock only so that this can be shared.
@@ -30,15 +29,12 @@ pub(super) struct Submitter {
 
 impl Submitter {
     /// Starts the thread. It holds `device` and `queue` until this is dropped. No call waits for longer than `timeout`.
-    ///
-    /// # Errors
-    /// `Failed` if there can be no more threads.
     pub(super) fn start(device: wgpu::Device, queue: wgpu::Queue, timeout: Duration) -> Result<Self, GpuError> {
         let (requests, asked) = channel::<Request>();
         let (close, closed) = sync_channel(1);
         let work = move || {
             for Request { commands, answer } in asked {
-                // Who asked may have given up; a panic drops the answer, which tells that there is none.
+                // The caller may be gone. A panic drops the reply channel.
                 let _ = catch_unwind(AssertUnwindSafe(|| answer.send(queue.submit([commands]))));
             }
             // The queue waits here for what was submitted. wgpu panics if the driver refuses to.
@@ -51,9 +47,6 @@ impl Submitter {
     }
 
     /// Submits, and waits for that, but not for the work.
-    ///
-    /// # Errors
-    /// `Timeout` if the driver does not take it in time, `Lost` if it fails while doing so.
     pub(super) fn submit(&self, commands: wgpu::CommandBuffer) -> Result<wgpu::SubmissionIndex, GpuError> {
         let (answer, answered) = sync_channel(1);
         let failed = || GpuError::Lost("submitting failed".to_owned());

@@ -17,7 +17,6 @@ pub(super) const LANES: usize = 4;
 /// Passes of one submission that are timed.
 const SPANS: usize = 256;
 
-/// The stamps of one device.
 pub(super) struct Timer {
     stamps: wgpu::QuerySet,
     resolved: wgpu::Buffer,
@@ -29,8 +28,9 @@ pub(super) struct Timer {
     lanes: Vec<usize>,
     /// Lanes of what was submitted and not read yet.
     due: Option<(Vec<usize>, Receiver<bool>)>,
-    total_ms: [f64; LANES],
-    longest_ms: [f64; LANES],
+    /// Milliseconds of each lane so far, and of its longest pass.
+    pub(super) total_ms: [f64; LANES],
+    pub(super) longest_ms: [f64; LANES],
 }
 
 fn name(encoder: &wgpu::CommandEncoder) -> u64 {
@@ -40,7 +40,6 @@ fn name(encoder: &wgpu::CommandEncoder) -> u64 {
 }
 
 impl Timer {
-    /// Makes the stamps.
     pub(super) fn new(device: &wgpu::Device, queue: &wgpu::Queue) -> Self {
         let bytes = (2 * SPANS * size_of::<u64>()) as u64;
         let buffer = |label, usage| {
@@ -66,7 +65,6 @@ impl Timer {
         }
     }
 
-    /// Begins a pass of `lane`.
     pub(super) fn pass<'a>(&mut self, encoder: &'a mut wgpu::CommandEncoder, lane: usize) -> wgpu::ComputePass<'a> {
         let name = name(encoder);
         if self.encoder != name {
@@ -86,7 +84,7 @@ impl Timer {
         encoder.begin_compute_pass(&wgpu::ComputePassDescriptor { label: None, timestamp_writes: writes })
     }
 
-    /// Ends an encoder that is about to be submitted. Returns whether [`Self::submitted`] is to be told.
+    /// Ends an encoder that is about to be submitted. Returns whether [`Self::submitted`] has to follow.
     pub(super) fn finish(&mut self, encoder: &mut wgpu::CommandEncoder) -> bool {
         if self.lanes.is_empty() || self.due.is_some() || self.encoder != name(encoder) {
             return false;
@@ -103,16 +101,13 @@ impl Timer {
         let lanes = std::mem::take(&mut self.lanes);
         self.encoder = 0;
         self.staging.map_async(wgpu::MapMode::Read, 0..(lanes.len() * 16) as u64, move |r| {
-            // The receiver is gone only if nobody waits any more.
+            // The receiver is gone only if the wait has ended.
             let _ = sender.send(r.is_ok());
         });
         self.due = Some((lanes, receiver));
     }
 
     /// Reads the stamps of what was submitted and has ended.
-    ///
-    /// # Errors
-    /// `Failed` if they cannot be read.
     pub(super) fn collect(&mut self, timeout: std::time::Duration) -> Result<(), GpuError> {
         let Some((lanes, answer)) = self.due.take() else { return Ok(()) };
         if answer.recv_timeout(timeout) != Ok(true) {
@@ -130,15 +125,5 @@ impl Timer {
             self.longest_ms[lane] = self.longest_ms[lane].max(ms);
         }
         Ok(())
-    }
-
-    /// Milliseconds of each lane's longest pass so far.
-    pub(super) fn longest_ms(&self) -> [f64; LANES] {
-        self.longest_ms
-    }
-
-    /// Milliseconds of each lane so far.
-    pub(super) fn total_ms(&self) -> [f64; LANES] {
-        self.total_ms
     }
 }

@@ -99,17 +99,11 @@ fn failed(error: impl Display) -> PictureError {
 
 impl Figure {
     /// Draws it into a PNG file.
-    ///
-    /// # Errors
-    /// As [`Self::draw`], or the file cannot be written.
     pub fn write(&self, size: Size, path: &Path) -> Result<(), PictureError> {
         self.draw(size)?.write(path)
     }
 
     /// Draws it.
-    ///
-    /// # Errors
-    /// [`PictureError::Plot`]: it has too few pixels for its labels.
     pub fn draw(&self, size: Size) -> Result<Image, PictureError> {
         let (width, height) = (size.width * SCALE, size.height * SCALE);
         let mut pixels = vec![[255; 3]; width as usize * height as usize];

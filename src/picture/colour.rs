@@ -16,8 +16,8 @@ pub(super) const INKS: [Rgb; 3] = [[34, 38, 48], [12, 12, 16], [20, 20, 24]];
 /// The tint of back faces, which should not be seen on a closed surface: brick.
 const BACK: Rgb = [176, 78, 56];
 
-/// From the worst triangle to the best: red, orange, straw, pale green, blue-grey. Orange to blue is told
-/// apart with any colour vision.
+/// From the worst triangle to the best: red, orange, straw, pale green, blue-grey. Orange and blue differ
+/// with any colour vision.
 const QUALITY: [(f64, Rgb); 5] = [
     (0.0, [158, 16, 48]),
     (0.5, [232, 104, 48]),

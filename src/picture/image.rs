@@ -48,9 +48,6 @@ impl Image {
     }
 
     /// The picture as the bytes of a PNG file.
-    ///
-    /// # Errors
-    /// [`PictureError::Encode`].
     pub fn to_png(&self) -> Result<Vec<u8>, PictureError> {
         let mut bytes = Vec::new();
         let mut encoder = png::Encoder::new(&mut bytes, self.size.width, self.size.height);
@@ -64,9 +61,6 @@ impl Image {
     }
 
     /// Writes the picture to a PNG file.
-    ///
-    /// # Errors
-    /// [`PictureError::Encode`] and [`PictureError::Write`].
     pub fn write(&self, path: &Path) -> Result<(), PictureError> {
         let bytes = self.to_png()?;
         std::fs::write(path, bytes).map_err(|source| PictureError::Write { path: path.to_owned(), source })

@@ -54,9 +54,6 @@ pub struct Size {
 
 impl Size {
     /// Checks a size.
-    ///
-    /// # Errors
-    /// [`PictureError::Size`]: a side is 0 or above [`MAX_SIDE`], or there are more than [`MAX_PIXELS`].
     pub fn new(width: u32, height: u32) -> Result<Self, PictureError> {
         let sides = 1..=MAX_SIDE;
         match sides.contains(&width) && sides.contains(&height) && width * height <= MAX_PIXELS {

@@ -112,7 +112,7 @@ pub(super) fn draw(strokes: &[Stroke], pens: &Pens, size: (usize, usize), depth:
     let (width, height) = size;
     let radius = |ink: Ink| {
         let width = [pens.fine_width, pens.bold_width, pens.dot_width][ink as usize];
-        // A line of no width, or one wider than the picture, is nobody's wish.
+        // A line of no width, or one wider than the picture, is a mistake.
         let half = 0.5 * SUPER as f64 * width;
         if half.is_finite() { half.clamp(0.0, 300.0) as f32 } else { 0.0 }
     };

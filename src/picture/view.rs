@@ -64,9 +64,6 @@ pub struct View {
 
 impl View {
     /// The view in which `points` (caller's units; those that are not finite do not count) fill the picture.
-    ///
-    /// # Errors
-    /// [`PictureError::Direction`].
     pub fn framing(
         look: &ViewDirection,
         size: Size,

@@ -199,7 +199,7 @@ impl Timed {
 
     /// The most that a step had a device do.
     pub(super) fn device(&self) -> DeviceWork {
-        self.steps.iter().fold(DeviceWork::default(), |most, s| most.with(&s.stats.device_work(), u64::max))
+        self.steps.iter().fold(DeviceWork::default(), |most, s| most.with(&s.stats.device, u64::max))
     }
 
     /// As a case of a report.

@@ -251,7 +251,7 @@ impl Case {
             "relaunched_facets": total.relaunched_facets,
             "f64_finished_pairs": total.f64_finished,
             "device_most": self.steps.iter().fold(DeviceWork::default(), |most, s| {
-                most.with(&s.stats.device_work(), u64::max)
+                most.with(&s.stats.device, u64::max)
             }),
             "accumulation": adding,
             "exact": true,

@@ -10,7 +10,6 @@ const GAIN: f64 = 1e-6;
 /// Consecutive standstills that end the steps.
 const STANDSTILLS: usize = 2;
 
-/// See the module's head.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Convergence {
     /// Norm of the first gradient.

@@ -87,12 +87,9 @@ const MIN_PART: f64 = 0.5;
 /// Longest segment, in h: on a longer one, a seed beside its middle would take a part of the curve.
 const MAX_SEGMENT: f64 = 1.2;
 
-/// The edge length in the unit frame that so many seeds will have where the weight is 1: 1/u of
+/// The edge length in the unit frame that `seeds` seeds will have where the weight is 1: 1/u of
 /// (4/√3) u² ∫√w + u ∫_boundary w^(1/4) = 2n, since a triangulation of n vertices, of which b lie on the
 /// boundary, has 2n - b - 2χ triangles of area √3/4 h².
-///
-/// # Errors
-/// [`Stopped`].
 pub(crate) fn edge_length(surface: &Surface, features: &Features, seeds: usize, token: &Token) -> Result<f64, Stopped> {
     use crate::mesh::features::CurveKind::Boundary;
     let mut one = 0.0;
@@ -107,9 +104,6 @@ pub(crate) fn edge_length(surface: &Surface, features: &Features, seeds: usize, 
 
 impl CurveSeeds {
     /// Seeds for all curves, about `edge` (where the weight is 1) apart; `None` if these are more than `most`.
-    ///
-    /// # Errors
-    /// [`Stopped`].
     pub fn place(
         surface: &Surface,
         features: &Features,
@@ -284,9 +278,6 @@ impl CurveSeeds {
     /// Seeds that come between two neighbours on a curve: (seed, segment), each seed once. Their cells hold a part
     /// of the curve, and the dual may have the curve no more. On a straight curve such a seed is nearer to
     /// the middle of the segment than its ends are.
-    ///
-    /// # Errors
-    /// [`Stopped`].
     pub fn intruders(&self, seeds: &[DVec3], token: &Token) -> Result<Vec<(u32, u32)>, Stopped> {
         let index = SeedIndex::new(seeds);
         let of = |(k, segment): (usize, &Segment)| {
@@ -428,18 +419,12 @@ impl CurveSeeds {
     }
 
     /// Moves intruders away from their segments, to the distance that the next row of a regular
-    /// triangulation has. Returns how many there were. One pass: a moved seed may intrude elsewhere.
-    ///
-    /// # Errors
-    /// [`Stopped`]; nothing was moved.
+    /// triangulation has; none if it is stopped. Returns how many there were. One pass: a moved seed may intrude elsewhere.
     pub fn push_out(&self, seeds: &mut [DVec3], token: &Token) -> Result<usize, Stopped> {
         self.push_out_unless(seeds, |_| false, token)
     }
 
     /// The same, except for seeds that `stays` holds.
-    ///
-    /// # Errors
-    /// [`Stopped`]; nothing was moved.
     pub fn push_out_unless(
         &self,
         seeds: &mut [DVec3],

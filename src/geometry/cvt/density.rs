@@ -79,13 +79,10 @@ pub struct Plan<'a> {
 
 impl<'a> Plan<'a> {
     /// The same with facets divided that are long beside the cells, if most of the surface is of these, as they are already where
-    /// lengths vary: a facet costs by the pairs of cells that meet at it. For who does not ask which facet a piece is of.
-    ///
-    /// # Errors
-    /// [`Stopped`].
+    /// lengths vary: a facet costs by the pairs of cells that meet at it. Pieces then name the divided facets.
     pub fn divided(self, token: &Token) -> Result<Self, Stopped> {
         let vertices = self.mesh.positions().len();
-        // Weights that are too many or too few are refused by whoever makes a surface of them.
+        // `Surface::new` refuses a wrong number of weights.
         let wrong = self.weights.as_ref().is_some_and(|weights| weights.len() != vertices);
         if self.sizes.is_some() || self.points == 0 || wrong {
             return Ok(self);
@@ -109,11 +106,8 @@ impl<'a> Plan<'a> {
         refine::divided(&self.mesh, edges, token)
     }
 
-    /// Target edge length per vertex of `mesh`, the caller's: those of the plan, or those that so many points have by
+    /// Target edge length per vertex of `mesh`, the caller's: those of the plan, or those that its points have by
     /// its weights.
-    ///
-    /// # Errors
-    /// [`Stopped`].
     pub fn lengths(&self, mesh: &TriMesh, token: &Token) -> Result<Vec<f64>, Stopped> {
         if let Some(sizes) = &self.sizes {
             return Ok(sizes.clone());

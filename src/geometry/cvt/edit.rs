@@ -77,9 +77,6 @@ impl Cvt {
     }
 
     /// Which seeds never move, one entry a seed.
-    ///
-    /// # Errors
-    /// `Internal` if the list is not as long as there are seeds.
     pub fn hold(&mut self, held: Vec<bool>) -> Result<(), RvdError> {
         if held.len() != self.seeds.len() {
             return Err(RvdError::Internal(format!("{} marks for {} seeds", held.len(), self.seeds.len())));
@@ -92,9 +89,6 @@ impl Cvt {
 
     /// Puts seeds at places (unit frame), where they stay, and adds and holds new ones as far as there is room.
     /// Returns how many could be added.
-    ///
-    /// # Errors
-    /// `NoSuchSeed`, `NonFiniteSeed`, or an error of the device.
     pub fn pin(&mut self, pins: &[(u32, DVec3)], new: &[DVec3]) -> Result<usize, RvdError> {
         self.download()?;
         self.held.resize(self.seeds.len(), false);

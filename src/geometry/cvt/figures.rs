@@ -29,20 +29,11 @@ impl DeviceFigures {
         let sum = iterations.iter().fold(DeviceWork::default(), |sum, step| sum.with(&step.device, |a, b| a + b));
         let later: Vec<DeviceWork> = iterations.iter().skip(1).map(|step| step.device).collect();
         let at = |place: fn(usize) -> usize| {
-            let of = |figure: fn(&DeviceWork) -> u64| {
+            DeviceWork::each(|figure| {
                 let mut all: Vec<u64> = later.iter().map(figure).collect();
                 all.sort_unstable();
                 all.get(place(all.len())).copied().unwrap_or(0)
-            };
-            DeviceWork {
-                host_searches: of(|w| w.host_searches),
-                divided_facets: of(|w| w.divided_facets),
-                paired_facets: of(|w| w.paired_facets),
-                device_submissions: of(|w| w.device_submissions),
-                device_allocations: of(|w| w.device_allocations),
-                uploaded_bytes: of(|w| w.uploaded_bytes),
-                read_back_bytes: of(|w| w.read_back_bytes),
-            }
+            })
         };
         let (later_iteration_median, later_iteration_most) = (at(|n| n / 2), at(|n| n.saturating_sub(1)));
         Self { total, iterations: sum, later_iteration_median, later_iteration_most }
@@ -113,7 +104,7 @@ impl IterationFigures {
             start_ms: step.stats.start_ms,
             clip_ms: step.stats.clip_ms,
             update_ms: step.stats.update_ms,
-            device: step.stats.device_work(),
+            device: step.stats.device,
         }
     }
 }

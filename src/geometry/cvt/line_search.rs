@@ -23,7 +23,6 @@ const MARGIN: f64 = 0.1;
 pub(super) struct Found {
     /// The last probe; `None` if no step lowered the energy enough.
     pub(super) evaluation: Option<Evaluation>,
-    /// Passes over the diagram.
     pub(super) probes: usize,
     /// What they did.
     pub(super) stats: PassStats,

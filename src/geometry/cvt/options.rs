@@ -17,7 +17,7 @@ pub enum Projection {
 pub struct CvtOptions {
     /// Where seeds go after each step.
     pub projection: Projection,
-    /// Room for so many seeds; 0 means as many as are given at first.
+    /// Most seeds there is room for; 0 means as many as are given at first.
     pub max_seeds: usize,
 }
 

@@ -23,9 +23,6 @@ const PUSHES: usize = 4;
 impl Cvt {
     /// Holds the first seeds, which are those of `curves`, and keeps the others clear of them in every Lloyd
     /// step.
-    ///
-    /// # Errors
-    /// `Internal` if there are fewer seeds.
     pub fn keep_curves(&mut self, curves: CurveSeeds, token: &Token) -> Result<(), RvdError> {
         self.hold((0..self.seeds.len()).map(|i| i < curves.len()).collect())?;
         self.curves = curves;
@@ -34,9 +31,6 @@ impl Cvt {
     }
 
     /// Pushes seeds off the curves. Returns how many there were.
-    ///
-    /// # Errors
-    /// Those of the device, such as [`RvdError::DeviceLost`]: nothing was changed; the session must be opened again.
     pub fn clear_curves(&mut self, token: &Token) -> Result<usize, RvdError> {
         if self.curves.is_empty() {
             return Ok(0);
@@ -53,9 +47,6 @@ impl Cvt {
 
     /// Makes seeds that come between two neighbours on a curve, and could not be pushed off, seeds of that curve.
     /// Returns how many there were.
-    ///
-    /// # Errors
-    /// Those of the device, such as [`RvdError::DeviceLost`]: nothing was changed; the session must be opened again.
     pub fn adopt_intruders(&mut self, token: &Token) -> Result<usize, RvdError> {
         self.download()?;
         let mut adopted = 0;

@@ -12,11 +12,8 @@ use crate::rvd::{DeviceWork, Evaluation, RvdError, elapsed_ms};
 use crate::token::Token;
 
 impl Cvt {
-    /// One Lloyd step at least and `steps` at most, as many as the backend takes at once. The time and the work of those
-    /// that were taken together is told of their first or evenly of all.
-    ///
-    /// # Errors
-    /// `Stopped`, or an error of the device. The seeds are then as after some of the steps.
+    /// One Lloyd step at least and `steps` at most, as many as the backend takes at once. Time and work of steps that were taken
+    /// together count for the first of them, or evenly for all. A stop leaves the seeds as after some of the steps.
     pub fn relax(&mut self, steps: usize, token: &Token) -> Result<Vec<Iteration>, RvdError> {
         let between = !self.curves.is_empty() || self.options.projection != Projection::Free;
         if between || self.present.is_some() {

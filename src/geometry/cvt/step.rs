@@ -85,10 +85,6 @@ impl Cvt {
 
     /// One quasi-Newton step (L-BFGS; \[YLL*09\], \[FWW14\]): along -H∇E as far as the strong Wolfe
     /// conditions ask. Where the search fails, and where cells are empty, it is a Lloyd step instead.
-    ///
-    /// # Errors
-    /// `Stopped`, or an error of the device. The seeds are then as before, or, where the step was stopped while they were put on
-    /// the surface, as after it.
     pub fn lbfgs(&mut self, token: &Token) -> Result<Iteration, RvdError> {
         self.metered(|cvt| cvt.take_lbfgs(token))
     }
@@ -137,9 +133,6 @@ impl Cvt {
 
     /// Energy, energy ratio and gradient norm of the present seeds, as in [`Iteration`]: known after a
     /// quasi-Newton step, otherwise one more pass.
-    ///
-    /// # Errors
-    /// `Stopped`, or an error of the device.
     pub fn present(&mut self, token: &Token) -> Result<Iteration, RvdError> {
         let (evaluation, evaluations) = self.evaluate(token)?;
         Ok(Iteration { evaluations, ..self.figures(StepKind::Lloyd, evaluation) })

@@ -30,9 +30,6 @@ pub struct Provenance {
 }
 
 /// The closest point of the input to each of `positions`.
-///
-/// # Errors
-/// [`Stopped`].
 pub fn provenance(closest: &ClosestPoint, positions: &[DVec3], token: &Token) -> Result<Vec<Provenance>, Stopped> {
     let place = |p: SurfacePoint| Provenance { facet: p.facet, barycentric: p.barycentric };
     Ok(closest.project_all(positions, token)?.into_iter().map(place).collect())

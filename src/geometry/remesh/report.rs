@@ -130,7 +130,7 @@ pub struct CountFigures {
 pub enum CountReason {
     /// Seeds were given, so none was left out or added.
     GivenSeeds,
-    /// The input has so many parts that they need more: three vertices each, or four if they are closed.
+    /// The parts of the input need more vertices: three vertices each, or four if they are closed.
     Parts,
     /// Sheets or parts are nearer to each other than an edge is long: seeds have a vertex on each.
     CloseSheets,
@@ -215,7 +215,7 @@ pub struct ResultFigures {
     #[serde(flatten)]
     pub topology: Topology,
     /// Vertices that share no edge with another one and are in its place, to within 10⁻⁵ of the diagonal: parts that touch.
-    /// Who joins vertices by their places joins the parts.
+    /// A merge of vertices by position joins such parts.
     pub coincident_vertices: usize,
     /// Shape and distance figures; absent if not measured.
     #[serde(flatten)]

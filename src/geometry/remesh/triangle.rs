@@ -52,7 +52,6 @@ impl Wanted {
     }
 }
 
-/// The sum of its edges.
 pub(super) fn perimeter([a, b, c]: [DVec3; 3]) -> f64 {
     a.distance(b) + b.distance(c) + c.distance(a)
 }

@@ -3,7 +3,7 @@
 //! Purpose: the polygons in which cells meet facets, in flat arrays.
 //! Invariant: `offset` has one entry more than `facet` and `seed`; piece i owns the vertices
 //! `offset[i]..offset[i + 1]`. A piece has at least three vertices, counter-clockwise as its facet.
-//! Must not know: who computed it, who reads it.
+//! Must not know: backends, what pieces are for.
 
 use glam::DVec3;
 
@@ -89,36 +89,18 @@ impl PieceBatch {
         if order.is_sorted() {
             return;
         }
-        let (pieces, vertices) = (self.len(), self.position.len());
-        let mut sorted = PieceBatch {
-            facet: Vec::with_capacity(pieces),
-            seed: Vec::with_capacity(pieces),
-            offset: Vec::with_capacity(pieces + 1),
-            position: Vec::with_capacity(vertices),
-            weight: Vec::with_capacity(vertices),
-            opposite: Vec::with_capacity(vertices),
-        };
-        sorted.offset.push(0);
+        let mut sorted = PieceBatch::default();
         for i in order {
-            let vertices = self.vertices(i);
-            sorted.facet.push(self.facet[i]);
-            sorted.seed.push(self.seed[i]);
-            sorted.position.extend_from_slice(&self.position[vertices.clone()]);
-            sorted.weight.extend_from_slice(&self.weight[vertices.clone()]);
-            sorted.opposite.extend_from_slice(&self.opposite[vertices]);
-            sorted.offset.push(sorted.position.len() as u32);
+            let vertices = self.vertices(i).map(|v| (self.position[v], self.weight[v], self.opposite[v]));
+            sorted.push(self.facet[i], self.seed[i], vertices);
         }
         *self = sorted;
     }
 
     /// Area of piece `i`, in the units of the positions squared.
     pub fn area(&self, i: usize) -> f64 {
-        let range = self.vertices(i);
-        let p = &self.position[range];
-        let mut twice = DVec3::ZERO;
-        for k in 2..p.len() {
-            twice += (p[k - 1] - p[0]).cross(p[k] - p[0]);
-        }
+        let p = &self.position[self.vertices(i)];
+        let twice = (2..p.len()).fold(DVec3::ZERO, |sum, k| sum + (p[k - 1] - p[0]).cross(p[k] - p[0]));
         0.5 * twice.length()
     }
 

@@ -73,7 +73,7 @@ pub struct Clipper {
     pace: Pace,
 }
 
-/// An exact side takes as long as so many in floating point.
+/// Floating-point sides that take as long as an exact one.
 const EXACT: usize = 64;
 
 impl Clipper {
@@ -82,7 +82,7 @@ impl Clipper {
         self.token = token.clone();
     }
 
-    /// Whether work is to end, after so many steps of it.
+    /// Whether work is to end, after `steps` more steps.
     pub fn is_stopped_after(&mut self, steps: usize) -> bool {
         self.token.is_stopped_after(steps, &mut self.pace)
     }

@@ -1,6 +1,6 @@
 //! One diagram in the caller's coordinates.
 //!
-//! Purpose: [`Diagram`] is for who wants the cells of some seeds and no iterations: it opens a session, sets the seeds, and
+//! Purpose: [`Diagram`] serves a caller that wants the cells of some seeds and no iterations: it opens a session, sets them, and
 //! brings what comes back to the coordinates that the mesh was given in.
 //! Invariant: what a session says, scaled by a power of two and moved; nothing else.
 //! Must not know: which backend does the work, iterations, jobs.
@@ -70,17 +70,11 @@ pub struct Diagram {
 
 impl Diagram {
     /// Allocates for `mesh`, uniform density, and sets the seeds.
-    ///
-    /// # Errors
-    /// What is wrong with the mesh or a seed, or what the backend says of the memory it needs.
     pub fn new(mesh: &TriMesh, seeds: &[DVec3], backend: &dyn Backend) -> Result<Self, RvdError> {
         Self::with_weights(mesh, None, seeds, backend)
     }
 
     /// The same with a weight per vertex: finite, at least 0, not all 0; linear in each facet.
-    ///
-    /// # Errors
-    /// As [`Self::new`], and `WeightCount`, `BadWeight`.
     pub fn with_weights(
         mesh: &TriMesh,
         weights: Option<&[f64]>,
@@ -91,9 +85,6 @@ impl Diagram {
     }
 
     /// The same on a surface that others use too.
-    ///
-    /// # Errors
-    /// What is wrong with a seed, or what the backend says of the memory it needs.
     pub fn on(surface: Arc<Surface>, seeds: &[DVec3], backend: &dyn Backend) -> Result<Self, RvdError> {
         let mut session = backend.session(Arc::clone(&surface), SessionOptions::new(seeds.len()))?;
         let unit: Vec<DVec3> = seeds.iter().map(|&p| surface.frame().to_unit(p)).collect();
@@ -102,9 +93,6 @@ impl Diagram {
     }
 
     /// Sums over all cells.
-    ///
-    /// # Errors
-    /// `Stopped`, or what the backend says.
     pub fn cells(&mut self, token: &Token) -> Result<Cells, RvdError> {
         let mut unit = CellSums::default();
         self.session.sums(&mut unit, token)?;
@@ -112,9 +100,6 @@ impl Diagram {
     }
 
     /// The polygons in which cells meet `facets`, ordered by facet and then by seed. Facets beyond the last have none.
-    ///
-    /// # Errors
-    /// `Stopped`, or what the backend says.
     pub fn pieces(&mut self, facets: Range<u32>, token: &Token) -> Result<PieceBatch, RvdError> {
         let last = self.surface.facets().len() as u32;
         let mut batch = PieceBatch::default();

@@ -94,7 +94,7 @@ pub(crate) fn extract(
         stats.add(&done?);
         std::mem::swap(&mut made, &mut next);
     }
-    // On the pool's threads as a whole, so that nobody waits for them to wake up at each part.
+    // As one task of the pool, so that its threads are awake at each part.
     let mut dual = rayon::scope(|_| {
         pieces.take(&made);
         pieces.close(facets);

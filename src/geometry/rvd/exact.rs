@@ -3,7 +3,7 @@
 //! Purpose: on which side of a bisector a symbolic RVD vertex lies, in integers; and where it is,
 //! when two lines are so nearly parallel that rounding would put it elsewhere.
 //! Invariant: the answer depends on the vertex's identity alone (mesh vertex; mesh edge and one
-//! bisector; facet and two bisectors), not on who asks or how the vertex was computed, so that all
+//! bisector; facet and two bisectors), not on the caller or how the vertex was computed, so that all
 //! cells and facets around a vertex agree. There are no ties: seed i is given the infinitesimal
 //! weight w_i of a power diagram, w_0 ≫ w_1 ≫ … > 0 (simulation of simplicity, Edelsbrunner and
 //! Mücke 1990), so a point on a bisector belongs to the lower index.

@@ -26,6 +26,8 @@ pub struct Diagram<'a> {
     pub index: &'a SeedIndex,
     /// First rows.
     pub table: &'a NeighbourTable,
+    /// First capacities.
+    pub capacities: Capacities,
 }
 
 /// One thread's scratch memory for walking facets.
@@ -40,75 +42,23 @@ pub struct FacetWalker {
 /// Steps of one clip, beside those of its row.
 const STEPS: usize = 64;
 
-/// Where rows come from.
-#[derive(Clone, Copy)]
-enum Rows {
-    /// The table, and the index where its rows end.
-    Table,
-    /// The facet's list.
-    Listed,
-}
-
 impl FacetWalker {
-    /// Visits every cell that meets `facet`, beginning at `start`, a seed whose cell holds a
-    /// point of the facet. `visit` gets the seed and a non-empty polygon.
+    /// Visits every cell that meets `facet`, beginning at `start`, a seed whose cell holds a point of the facet. `visit` gets
+    /// the seed and a non-empty polygon. A `list` holds all seeds that could be nearest to some point of the facet; the index and
+    /// the table are not read then.
     pub fn walk(
         &mut self,
+        list: Option<&[u32]>,
         diagram: Diagram<'_>,
         facet: u32,
         start: u32,
-        capacities: Capacities,
-        stats: &mut PassStats,
-        visit: impl FnMut(u32, &Clipper),
-    ) {
-        self.walk_by(Rows::Table, diagram, facet, start, capacities, stats, visit);
-    }
-
-    /// The same where `list` holds all seeds that could be nearest to some point of the facet: the index
-    /// and the table are not read.
-    #[expect(clippy::too_many_arguments, reason = "those of a walk, and the list")]
-    pub fn walk_listed(
-        &mut self,
-        list: &[u32],
-        diagram: Diagram<'_>,
-        facet: u32,
-        start: u32,
-        capacities: Capacities,
-        stats: &mut PassStats,
-        visit: impl FnMut(u32, &Clipper),
-    ) {
-        self.listed.set(list);
-        self.walk_by(Rows::Listed, diagram, facet, start, capacities, stats, visit);
-    }
-
-    /// Clips one pair as [`Self::clip_to_end`] does, of a facet with such a list.
-    pub fn clip_listed(
-        &mut self,
-        list: &[u32],
-        diagram: Diagram<'_>,
-        facet: u32,
-        i: u32,
-        capacities: Capacities,
-        stats: &mut PassStats,
-    ) {
-        self.listed.set(list);
-        self.clip_by(Rows::Listed, diagram, facet, i, capacities, stats);
-    }
-
-    #[expect(clippy::too_many_arguments, reason = "those of a walk, and where rows come from")]
-    fn walk_by(
-        &mut self,
-        rows: Rows,
-        diagram: Diagram<'_>,
-        facet: u32,
-        start: u32,
-        capacities: Capacities,
         stats: &mut PassStats,
         mut visit: impl FnMut(u32, &Clipper),
     ) {
+        self.listed.set(list);
         self.cells.clear();
         self.cells.insert(start);
-        let mut slots = capacities.cells.max(1);
+        let mut slots = diagram.capacities.cells.max(1);
         let mut next = 0;
         let mut found = false;
         let mut others = 0;
@@ -117,9 +67,9 @@ impl FacetWalker {
                 // Where two seeds are equally far from the centroid but for a rounding, the start's cell may not
                 // meet the facet, nor that of the seed that cut it last. One does: its neighbours', most
                 // often, or else any.
-                let (row, rest) = match rows {
-                    Rows::Table => (diagram.table.row(start).0, diagram.seeds.len()),
-                    Rows::Listed => (&self.listed.seeds[..], 0),
+                let (row, rest) = match list {
+                    None => (diagram.table.row(start).0, diagram.seeds.len()),
+                    Some(list) => (list, 0),
                 };
                 let all = row.len() + rest;
                 if found || others == all || diagram.surface.facet_area(facet) == 0.0 {
@@ -133,7 +83,7 @@ impl FacetWalker {
                 continue;
             };
             next += 1;
-            let status = self.clip_by(rows, diagram, facet, i, capacities, stats);
+            let status = self.clip_by(list.is_some(), diagram, facet, i, stats);
             if status == PairStatus::NonFinite && self.clipper.is_stopped() {
                 break;
             }
@@ -161,38 +111,31 @@ impl FacetWalker {
         }
     }
 
-    /// Clips one pair with as many neighbours and polygon vertices as it takes. Returns the last
+    /// Clips one pair with as many neighbours and polygon vertices as it takes; `list` as for [`Self::walk`]. Returns the last
     /// status: `Done`, or `NonFinite` with an empty polygon, where the token is stopped too.
-    pub fn clip_to_end(
+    pub fn clip(
         &mut self,
+        list: Option<&[u32]>,
         diagram: Diagram<'_>,
         facet: u32,
         i: u32,
-        capacities: Capacities,
         stats: &mut PassStats,
     ) -> PairStatus {
-        self.clip_by(Rows::Table, diagram, facet, i, capacities, stats)
+        self.listed.set(list);
+        self.clip_by(list.is_some(), diagram, facet, i, stats)
     }
 
-    fn clip_by(
-        &mut self,
-        rows: Rows,
-        diagram: Diagram<'_>,
-        facet: u32,
-        i: u32,
-        capacities: Capacities,
-        stats: &mut PassStats,
-    ) -> PairStatus {
-        let Diagram { surface, seeds, index, table } = diagram;
+    fn clip_by(&mut self, listed: bool, diagram: Diagram<'_>, facet: u32, i: u32, stats: &mut PassStats) -> PairStatus {
+        let Diagram { surface, seeds, index, table, capacities } = diagram;
         let mut slots = capacities.polygon.max(4);
         // Of a table without rows there is nothing to try first.
-        let no_rows = matches!(rows, Rows::Table) && table.is_empty();
+        let no_rows = !listed && table.is_empty();
         let mut k = if no_rows { capacities.neighbours.max(1) } else { 0 };
         loop {
-            let row = match rows {
-                Rows::Listed => self.listed.row(seeds, i, k > 0),
-                Rows::Table if k == 0 => table.row(i),
-                Rows::Table => self.long_rows.row(index, i, k),
+            let row = match k {
+                _ if listed => self.listed.row(seeds, i, k > 0),
+                0 => table.row(i),
+                _ => self.long_rows.row(index, i, k),
             };
             // Where many seeds are near one another, rows are long.
             if self.clipper.is_stopped_after(row.0.len() + STEPS) {
@@ -213,6 +156,13 @@ impl FacetWalker {
                 status => return status,
             }
         }
+    }
+
+    /// Forgets rows of an earlier seed set. From now on walks end early where `token` is stopped; the caller checks the token
+    /// before it uses what they found.
+    pub fn reset(&mut self, token: &Token) {
+        self.long_rows = LongRows::default();
+        self.clipper.listen(token);
     }
 
     /// Whether walks are to end.
@@ -240,7 +190,8 @@ impl Listed {
     /// A cell has hardly more neighbours on a facet.
     const FIRST: usize = 16;
 
-    fn set(&mut self, list: &[u32]) {
+    fn set(&mut self, list: Option<&[u32]>) {
+        let Some(list) = list else { return };
         self.seeds.clear();
         self.seeds.extend_from_slice(list);
         self.sorted.clear();
@@ -315,7 +266,7 @@ struct LongRows {
 }
 
 impl LongRows {
-    /// So many neighbours are kept at most: 4 MiB.
+    /// Most neighbours that are kept: 4 MiB.
     const LIMIT: usize = 1 << 20;
 
     fn row(&mut self, index: &SeedIndex, i: u32, k: usize) -> (&[u32], bool) {
@@ -331,14 +282,5 @@ impl LongRows {
             self.stored += entry.1.seeds.len();
         }
         (&entry.1.seeds, entry.1.complete)
-    }
-}
-
-impl FacetWalker {
-    /// Forgets rows of an earlier seed set. From now on walks end early where `token` is stopped; who walks asks it before
-    /// what they found is used.
-    pub fn reset(&mut self, token: &Token) {
-        self.long_rows = LongRows::default();
-        self.clipper.listen(token);
     }
 }

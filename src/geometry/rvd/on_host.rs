@@ -15,11 +15,11 @@ use std::sync::Arc;
 use glam::DVec3;
 
 use super::resident::HISTORY;
-use super::{CellSums, DeviceWork, Evaluation, PassStats, PhasesMs, PieceBatch, Resident, RvdError, Session};
+use super::{CellSums, Evaluation, PassStats, PieceBatch, Resident, RvdError, Session};
 use crate::knn::Threads;
 use crate::token::Token;
 
-/// A session and the vectors of its seeds.
+/// A session on the CPU and the vectors of its seeds.
 pub(super) struct OnHost<S> {
     session: S,
     /// Whose threads serve long vectors; the caller's alone if there is none.
@@ -52,19 +52,10 @@ const LONG: usize = 4096;
 
 impl<S> OnHost<S> {
     pub(super) fn new(session: S, pool: Option<Arc<rayon::ThreadPool>>) -> Self {
-        Self {
-            session,
-            pool,
-            x: Vec::new(),
-            g: Vec::new(),
-            sums: CellSums::default(),
-            trial: Vec::new(),
-            trial_g: Vec::new(),
-            trial_sums: CellSums::default(),
-            d: Vec::new(),
-            held: Vec::new(),
-            history: VecDeque::with_capacity(HISTORY),
-        }
+        let [x, g, trial, trial_g, d] = Default::default();
+        let (sums, trial_sums) = Default::default();
+        let (held, history) = (Vec::new(), VecDeque::with_capacity(HISTORY));
+        Self { session, pool, x, g, sums, trial, trial_g, trial_sums, d, held, history }
     }
 
     fn reset(&mut self, n: usize) {
@@ -74,7 +65,7 @@ impl<S> OnHost<S> {
     }
 }
 
-/// Works on vectors of so many seeds.
+/// Works on vectors of `seeds` seeds.
 fn on<R: Send>(pool: Option<&rayon::ThreadPool>, seeds: usize, work: impl FnOnce(Threads) -> R + Send) -> R {
     match pool {
         Some(pool) if seeds >= LONG => pool.install(|| work(Threads::Pool)),
@@ -101,18 +92,6 @@ impl<S: Session> Session for OnHost<S> {
 
     fn pieces(&mut self, facets: Range<u32>, out: &mut PieceBatch, token: &Token) -> Result<PassStats, RvdError> {
         self.session.pieces(facets, out, token)
-    }
-
-    fn device_bytes(&self) -> u64 {
-        self.session.device_bytes()
-    }
-
-    fn device_work(&self) -> DeviceWork {
-        self.session.device_work()
-    }
-
-    fn device_phases(&self) -> Option<PhasesMs> {
-        self.session.device_phases()
     }
 
     fn resident(&mut self) -> Option<&mut dyn Resident> {

@@ -1,4 +1,4 @@
-//! What a session is told before it allocates.
+//! Options of a session.
 //!
 //! Purpose: [`SessionOptions`]: the most seeds, first capacities, and choices that exist to be measured.
 //! Invariant: none of them changes the diagram. Must not know: backends.

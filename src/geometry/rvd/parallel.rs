@@ -43,9 +43,6 @@ pub struct Parallel {
 
 impl Parallel {
     /// A pool of `threads` threads, or one a core with `None`.
-    ///
-    /// # Errors
-    /// `Internal` if the operating system refuses the threads.
     pub fn new(threads: Option<usize>) -> Result<Self, RvdError> {
         let pool = rayon::ThreadPoolBuilder::new()
             .num_threads(threads.unwrap_or(0))
@@ -270,7 +267,8 @@ impl ParallelSession {
         let tasks = self.order.len().div_ceil(size);
         self.chunks.resize_with(WAVE.min(tasks), Chunk::default);
         let table = if matches!(from, From::Rows { .. }) { &self.table } else { &self.no_table };
-        let diagram = Diagram { surface: &self.surface, seeds: &self.seeds, index: &self.index, table };
+        let Self { surface, seeds, index, capacities, .. } = self;
+        let diagram = Diagram { surface, seeds, index, table, capacities: *capacities };
         let begin = Instant::now();
         let (facets, starts) = self.order.guesses(diagram, from != From::Lists, token);
         token.check()?;
@@ -282,7 +280,6 @@ impl ParallelSession {
             diagram,
             about,
             skin: verlet.skin,
-            capacities: self.capacities,
             by_rows: from == From::Rows { coarse: true },
             even: matches!(from, From::Index | From::Ahead),
             block,
@@ -334,13 +331,14 @@ impl ParallelSession {
         self.reset_walkers(token);
         stats.duplicate_seeds = self.index.duplicates() as u64;
         let begin = Instant::now();
-        let diagram = Diagram { surface: &self.surface, seeds: &self.seeds, index: &self.index, table: &self.table };
         let Blocks { facets: block, a_chunk } = self.blocks(facets.len());
         let size = block * a_chunk;
+        let Self { surface, seeds, index, table, capacities, .. } = self;
+        let diagram = Diagram { surface, seeds, index, table, capacities: *capacities };
         let starts = self.starts.find(diagram, facets.clone(), token);
         token.check()?;
         stats.start_ms = elapsed_ms(begin);
-        let (capacities, flat) = (self.capacities, self.flat_pieces);
+        let flat = self.flat_pieces;
         self.chunks.resize_with(WAVE.min(facets.len().div_ceil(size)), Chunk::default);
         for (w, starts) in starts.chunks(size * WAVE).enumerate() {
             token.check()?;
@@ -351,7 +349,7 @@ impl ParallelSession {
                 if !token.is_stopped() {
                     let walkers = &mut *of_this_thread(&self.walkers);
                     let first = facets.start + ((w * WAVE + c) * size) as u32;
-                    chunk.cut(walkers, diagram, first, starts, capacities, flat);
+                    chunk.cut(walkers, diagram, first, starts, flat);
                 }
             });
             token.check()?;
@@ -380,7 +378,7 @@ impl ParallelSession {
         }
     }
 
-    /// How so many facets are shared out.
+    /// How `facets` facets are shared out.
     fn blocks(&self, facets: usize) -> Blocks {
         // A facet meets its share of the cells and some more at its rim.
         let per_facet = 3 + 2 * self.seeds.len() / self.surface.facets().len();

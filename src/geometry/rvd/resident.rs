@@ -4,7 +4,7 @@
 //! quasi-Newton history never leave the device: it says what to do and hears scalars.
 //! Invariant: the present point changes by [`Resident::to_centroids`], [`Resident::relax`] and [`Resident::accept`] alone;
 //! every reduction has a fixed order, so that a run has the same bits every time.
-//! Must not know: line searches, convergence, curves; which seeds are held it is told.
+//! Must not know: line searches, convergence, curves, why seeds are held.
 
 use glam::DVec3;
 
@@ -31,33 +31,23 @@ pub struct Evaluation {
     pub stats: PassStats,
 }
 
-/// One session's seeds, moved in place. Vectors have three components a seed.
+/// One session's seeds, moved in place. Vectors have three components a seed. A stopped pass leaves the present point as it
+/// was; after [`Resident::relax`] it is as after the evaluations that were added. An error of the device, such as
+/// [`RvdError::DeviceLost`], changes nothing; the session must be opened again.
 pub trait Resident {
     /// Which seeds stay where they are, one entry a seed. Clears the history and the direction.
-    ///
-    /// # Errors
-    /// Those of the device, such as [`RvdError::DeviceLost`]: nothing was changed; the session must be opened again.
     fn hold(&mut self, held: &[bool]) -> Result<(), RvdError>;
 
     /// One pass at the present point x; its gradient g is kept. The slope is 0.
-    ///
-    /// # Errors
-    /// `Stopped`, or an error of the device. x is as before.
     fn evaluate(&mut self, token: &Token) -> Result<Evaluation, RvdError>;
 
     /// After [`Resident::evaluate`]: every seed that is not held goes to its cell's centroid; the seed
     /// of an empty cell stays. Clears the history.
-    ///
-    /// # Errors
-    /// Those of the device, such as [`RvdError::DeviceLost`]: nothing was changed; the session must be opened again.
     fn to_centroids(&mut self) -> Result<(), RvdError>;
 
     /// One Lloyd step at least and `steps` at most, each as [`Resident::evaluate`] and then
     /// [`Resident::to_centroids`], with the same bits; the evaluation of each is added to `evaluations`. No step is
     /// taken from a point with empty cells: its evaluation is then the last, and [`Resident::read_sums`] has its sums.
-    ///
-    /// # Errors
-    /// `Stopped`, or an error of the device. x is as after the evaluations that were added.
     fn relax(&mut self, steps: usize, evaluations: &mut Vec<Evaluation>, token: &Token) -> Result<(), RvdError> {
         let _one_by_one = steps;
         let evaluation = self.evaluate(token)?;
@@ -71,36 +61,21 @@ pub trait Resident {
     /// Sets `d := -H g` by the two-loop recursion over the history, with H₀ = (sᵀy / yᵀPy) P of the last pair. Without
     /// history, sets `d := -P g`, the way to the centroids. P divides each seed's part by twice the mass of its cell, as
     /// Lloyd's method does: masses differ a hundredfold on a density, and one scale for all suits none. Returns gᵀd.
-    ///
-    /// # Errors
-    /// Those of the device, such as [`RvdError::DeviceLost`]: nothing was changed; the session must be opened again.
     fn search_direction(&mut self) -> Result<f64, RvdError>;
 
     /// One pass at x + step·d; its gradient is kept beside g. The slope is that gradient along d.
-    ///
-    /// # Errors
-    /// `Stopped`, or an error of the device. x is as before.
     fn probe(&mut self, step: f64, token: &Token) -> Result<Evaluation, RvdError>;
 
     /// The point of the last probe becomes x, its gradient g; the pair (s, y) joins the history, the
     /// oldest going where there are `HISTORY`, unless sᵀy <= 1e-10 ‖s‖ ‖y‖.
-    ///
-    /// # Errors
-    /// Those of the device, such as [`RvdError::DeviceLost`]: nothing was changed; the session must be opened again.
     fn accept(&mut self) -> Result<(), RvdError>;
 
     /// Empties the history.
     fn clear_history(&mut self);
 
     /// The present point, unit frame, into `out`.
-    ///
-    /// # Errors
-    /// Those of the device, such as [`RvdError::DeviceLost`]: nothing was changed; the session must be opened again.
     fn read(&mut self, out: &mut Vec<DVec3>) -> Result<(), RvdError>;
 
     /// The cells' sums of the last pass at x, into `out`.
-    ///
-    /// # Errors
-    /// Those of the device, such as [`RvdError::DeviceLost`]: nothing was changed; the session must be opened again.
     fn read_sums(&mut self, out: &mut CellSums) -> Result<(), RvdError>;
 }

@@ -99,19 +99,20 @@ impl SerialSession {
     ) -> Result<PassStats, RvdError> {
         let mut stats = PassStats { neighbours_ms: self.refresh(token)?, ..PassStats::default() };
         stats.duplicate_seeds = self.index.duplicates() as u64;
-        let diagram = Diagram { surface: &self.surface, seeds: &self.seeds, index: &self.index, table: &self.table };
+        let Self { surface, seeds, index, table, capacities, .. } = self;
+        let diagram = Diagram { surface, seeds, index, table, capacities: *capacities };
         let mut starts = Vec::with_capacity(BATCH);
         for first in range.clone().step_by(BATCH) {
             token.check()?;
             let batch = first..range.end.min(first + BATCH as u32);
             let begin = Instant::now();
             starts.clear();
-            starts.extend(batch.clone().map(|f| self.index.nearest(self.surface.centroid(f))));
+            starts.extend(batch.clone().map(|f| index.nearest(surface.centroid(f))));
             stats.start_ms += elapsed_ms(begin);
             let begin = Instant::now();
-            for facet in batch.clone().filter(|&f| wanted(&self.surface, f as usize)) {
+            for facet in batch.clone().filter(|&f| wanted(surface, f as usize)) {
                 let start = starts[(facet - first) as usize];
-                self.walker.walk(diagram, facet, start, self.capacities, &mut stats, |i, clipper| {
+                self.walker.walk(None, diagram, facet, start, &mut stats, |i, clipper| {
                     visit(facet, i, diagram.seeds[i as usize], clipper);
                 });
             }

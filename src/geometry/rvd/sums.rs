@@ -93,11 +93,6 @@ impl PassStats {
         self.relaunched_neighbours + self.relaunched_polygon + self.relaunched_cells
     }
 
-    /// What of this the device did.
-    pub fn device_work(&self) -> DeviceWork {
-        self.device
-    }
-
     /// Takes what the device says of the phases.
     pub fn set_phases(&mut self, phases: PhasesMs) {
         self.neighbours_ms = phases.neighbours;

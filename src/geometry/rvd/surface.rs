@@ -191,16 +191,13 @@ impl Surface {
     }
 
     /// What answers for closest points of it, unit frame.
-    ///
-    /// # Errors
-    /// None for a surface that is one.
     pub fn closest_points(&self) -> Result<ClosestPoint, RvdError> {
         let mesh = TriMesh::new(self.positions.clone(), self.facets.clone())
             .map_err(|e| RvdError::Internal(format!("the surface was valid before: {e}")))?;
         Ok(ClosestPoint::new(&mesh))
     }
 
-    /// E_hex: the energy that so many seeds would have on a flat surface of this size and
+    /// E_hex: the energy that `seeds` seeds would have on a flat surface of this size and
     /// density if every cell were a regular hexagon, 5/(18√3) (∫√w)²/n, unit frame. √w is taken
     /// as linear between the corners of a facet.
     pub fn hexagonal_energy(&self, seeds: usize) -> f64 {

@@ -9,7 +9,7 @@ use std::ops::AddAssign;
 use serde::Serialize;
 
 /// Counts of what a session had its device do, since it was opened. A device counts for all its users together, so
-/// the figures are a session's own only while nobody else uses its device.
+/// the figures are a session's own only while no other session uses its device.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct DeviceWork {
     /// Passes whose rows of neighbours or first cells the host made.
@@ -36,14 +36,19 @@ impl DeviceWork {
 
     /// Figure by figure, what `by` makes of these and `other`.
     pub fn with(&self, other: &Self, by: impl Fn(u64, u64) -> u64) -> Self {
+        Self::each(|figure| by(figure(self), figure(other)))
+    }
+
+    /// Each figure as `of` makes it.
+    pub fn each(of: impl Fn(fn(&Self) -> u64) -> u64) -> Self {
         Self {
-            host_searches: by(self.host_searches, other.host_searches),
-            divided_facets: by(self.divided_facets, other.divided_facets),
-            paired_facets: by(self.paired_facets, other.paired_facets),
-            device_submissions: by(self.device_submissions, other.device_submissions),
-            device_allocations: by(self.device_allocations, other.device_allocations),
-            uploaded_bytes: by(self.uploaded_bytes, other.uploaded_bytes),
-            read_back_bytes: by(self.read_back_bytes, other.read_back_bytes),
+            host_searches: of(|w| w.host_searches),
+            divided_facets: of(|w| w.divided_facets),
+            paired_facets: of(|w| w.paired_facets),
+            device_submissions: of(|w| w.device_submissions),
+            device_allocations: of(|w| w.device_allocations),
+            uploaded_bytes: of(|w| w.uploaded_bytes),
+            read_back_bytes: of(|w| w.read_back_bytes),
         }
     }
 }
@@ -68,19 +73,22 @@ pub struct PhasesMs {
 }
 
 impl PhasesMs {
+    fn each(of: impl Fn(fn(&Self) -> f64) -> f64) -> Self {
+        Self {
+            neighbours: of(|p| p.neighbours),
+            start: of(|p| p.start),
+            clip: of(|p| p.clip),
+            update: of(|p| p.update),
+        }
+    }
+
     /// Each of `count` that took them together.
     pub fn over(&self, count: f64) -> Self {
-        let Self { neighbours, start, clip, update } = *self;
-        Self { neighbours: neighbours / count, start: start / count, clip: clip / count, update: update / count }
+        Self::each(|phase| phase(self) / count)
     }
 
     /// What they took after `before`.
     pub fn since(&self, before: &Self) -> Self {
-        Self {
-            neighbours: self.neighbours - before.neighbours,
-            start: self.start - before.start,
-            clip: self.clip - before.clip,
-            update: self.update - before.update,
-        }
+        Self::each(|phase| phase(self) - phase(before))
     }
 }

@@ -4,7 +4,7 @@
 //! come of it.
 //! Invariant: nothing is dropped: a pair ends on the device, is launched again with more, or is finished in f64. Which facets
 //! `divide` does, and its variant, depend on the surface and the seeds alone, never on capacities.
-//! Must not know: who made rows and first cells, and who moves seeds.
+//! Must not know: where rows and first cells come from, why seeds move.
 
 pub(super) mod by_cell;
 pub(super) mod fixed;
@@ -23,7 +23,7 @@ use super::pipelines::SLOTS;
 use super::plan::{BATCH, size};
 use super::strategy;
 use crate::buffers::write;
-use crate::dispatch::{ARGUMENTS_BYTES, Stage};
+use crate::dispatch::{ARGUMENTS_BYTES, Stage, run_groups, run_indirect};
 use geometry::rvd::incident::FacetWalker;
 use geometry::rvd::{Accumulate, DeviceWork, PassStats, RvdError};
 use geometry::token::Token;
@@ -52,7 +52,6 @@ pub(super) struct PassResult {
     pub device_retries: Shortages,
 }
 
-/// What pairs lacked.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Shortages {
     /// Longer rows.
@@ -61,7 +60,6 @@ pub(super) struct Shortages {
     pub slots: bool,
 }
 
-/// What a pass is for.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Wants {
     /// Sums and the list of pairs.
@@ -85,7 +83,7 @@ pub(super) const STEPS: (u32, u32) = (8, 64);
 const FEWEST_STEPS: u32 = 3;
 /// Clip dispatches for what comes of pairs with large polygons.
 const STEPS_AGAIN: u32 = 4;
-/// The variant of `divide` has room for so many times the cells that a mean facet is expected to meet. More room
+/// The variant of `divide` has room for this multiple of the cells that a mean facet is expected to meet. More room
 /// costs every facet time, less sends more of them through the list of pairs.
 const ROOM: f64 = 1.1;
 /// Relative error of the area that single precision may have. Where nothing is lost it is below 10⁻⁷.
@@ -159,7 +157,6 @@ impl Clip {
         self.pass = PassResult { polygon: self.first_polygon, by_cell, ..PassResult::default() };
     }
 
-    /// Parameters of the stages.
     pub(super) fn params(&self, cx: &Context, memory: &Memory, neighbours: &Neighbours) -> Params {
         let window = memory.windows.facets();
         Params {
@@ -267,7 +264,6 @@ impl Clip {
         Ok(())
     }
 
-    /// The stages that enter candidates.
     fn entries<'a>(
         &self,
         cx: &'a Context,
@@ -276,7 +272,7 @@ impl Clip {
         seeds: usize,
         candidates: Option<&Params>,
     ) -> Vec<Stage<'a>> {
-        let (pipelines, window) = (&cx.pipelines, &there.bindings.windows[memory.windows.present()]);
+        let (pipelines, window) = (&cx.pipelines, &there.bindings.windows[memory.windows.present]);
         let mut entries = Vec::with_capacity(2);
         let mut enter = |pipeline, bindings, items: u32, size| {
             entries.push(Stage { pipeline, bindings, items: items.into(), size, arguments: None });
@@ -306,7 +302,7 @@ impl Clip {
         compute: &mut wgpu::ComputePass<'_>,
         launch: &Launch,
     ) {
-        let (pipelines, window) = (&cx.pipelines, &there.bindings.windows[memory.windows.present()]);
+        let (pipelines, window) = (&cx.pipelines, &there.bindings.windows[memory.windows.present]);
         let shared = self.accumulate == accumulate::TWO_PHASE;
         let (clip, bindings) = match launch.variant {
             Variant::Registers if shared => (&pipelines.clip_shared, &window.clip_shared),
@@ -314,21 +310,16 @@ impl Clip {
             Variant::Large => (&pipelines.clip_large, &window.clip_large),
         };
         let taken = |compute: &mut wgpu::ComputePass<'_>, taking, with, clip, bindings| {
-            compute.set_pipeline(taking);
-            compute.set_bind_group(0, with, &[]);
-            compute.dispatch_workgroups(1, 1, 1);
-            compute.set_pipeline(clip);
-            compute.set_bind_group(0, bindings, &[]);
-            compute.dispatch_workgroups_indirect(&there.buffers.arguments, 0);
+            run_groups(compute, taking, with, [1, 1]);
+            run_indirect(compute, clip, bindings, (&there.buffers.arguments, 0));
         };
         let begins = launch.candidates.is_some_and(|p| p.enqueue_root != 0);
         let device_retries = if begins { self.pass.device_retries } else { Shortages::default() };
         let step = |compute: &mut wgpu::ComputePass<'_>| {
             taken(compute, &pipelines.indirect_arguments, &there.bindings.indirect_arguments, clip, bindings);
             if device_retries.neighbours {
-                compute.set_pipeline(&pipelines.lengthen);
-                compute.set_bind_group(0, &there.bindings.lengthen, &[]);
-                compute.dispatch_workgroups_indirect(&there.buffers.arguments, ARGUMENTS_BYTES);
+                let arguments = (&there.buffers.arguments, ARGUMENTS_BYTES);
+                run_indirect(compute, &pipelines.lengthen, &there.bindings.lengthen, arguments);
             }
         };
         // What failed in one step is seen by the next, and comes again in the one after.
@@ -350,7 +341,7 @@ impl Clip {
         MEMBERS.iter().position(|&m| ROOM * mean <= f64::from(m)).unwrap_or(MEMBERS.len() - 1)
     }
 
-    /// A pass's first submission took so many rounds: the next one's is to have some more steps.
+    /// A pass's first submission took `rounds`: the next one gets some more steps.
     pub(super) fn learn_steps(&mut self, rounds: u32) {
         self.steps = (rounds + 2).clamp(FEWEST_STEPS, STEPS.1);
     }
@@ -399,13 +390,11 @@ impl Clip {
         Ok(write(&cx.device, &memory.there()?.buffers.state, 0, &[state])?)
     }
 
-    /// Tells the stages `params`.
     pub(super) fn write_params(&self, cx: &Context, memory: &Memory, params: Params) -> Result<(), RvdError> {
         Ok(write(&cx.device, &memory.there()?.buffers.params, 0, &[params])?)
     }
 }
 
-/// What one submission clips.
 #[derive(Clone, Copy)]
 pub(super) struct Launch {
     /// Candidates that are entered first.

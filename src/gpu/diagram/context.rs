@@ -10,7 +10,6 @@ use crate::Device;
 use crate::limits::Limits;
 use geometry::rvd::{Capacities, Surface};
 
-/// See the module's head.
 pub(super) struct Context {
     pub device: Arc<Device>,
     pub pool: Arc<rayon::ThreadPool>,
@@ -25,7 +24,6 @@ pub(super) struct Context {
 }
 
 impl Context {
-    /// What the device allows.
     pub(super) fn limits(&self) -> Limits {
         Limits::of(&self.device.limits())
     }

@@ -97,7 +97,7 @@ pub struct Facet {
     pub weight_top: f32,
 }
 
-/// What is the same for all invocations of one dispatch. A uniform.
+/// Parameters of a dispatch. A uniform.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
 #[repr(C)]
 pub struct Params {
@@ -238,7 +238,7 @@ pub mod search {
     pub const FROM_LISTS: u32 = 3;
 }
 
-/// What the stages that move seeds are told. A uniform.
+/// Parameters of the stages that move seeds. A uniform.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
 #[repr(C)]
 pub struct OptimizerParams {

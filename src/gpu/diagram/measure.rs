@@ -28,9 +28,6 @@ pub struct AccumulationMs {
 impl Gpu {
     /// Times `passes` passes of each kind over the same seeds (unit frame), in turn, so that what
     /// else the machine does falls on all alike. One more of each goes before.
-    ///
-    /// # Errors
-    /// Those of a pass.
     pub fn measure_accumulation(
         &self,
         surface: Arc<Surface>,

@@ -43,7 +43,6 @@ impl OnDevice {
     }
 }
 
-/// See the module's head.
 pub(super) struct Memory {
     /// Sizes.
     pub counts: Counts,
@@ -66,15 +65,10 @@ impl Memory {
         Self { counts, windows, slots_log2, facets, on_device: None }
     }
 
-    /// The buffers.
-    ///
-    /// # Errors
-    /// `Internal` if there are none: the session allocates them before it calls a room.
     pub(super) fn there(&self) -> Result<&OnDevice, RvdError> {
         self.on_device.as_ref().ok_or_else(|| RvdError::Internal("no buffers".to_owned()))
     }
 
-    /// Whether there are buffers.
     pub(super) fn is_allocated(&self) -> bool {
         self.on_device.is_some()
     }
@@ -82,13 +76,13 @@ impl Memory {
     /// Cuts the facets into windows, for the present capacities. Whether they are more than one.
     pub(super) fn cut(&mut self, cx: &Context) -> bool {
         self.windows.cut(&self.slots_log2, cx.limits());
-        self.windows.all().len() > 1
+        self.windows.all.len() > 1
     }
 
     /// Gives each facet's set of cells its place among its window's, and sizes all buffers. `flags`: a slot more for each
     /// facet of a window.
     pub(super) fn lay_out(&mut self, cx: &Context, flags: bool) {
-        let windows = self.windows.all();
+        let windows = &self.windows.all;
         for window in windows {
             let places = places(&window.facets);
             records::assign_slots(&mut self.facets[places.clone()], &self.slots_log2[places]);
@@ -110,48 +104,35 @@ impl Memory {
         };
     }
 
-    /// Allocates the buffers.
-    ///
-    /// # Errors
-    /// `NeverFits`, `OutOfMemory`, `DeviceLost`.
     pub(super) fn allocate(&mut self, cx: &Context) -> Result<(), RvdError> {
         let plan = Plan::new(self.counts, cx.limits())?;
-        let facets: Vec<u64> = self.windows.all().iter().map(|w| w.facets.len() as u64).collect();
+        let facets: Vec<u64> = self.windows.all.iter().map(|w| w.facets.len() as u64).collect();
         let buffers = Buffers::new(&cx.device, plan, &facets)?;
         let bindings = Bindings::new(&cx.device, &cx.pipelines, &buffers)?;
         self.on_device = Some(OnDevice { buffers, bindings });
         Ok(())
     }
 
-    /// Frees the buffers.
     pub(super) fn free(&mut self) {
         self.on_device = None;
     }
 
-    /// Bytes of all buffers.
     pub(super) fn device_bytes(&self) -> u64 {
-        self.on_device.as_ref().map_or(0, |there| there.buffers.plan().total_bytes())
+        self.on_device.as_ref().map_or(0, |there| there.buffers.plan.total_bytes())
     }
 
-    /// The buffers of each window.
     pub(super) fn by_window(&self) -> impl Iterator<Item = (&Window, &WindowBuffers)> {
         let buffers = self.on_device.iter().flat_map(|there| &there.buffers.windows);
-        self.windows.all().iter().zip(buffers)
+        self.windows.all.iter().zip(buffers)
     }
 
     /// The buffers of the window at work.
-    ///
-    /// # Errors
-    /// `Internal` if there are none.
     pub(super) fn window(&self) -> Result<&WindowBuffers, RvdError> {
-        let window = self.there()?.buffers.windows.get(self.windows.present());
+        let window = self.there()?.buffers.windows.get(self.windows.present);
         window.ok_or_else(|| RvdError::Internal("no window".to_owned()))
     }
 
     /// Uploads the records as the host has them.
-    ///
-    /// # Errors
-    /// `DeviceLost`, `Device`.
     pub(super) fn upload_facets(&self, cx: &Context) -> Result<(), RvdError> {
         for (window, to) in self.by_window() {
             write(&cx.device, &to.facets, 0, &self.facets[places(&window.facets)])?;

@@ -2,9 +2,9 @@
 //!
 //! Purpose: rows of neighbours from a uniform grid on the device, the nearest seed of each facet by a
 //! walk over them, and the decision whether the host does it instead.
-//! Invariant: a row is the beginning of every longer row, whoever made it: its order is that of
+//! Invariant: a row is the beginning of every longer row, wherever it comes from: its order is that of
 //! [`layout::Seed::key`], then of indices. Rows and first cells are proved, or the host makes them with
-//! its tree; nothing is cut off. Who makes them depends on the seeds alone.
+//! its tree; nothing is cut off. The choice depends on the seeds alone.
 //! Seeds that converge hardly move. So the device keeps a Verlet list for each seed (Verlet 1967), somewhat longer than its row,
 //! and takes the row from it while it proves the row: a seed that was beyond a list's reach is no nearer now than that less
 //! what both have moved. A row is the same wherever it comes from. The device decides (`shaders/neighbours/offsets.wgsl`),
@@ -44,18 +44,15 @@ pub(super) enum Place {
     Trial(f32),
 }
 
-/// Who made the rows that the device has.
+/// Where the rows that the device has come from.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Rows {
-    /// Nobody yet.
+    /// There are none yet.
     Missing,
     /// The device.
     Device,
     /// The host. `far`: seeds are farther than floats reach, so rows and distances are in the order of f64.
-    Host {
-        /// See above.
-        far: bool,
-    },
+    Host { far: bool },
 }
 
 impl Rows {
@@ -84,7 +81,6 @@ impl FirstCells {
         matches!(self, Self::Uploaded | Self::Found)
     }
 
-    /// Seeds are others.
     fn seeds_changed(&mut self) {
         *self = match self {
             Self::Missing | Self::Uploaded => Self::Missing,
@@ -92,7 +88,6 @@ impl FirstCells {
         };
     }
 
-    /// The device's memory is new.
     fn memory_changed(&mut self) {
         *self = match self {
             Self::Missing | Self::Guessed => Self::Missing,
@@ -100,7 +95,6 @@ impl FirstCells {
         };
     }
 
-    /// The host found them.
     fn by_host(&mut self) {
         *self = match self {
             Self::Missing | Self::Uploaded => Self::Uploaded,
@@ -115,10 +109,7 @@ pub(super) enum Searched {
     /// The rows are there.
     Rows,
     /// The host has to search. `far`: seeds are farther than floats reach.
-    Nothing {
-        /// See above.
-        far: bool,
-    },
+    Nothing { far: bool },
 }
 
 /// What a search found.
@@ -148,7 +139,7 @@ pub(super) struct Neighbours {
     finest: u32,
     pub rows: Rows,
     pub first_cells: FirstCells,
-    /// So many seeds were noted for lists when rows were last made.
+    /// Seeds noted for lists when rows were last made.
     listed_for: usize,
     /// Later duplicates among the seeds, and whether some of those are none in f64.
     pub duplicates: u64,
@@ -224,7 +215,6 @@ impl Neighbours {
         self.seeds.iter().map(|&p| records::record(p)).collect()
     }
 
-    /// Uploads the seeds as set.
     pub(super) fn upload_seeds(&mut self, cx: &Context, memory: &Memory) -> Result<(), RvdError> {
         self.host.records.clear();
         self.host.records.extend(self.seeds.iter().map(|&p| records::record(p)));
@@ -307,15 +297,12 @@ impl Neighbours {
         let guessed = matches!(self.first_cells, FirstCells::Guessed | FirstCells::Found);
         let size = if guessed { size::FACET } else { size::FIRST_CELL };
         let there = memory.there()?;
-        let bindings = &there.bindings.windows[memory.windows.present()].first_cells;
+        let bindings = &there.bindings.windows[memory.windows.present].first_cells;
         let stage = Stage { pipeline: &cx.pipelines.first_cells, bindings, items: roots, size, arguments: None };
         there.encode(&cx.device, encoder, lane::START, &[stage], token)
     }
 
     /// Takes what the device's search came to.
-    ///
-    /// # Errors
-    /// That a seed is not finite or too far.
     pub(super) fn take_search_result(
         &mut self,
         cx: &Context,
@@ -359,7 +346,7 @@ impl Neighbours {
         self.host.fresh = false;
         self.view(cx, memory)?;
         let b = &memory.there()?.buffers;
-        let table: Vec<u32> = b.staging.read(&cx.device, &b.table, 0..b.plan().counts.table as usize)?;
+        let table: Vec<u32> = b.staging.read(&cx.device, &b.table, 0..memory.counts.table as usize)?;
         let list_state: Vec<ListState> = b.staging.read(&cx.device, &b.list_state, 0..1)?;
         let from_lists =
             list_state.first().filter(|s| s.mode == layout::search::FROM_LISTS && self.rows == Rows::Device);

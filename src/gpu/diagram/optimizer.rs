@@ -18,13 +18,12 @@ use super::layout::{self, DOTS, OptimizerParams, PAIRS};
 use super::memory::{Memory, OnDevice, OptimizerBindings};
 use super::neighbours::{Neighbours, Place};
 use crate::buffers::write;
-use crate::dispatch::{reduction, run};
+use crate::dispatch::{reduction, run, run_groups};
 use geometry::rvd::resident::Evaluation;
 use geometry::rvd::{PassStats, RvdError, Together};
 pub(super) use moving::Step;
 use moving::{Gradient, Moving};
 
-/// The rooms that the optimizer works on.
 #[derive(Clone, Copy)]
 pub(super) struct Rooms<'a> {
     pub cx: &'a Context,
@@ -41,19 +40,18 @@ fn limbs(low: u32, high: u32) -> i64 {
     ((u64::from(high) << 32) | u64::from(low)) as i64
 }
 
-/// See the module's head.
 pub(super) struct Optimizer {
     together: Together,
     moving: Option<Moving>,
 }
 
 impl Optimizer {
-    /// Nobody moves seeds yet.
+    /// No seeds are moved yet.
     pub(super) fn new(together: Together) -> Self {
         Self { together, moving: None }
     }
 
-    /// What there is once somebody moves seeds.
+    /// The state of moved seeds, once there are any.
     pub(super) fn moving(&self) -> Option<&Moving> {
         self.moving.as_ref()
     }
@@ -64,9 +62,6 @@ impl Optimizer {
     }
 
     /// The same.
-    ///
-    /// # Errors
-    /// `Internal` if nobody does.
     pub(super) fn there(&mut self) -> Result<&mut Moving, RvdError> {
         self.moving.as_mut().ok_or_else(missing)
     }
@@ -117,19 +112,16 @@ impl Optimizer {
         }
     }
 
-    /// Empties the history.
     pub(super) fn clear_history(&mut self) {
         if let Some(moving) = &mut self.moving {
             moving.history.clear();
         }
     }
 
-    /// Bytes of its buffers.
     pub(super) fn device_bytes(&self) -> u64 {
-        self.moving.as_ref().map_or(0, |moving| moving.buffers.plan().total_bytes())
+        self.moving.as_ref().map_or(0, |moving| moving.buffers.plan.total_bytes())
     }
 
-    /// Parameters of the stages.
     pub(super) fn params(&self, rooms: Rooms<'_>) -> OptimizerParams {
         let (surface, s) = (&rooms.cx.surface, &rooms.clip.scales);
         let count = rooms.neighbours.count;
@@ -169,7 +161,6 @@ impl Optimizer {
         Ok((moving, bindings, memory.there()?))
     }
 
-    /// Encodes the seeds of the present point.
     pub(super) fn encode_point(&self, rooms: Rooms<'_>, encoder: &mut wgpu::CommandEncoder) -> Result<(), RvdError> {
         if let Some(moving) = &self.moving {
             let bytes = (rooms.neighbours.count * size_of::<layout::Seed>()) as u64;
@@ -179,7 +170,6 @@ impl Optimizer {
         Ok(())
     }
 
-    /// Encodes the seeds of the trial point.
     pub(super) fn encode_trial(
         &mut self,
         rooms: Rooms<'_>,
@@ -221,16 +211,10 @@ impl Optimizer {
         let (_, bindings, _) = self.bound(rooms.memory)?;
         let gradient = if place == Place::Point { &bindings.gradient } else { &bindings.gradient_ahead };
         let mut compute = cx.device.pass(encoder, lane::UPDATE);
-        compute.set_pipeline(&cx.pipelines.gradient);
-        compute.set_bind_group(0, gradient, &[]);
-        compute.dispatch_workgroups(reduction(count), 1, 1);
-        compute.set_pipeline(&cx.pipelines.totals);
-        compute.set_bind_group(0, &bindings.totals, &[]);
-        compute.dispatch_workgroups(1, 1, 1);
+        run_groups(&mut compute, &cx.pipelines.gradient, gradient, [reduction(count), 1]);
+        run_groups(&mut compute, &cx.pipelines.totals, &bindings.totals, [1, 1]);
         if steps {
-            compute.set_pipeline(&cx.pipelines.may_step);
-            compute.set_bind_group(0, &bindings.may_step, &[]);
-            compute.dispatch_workgroups(1, 1, 1);
+            run_groups(&mut compute, &cx.pipelines.may_step, &bindings.may_step, [1, 1]);
             run(&mut compute, &cx.pipelines.centroids, &bindings.centroids, count, cx.limits());
         }
         Ok(())
@@ -281,12 +265,8 @@ impl Optimizer {
         let (cx, (_, bindings, _)) = (rooms.cx, self.bound(rooms.memory)?);
         {
             let mut compute = cx.device.pass(&mut encoder, lane::UPDATE);
-            compute.set_pipeline(&cx.pipelines.partial_dots);
-            compute.set_bind_group(0, &bindings.partial_dots, &[]);
-            compute.dispatch_workgroups(params.groups, 1, 1);
-            compute.set_pipeline(&cx.pipelines.dots);
-            compute.set_bind_group(0, &bindings.dots, &[]);
-            compute.dispatch_workgroups(1, 1, 1);
+            run_groups(&mut compute, &cx.pipelines.partial_dots, &bindings.partial_dots, [params.groups, 1]);
+            run_groups(&mut compute, &cx.pipelines.dots, &bindings.dots, [1, 1]);
         }
         let dots = self.read_dots(rooms, encoder)?;
         let moving = self.there()?;
@@ -340,12 +320,8 @@ impl Optimizer {
         let (_, bindings, _) = self.bound(rooms.memory)?;
         {
             let mut compute = cx.device.pass(&mut encoder, lane::UPDATE);
-            compute.set_pipeline(&cx.pipelines.direction);
-            compute.set_bind_group(0, &bindings.direction, &[]);
-            compute.dispatch_workgroups(params.groups, 1, 1);
-            compute.set_pipeline(&cx.pipelines.dots);
-            compute.set_bind_group(0, &bindings.dots, &[]);
-            compute.dispatch_workgroups(1, 1, 1);
+            run_groups(&mut compute, &cx.pipelines.direction, &bindings.direction, [params.groups, 1]);
+            run_groups(&mut compute, &cx.pipelines.dots, &bindings.dots, [1, 1]);
         }
         let slope = f64::from(self.read_dots(rooms, encoder)?[0]) / grain;
         let moving = self.there()?;
@@ -378,7 +354,6 @@ impl Optimizer {
         Ok(())
     }
 
-    /// The present point's records.
     pub(super) fn read_points(&self, rooms: Rooms<'_>) -> Result<Vec<layout::Seed>, RvdError> {
         let moving = self.moving.as_ref().ok_or_else(missing)?;
         let staging = &rooms.memory.there()?.buffers.staging;

@@ -18,122 +18,106 @@ pub(super) const SLOTS: usize = 10;
 /// Slots of the variant that pairs with large polygons are clipped by.
 pub(super) const LARGE_POLYGON: usize = 64;
 
-/// Pipelines for one number of polygon slots.
-#[derive(Debug)]
-pub(super) struct Pipelines {
-    /// Enters candidates.
-    pub enqueue: wgpu::ComputePipeline,
-    /// Does most facets as a whole, and enters the others' first cells.
-    /// By [`MEMBERS`], then without and with weights.
-    pub divide: [[wgpu::ComputePipeline; 2]; MEMBERS.len()],
-    /// Takes the next pairs.
-    pub indirect_arguments: wgpu::ComputePipeline,
-    /// Clips them, polygon in registers.
-    pub clip: wgpu::ComputePipeline,
-    /// The same, adding in two phases.
-    pub clip_shared: wgpu::ComputePipeline,
-    /// The first with [`LARGE_POLYGON`] indexed slots.
-    pub clip_large: wgpu::ComputePipeline,
-    /// Writes pieces.
-    pub emit: wgpu::ComputePipeline,
-    /// Enters pairs by cell.
-    pub reach: wgpu::ComputePipeline,
-    /// Proves those pairs.
-    pub verify: wgpu::ComputePipeline,
-    /// Counts the seeds of each grid cell.
-    pub count: wgpu::ComputePipeline,
-    /// Places the grid's cells.
-    pub offsets: wgpu::ComputePipeline,
-    /// Puts seeds into them.
-    pub scatter: wgpu::ComputePipeline,
-    /// Finds seeds on one another.
-    pub duplicates: wgpu::ComputePipeline,
-    /// Takes rows from Verlet lists.
-    pub from_lists: wgpu::ComputePipeline,
-    /// Finds every seed's nearest.
-    pub search: wgpu::ComputePipeline,
-    /// The same, and makes lists.
-    pub search_lists: wgpu::ComputePipeline,
-    /// Makes rows longer that pairs found too short, and puts these to the end of the list again.
-    pub lengthen: wgpu::ComputePipeline,
-    /// Takes pairs once more that need the variant with more slots.
-    pub overflow: wgpu::ComputePipeline,
-    /// Finds every facet's first cell.
-    pub first_cells: wgpu::ComputePipeline,
-    /// Seeds along the direction.
-    pub trial: wgpu::ComputePipeline,
-    /// Seeds to their cells' centroids.
-    pub centroids: wgpu::ComputePipeline,
-    /// Gradient, and parts of the totals.
-    pub gradient: wgpu::ComputePipeline,
-    /// The totals.
-    pub totals: wgpu::ComputePipeline,
-    /// Whether a step may follow at once.
-    pub may_step: wgpu::ComputePipeline,
-    /// Accepts the trial point.
-    pub accept: wgpu::ComputePipeline,
-    /// Parts of dot products.
-    pub partial_dots: wgpu::ComputePipeline,
-    /// Dot products.
-    pub dots: wgpu::ComputePipeline,
-    /// The direction.
-    pub direction: wgpu::ComputePipeline,
+/// Constants of the stages that know polygons.
+fn polygons(slots: usize, array: i64, shared: i64, wide: i64) -> [Constant<'static>; 4] {
+    [("SLOTS", slots as i64), ("ARRAY", array), ("SHARED", shared), ("WIDE", wide)]
 }
 
-impl Pipelines {
-    /// Composes and compiles all stages for `slots` polygon vertices (4 to 16).
-    ///
-    /// # Errors
-    /// `Failed`, `Lost`; `Shader` only for a mistake in `shaders/`.
-    pub(super) fn new(device: &Device, slots: usize) -> Result<Self, GpuError> {
-        let wide = ("WIDE", i64::from(device.has_wide_atomics()));
-        let registers = [("SLOTS", slots as i64), ("ARRAY", 0), ("SHARED", 0), wide];
-        let shared = [("SLOTS", slots as i64), ("ARRAY", 0), ("SHARED", 1), wide];
-        let array = [("SLOTS", LARGE_POLYGON as i64), ("ARRAY", 1), ("SHARED", 0), wide];
-        let part = ("PART", SEARCH_PART as i64);
-        let pairs = ("PAIRS", PAIRS as i64);
-        let search = |width| [("ROW", i64::from(ROW)), ("LIST", i64::from(LIST)), ("WIDTH", i64::from(width)), part];
-        let most = ("MOST", i64::from(MOST_REQUEUED));
-        let lengtheners = ("LENGTHENERS", i64::from(LENGTHENERS));
-        let longer = [("ROW", i64::from(ROW)), ("LONGER", i64::from(LONGER)), most];
-        let divide = |members: usize, weighted| {
-            let members = i64::from(MEMBERS[members]);
-            let constants =
-                [("ROW", i64::from(ROW)), ("MEMBERS", members), ("WEIGHTED", weighted), ("SHARED", 0), wide];
-            pipeline(device, "clip/divide", &constants)
-        };
-        let both = |members| Ok::<_, GpuError>([divide(members, 0)?, divide(members, 1)?]);
-        Ok(Self {
-            enqueue: pipeline(device, "clip/enqueue", &registers)?,
-            divide: [both(0)?, both(1)?, both(2)?, both(3)?],
-            indirect_arguments: pipeline(device, "clip/indirect_arguments", &[lengtheners])?,
-            clip: pipeline(device, "clip/clip", &registers)?,
-            clip_shared: pipeline(device, "clip/clip", &shared)?,
-            clip_large: pipeline(device, "clip/clip", &array)?,
-            emit: pipeline(device, "clip/emit", &registers)?,
-            reach: pipeline(device, "clip/reach", &registers)?,
-            verify: pipeline(device, "clip/verify", &registers)?,
-            count: pipeline(device, "neighbours/count", &[part])?,
-            offsets: pipeline(device, "neighbours/offsets", &[part])?,
-            scatter: pipeline(device, "neighbours/scatter", &[])?,
-            duplicates: pipeline(device, "neighbours/duplicates", &[])?,
-            from_lists: pipeline(device, "neighbours/from_lists", &search(LIST))?,
-            search: pipeline(device, "neighbours/search", &search(ROW))?,
-            search_lists: pipeline(device, "neighbours/search", &search(LIST))?,
-            lengthen: pipeline(device, "neighbours/lengthen", &longer)?,
-            overflow: pipeline(device, "clip/overflow", &[most, lengtheners])?,
-            first_cells: pipeline(device, "neighbours/first_cells", &[])?,
-            trial: pipeline(device, "optimizer/trial", &[])?,
-            centroids: pipeline(device, "optimizer/centroids", &[])?,
-            gradient: pipeline(device, "optimizer/gradient", &[])?,
-            totals: pipeline(device, "optimizer/totals", &[])?,
-            may_step: pipeline(device, "optimizer/may_step", &[])?,
-            accept: pipeline(device, "optimizer/accept", &[])?,
-            partial_dots: pipeline(device, "optimizer/partial_dots", &[pairs])?,
-            dots: pipeline(device, "optimizer/dots", &[("DOTS", DOTS as i64)])?,
-            direction: pipeline(device, "optimizer/direction", &[pairs])?,
-        })
-    }
+/// Constants of a stage that finds the nearest `width` seeds.
+fn search(width: u32) -> [Constant<'static>; 4] {
+    [("ROW", ROW.into()), ("LIST", LIST.into()), ("WIDTH", width.into()), PART]
+}
+
+const PART: Constant<'static> = ("PART", SEARCH_PART as i64);
+const HISTORY: Constant<'static> = ("PAIRS", PAIRS as i64);
+const MOST: Constant<'static> = ("MOST", MOST_REQUEUED as i64);
+const LENGTHENING: Constant<'static> = ("LENGTHENERS", LENGTHENERS as i64);
+
+macro_rules! pipelines {
+    ($wide:ident; $($(#[$doc:meta])* $name:ident: $stage:literal, $constants:expr;)*) => {
+        /// The stages. [`compile`](Self::compile) composes and compiles them all.
+        #[derive(Debug)]
+        pub(super) struct Pipelines {
+            /// Does most facets as a whole, and enters the others' first cells.
+            /// By [`MEMBERS`], then without and with weights.
+            pub divide: [[wgpu::ComputePipeline; 2]; MEMBERS.len()],
+            $($(#[$doc])* pub $name: wgpu::ComputePipeline,)*
+        }
+
+        impl Pipelines {
+            pub(super) fn compile(device: &Device) -> Result<Self, GpuError> {
+                let $wide = i64::from(device.has_wide_atomics());
+                let divide = |members: usize, weighted| {
+                    let [row, members] = [ROW, MEMBERS[members]].map(i64::from);
+                    let of_facet = [("ROW", row), ("MEMBERS", members), ("WEIGHTED", weighted)];
+                    pipeline(device, "clip/divide", &[&of_facet[..], &[("SHARED", 0), ("WIDE", $wide)]].concat())
+                };
+                let both = |members| Ok::<_, GpuError>([divide(members, 0)?, divide(members, 1)?]);
+                Ok(Self {
+                    divide: [both(0)?, both(1)?, both(2)?, both(3)?],
+                    $($name: pipeline(device, $stage, &$constants)?,)*
+                })
+            }
+        }
+    };
+}
+
+pipelines! {
+    wide;
+    /// Enters candidates.
+    enqueue: "clip/enqueue", polygons(SLOTS, 0, 0, wide);
+    /// Takes the next pairs.
+    indirect_arguments: "clip/indirect_arguments", [LENGTHENING];
+    /// Clips them, polygon in registers.
+    clip: "clip/clip", polygons(SLOTS, 0, 0, wide);
+    /// The same, adding in two phases.
+    clip_shared: "clip/clip", polygons(SLOTS, 0, 1, wide);
+    /// The first with [`LARGE_POLYGON`] indexed slots.
+    clip_large: "clip/clip", polygons(LARGE_POLYGON, 1, 0, wide);
+    /// Writes pieces.
+    emit: "clip/emit", polygons(SLOTS, 0, 0, wide);
+    /// Enters pairs by cell.
+    reach: "clip/reach", polygons(SLOTS, 0, 0, wide);
+    /// Proves those pairs.
+    verify: "clip/verify", polygons(SLOTS, 0, 0, wide);
+    /// Counts the seeds of each grid cell.
+    count: "neighbours/count", [PART];
+    /// Places the grid's cells.
+    offsets: "neighbours/offsets", [PART];
+    /// Puts seeds into them.
+    scatter: "neighbours/scatter", [];
+    /// Finds seeds on one another.
+    duplicates: "neighbours/duplicates", [];
+    /// Takes rows from Verlet lists.
+    from_lists: "neighbours/from_lists", search(LIST);
+    /// Finds every seed's nearest.
+    search: "neighbours/search", search(ROW);
+    /// The same, and makes lists.
+    search_lists: "neighbours/search", search(LIST);
+    /// Makes rows longer that pairs found too short, and puts these to the end of the list again.
+    lengthen: "neighbours/lengthen", [("ROW", ROW.into()), ("LONGER", LONGER.into()), MOST];
+    /// Takes pairs once more that need the variant with more slots.
+    overflow: "clip/overflow", [MOST, LENGTHENING];
+    /// Finds every facet's first cell.
+    first_cells: "neighbours/first_cells", [];
+    /// Seeds along the direction.
+    trial: "optimizer/trial", [];
+    /// Seeds to their cells' centroids.
+    centroids: "optimizer/centroids", [];
+    /// Gradient, and parts of the totals.
+    gradient: "optimizer/gradient", [];
+    /// The totals.
+    totals: "optimizer/totals", [];
+    /// Whether a step may follow at once.
+    may_step: "optimizer/may_step", [];
+    /// Accepts the trial point.
+    accept: "optimizer/accept", [];
+    /// Parts of dot products.
+    partial_dots: "optimizer/partial_dots", [HISTORY];
+    /// Dot products.
+    dots: "optimizer/dots", [("DOTS", DOTS as i64)];
+    /// The direction.
+    direction: "optimizer/direction", [HISTORY];
 }
 
 fn pipeline(device: &Device, stage: &str, constants: &[Constant<'_>]) -> Result<wgpu::ComputePipeline, GpuError> {

@@ -110,154 +110,177 @@ pub const BATCH: u32 = 1 << 18;
 pub const LARGE_BATCH: usize = 1 << 14;
 /// Candidates that the host can add to the facets' first cells at once.
 pub const EXTRA_CANDIDATES: u64 = 4096;
-/// Bytes of every buffer.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Plan {
-    /// What it was made for.
-    pub counts: Counts,
-    /// Seed records.
-    pub seeds_bytes: u64,
-    /// Facet records, of all windows.
-    pub facets_bytes: u64,
-    /// Neighbour table.
-    pub table_bytes: u64,
-    /// Sets of cells.
-    pub slots_bytes: u64,
-    /// List of pairs.
-    pub list_bytes: u64,
-    /// Fixed-point sums.
-    pub sums_bytes: u64,
-    /// List of failures.
-    pub failures_bytes: u64,
-    /// Candidates, of all windows.
-    pub candidates_bytes: u64,
-    /// Summary block.
-    pub state_bytes: u64,
-    /// Indirect arguments.
-    pub arguments_bytes: u64,
-    /// Parameters.
-    pub params_bytes: u64,
-    /// Heads of emitted pieces.
-    pub heads_bytes: u64,
-    /// Their vertices.
-    pub vertices_bytes: u64,
-    /// Their labels.
-    pub labels_bytes: u64,
-    /// Grid of facets.
-    pub near_bytes: u64,
-    /// Grid of seeds.
-    pub cells_bytes: u64,
-    /// How far its seeds have moved.
-    pub drifts_bytes: u64,
-    /// Seeds in its order.
-    pub sorted_bytes: u64,
-    /// Where the parts of a dispatch begin.
-    pub origins_bytes: u64,
-    /// Where seeds were when lists were made, and how far these reach.
-    pub list_origins_bytes: u64,
-    /// Lists.
-    pub lists_bytes: u64,
-    /// What is done with them.
-    pub list_state_bytes: u64,
-    /// Readback.
-    pub staging_bytes: u64,
+
+/// Bytes of things of one type.
+fn bytes<T>(count: u64) -> u64 {
+    count.saturating_mul(size_of::<T>() as u64)
 }
 
+/// The buffers of a session: what each is, its name, which is that of the shaders' bindings, its usage, and its bytes for `c`.
+/// Those of windows and the readback are made apart.
+macro_rules! session_buffers {
+    ($with:ident $($own:ident: $type:ty),*) => {
+        $with! {
+            Plan {
+                /// Facet records, of all windows.
+                facets = bytes::<Facet>(c.facets),
+                /// Candidates, of all windows.
+                candidates = bytes::<[u32; 2]>(EXTRA_CANDIDATES.saturating_mul(c.windows).saturating_add(c.facets)),
+                /// Readback.
+                staging = bytes::<[u32; SUM_WORDS]>(c.seeds)
+                    .max(bytes::<[f32; 4]>(c.emitted.saturating_mul(c.polygon)))
+                    .clamp(1 << 16, STAGING_BYTES),
+            }
+            Buffers(c: Counts) {
+                /// Seed records.
+                seeds: STORAGE = bytes::<Seed>(c.seeds),
+                /// Neighbour table.
+                table: STORAGE = bytes::<u32>(c.table),
+                /// Sets of cells.
+                slots: STORAGE = bytes::<u32>(c.slots),
+                /// List of pairs.
+                list: STORAGE = bytes::<[u32; 2]>(c.pairs),
+                /// Fixed-point sums.
+                sums: STORAGE = bytes::<[u32; SUM_WORDS]>(c.seeds),
+                /// List of failures.
+                failures: STORAGE = bytes::<[u32; 2]>(c.pairs),
+                /// Summary block.
+                state: STORAGE = bytes::<State>(1),
+                /// Indirect arguments.
+                arguments: ARGUMENTS = search_bytes(c.seeds).max(2 * ARGUMENTS_BYTES),
+                /// Parameters.
+                params: UNIFORM = bytes::<Params>(1),
+                /// Heads of emitted pieces.
+                heads: STORAGE = bytes::<[u32; 4]>(c.emitted),
+                /// Their vertices.
+                vertices: STORAGE = bytes::<[f32; 4]>(c.emitted.saturating_mul(c.polygon)),
+                /// Their labels.
+                labels: STORAGE = bytes::<u32>(c.emitted.saturating_mul(c.polygon)),
+                /// Grid of facets.
+                near: STORAGE = bytes::<u32>(c.near),
+                /// Grid of seeds.
+                cells: STORAGE = bytes::<u32>(c.cells),
+                /// How far the seeds of each of its cells have moved.
+                drifts: STORAGE = bytes::<u32>(c.cells),
+                /// Seeds in its order.
+                sorted: STORAGE = bytes::<Sorted>(c.seeds),
+                /// Where the parts of a dispatch begin.
+                origins: COPIED = bytes::<u32>(part_count(c.window.max(c.seeds))),
+                /// Where seeds were when lists were made, and how far these reach.
+                list_origins: STORAGE = bytes::<[f32; 4]>(c.listed.max(1)),
+                /// Verlet lists.
+                lists: STORAGE = c.listed.max(1).saturating_mul(LIST_BYTES),
+                /// State of the lists, and the arguments of the searches.
+                list_state: ARGUMENTS = (4 * LIST_STATE_WORDS + 2 * search_bytes(c.seeds))
+                    .saturating_add(bytes::<u32>(c.listed)),
+            }
+            [$($own: $type),*]
+        }
+    };
+}
+pub(super) use session_buffers;
+
+/// The buffers with which seeds are moved where they are, for at most `seeds` seeds. A session has them once it moves seeds.
+macro_rules! optimizer_buffers {
+    ($with:ident) => {
+        $with! {
+            OptimizerPlan {}
+            OptimizerBuffers(seeds: u64) {
+                /// The present point.
+                points: STORAGE = bytes::<Seed>(seeds),
+                /// Which seeds are held.
+                held: STORAGE = bytes::<u32>(seeds),
+                /// The gradient there.
+                gradient: STORAGE = bytes::<[f32; 3]>(seeds),
+                /// The gradient at the trial point.
+                ahead: STORAGE = bytes::<[f32; 3]>(seeds),
+                /// The direction.
+                direction: STORAGE = bytes::<[f32; 3]>(seeds),
+                /// Steps of the history.
+                steps: STORAGE = bytes::<[f32; 3 * PAIRS]>(seeds),
+                /// Changes of the gradient.
+                changes: STORAGE = bytes::<[f32; 3 * PAIRS]>(seeds),
+                /// Partial sums over cells.
+                partial_totals: STORAGE = bytes::<Totals>(REDUCTION_GROUPS.into()),
+                /// Their sum.
+                totals: STORAGE = bytes::<Totals>(1),
+                /// Partial dot products.
+                partials: STORAGE = bytes::<[f32; DOTS]>(REDUCTION_GROUPS.into()),
+                /// Dot products.
+                dots: STORAGE = bytes::<[f32; DOTS]>(1),
+                /// Parameters.
+                params: UNIFORM = bytes::<OptimizerParams>(1),
+                /// State and totals of each pass of a submission.
+                journal: COPIED = PASSES as u64 * ENTRY_BYTES,
+            }
+            []
+        }
+    };
+}
+pub(super) use optimizer_buffers;
+
+macro_rules! plan {
+    (
+        $plan:ident { $($(#[$apart_doc:meta])* $apart:ident = $apart_bytes:expr,)* }
+        $buffers:ident($c:ident: $counts:ty) { $($(#[$doc:meta])* $name:ident: $usage:ident = $bytes:expr,)* }
+        []
+    ) => {
+        /// Bytes of every buffer.
+        #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+        pub struct $plan {
+            $($(#[$apart_doc])* pub $apart: u64,)*
+            $($(#[$doc])* pub $name: u64,)*
+        }
+
+        impl $plan {
+            /// The plan, whether it fits a device or not.
+            pub fn of($c: $counts) -> Self {
+                Self { $($apart: $apart_bytes,)* $($name: $bytes,)* }
+            }
+
+            /// Name and bytes of every buffer; those of all windows together.
+            pub fn buffers(&self) -> Vec<(&'static str, u64)> {
+                vec![$((stringify!($name), self.$name),)* $((stringify!($apart), self.$apart),)*]
+            }
+
+            /// Bytes of all buffers together: what admission reserves.
+            pub fn total_bytes(&self) -> u64 {
+                self.buffers().iter().fold(0, |sum, (_, bytes)| sum.saturating_add(*bytes))
+            }
+        }
+    };
+}
+session_buffers!(plan);
+optimizer_buffers!(plan);
+
 impl Plan {
-    /// Bytes of everything.
+    /// A plan that fits a device.
     ///
     /// # Errors
     /// `NeverFits` with the bytes of the first buffer that passes a limit.
     pub fn new(counts: Counts, limits: Limits) -> Result<Self, GpuError> {
         let plan = Self::of(counts);
         // Of the facets' buffers there is one a window.
-        let seen = plan.buffers().map(|(what, bytes)| match what {
-            "facets" => (what, window_bytes(counts.window).0),
-            "candidates" => (what, window_bytes(counts.window).1),
-            _ => (what, bytes),
-        });
-        fits(&seen, limits)?;
+        let (records, candidates) = window_bytes(counts.window);
+        fits(&[("facets", records), ("candidates", candidates)], limits)?;
+        fits(&Self { facets: 0, candidates: 0, ..plan }.buffers(), limits)?;
         if counts.facets > MOST_FACETS {
-            let limit_bytes = MOST_FACETS * size_of::<Facet>() as u64;
-            return Err(GpuError::NeverFits {
-                what: "facets".to_owned(),
-                needed_bytes: plan.facets_bytes,
-                limit_bytes,
-            });
+            let (needed_bytes, limit_bytes) = (plan.facets, bytes::<Facet>(MOST_FACETS));
+            return Err(GpuError::NeverFits { what: "facets".to_owned(), needed_bytes, limit_bytes });
         }
         Ok(plan)
     }
+}
 
-    /// The same, whether it fits a device or not.
-    pub fn of(counts: Counts) -> Self {
-        let seed = size_of::<Seed>() as u64;
-        let vertices = counts.emitted.saturating_mul(counts.polygon);
-        let sums_bytes = counts.seeds.saturating_mul(4 * SUM_WORDS as u64);
-        let vertices_bytes = vertices.saturating_mul(16);
-        Self {
-            counts,
-            seeds_bytes: counts.seeds.saturating_mul(seed),
-            facets_bytes: counts.facets.saturating_mul(size_of::<Facet>() as u64),
-            table_bytes: counts.table.saturating_mul(4),
-            slots_bytes: counts.slots.saturating_mul(4),
-            list_bytes: counts.pairs.saturating_mul(8),
-            sums_bytes,
-            failures_bytes: counts.pairs.saturating_mul(8),
-            candidates_bytes: EXTRA_CANDIDATES
-                .saturating_mul(counts.windows)
-                .saturating_add(counts.facets)
-                .saturating_mul(8),
-            state_bytes: size_of::<State>() as u64,
-            arguments_bytes: search_bytes(counts.seeds).max(2 * ARGUMENTS_BYTES),
-            params_bytes: size_of::<Params>() as u64,
-            heads_bytes: counts.emitted.saturating_mul(16),
-            vertices_bytes,
-            labels_bytes: vertices.saturating_mul(4),
-            near_bytes: counts.near.saturating_mul(4),
-            cells_bytes: counts.cells.saturating_mul(4),
-            drifts_bytes: counts.cells.saturating_mul(4),
-            sorted_bytes: counts.seeds.saturating_mul(size_of::<Sorted>() as u64),
-            origins_bytes: 4 * part_count(counts.window.max(counts.seeds)),
-            list_origins_bytes: counts.listed.max(1).saturating_mul(16),
-            lists_bytes: counts.listed.max(1).saturating_mul(LIST_BYTES),
-            list_state_bytes: (4 * LIST_STATE_WORDS + 2 * search_bytes(counts.seeds))
-                .saturating_add(counts.listed.saturating_mul(4)),
-            staging_bytes: sums_bytes.max(vertices_bytes).clamp(1 << 16, STAGING_BYTES),
-        }
-    }
-
-    /// Name and bytes of every buffer; those of all windows together.
-    pub fn buffers(&self) -> [(&'static str, u64); 23] {
-        [
-            ("seeds", self.seeds_bytes),
-            ("facets", self.facets_bytes),
-            ("table", self.table_bytes),
-            ("slots", self.slots_bytes),
-            ("list", self.list_bytes),
-            ("sums", self.sums_bytes),
-            ("failures", self.failures_bytes),
-            ("candidates", self.candidates_bytes),
-            ("state", self.state_bytes),
-            ("arguments", self.arguments_bytes),
-            ("params", self.params_bytes),
-            ("heads", self.heads_bytes),
-            ("vertices", self.vertices_bytes),
-            ("labels", self.labels_bytes),
-            ("near", self.near_bytes),
-            ("cells", self.cells_bytes),
-            ("drifts", self.drifts_bytes),
-            ("sorted", self.sorted_bytes),
-            ("origins", self.origins_bytes),
-            ("list origins", self.list_origins_bytes),
-            ("lists", self.lists_bytes),
-            ("list state", self.list_state_bytes),
-            ("staging", self.staging_bytes),
-        ]
-    }
-
-    /// Bytes of all buffers together: what admission reserves.
-    pub fn total_bytes(&self) -> u64 {
-        self.buffers().iter().fold(0, |sum, (_, bytes)| sum.saturating_add(*bytes))
+impl OptimizerPlan {
+    /// A plan that fits a device.
+    ///
+    /// # Errors
+    /// `NeverFits` with the bytes of the first buffer that passes a limit.
+    pub fn new(seeds: u64, limits: Limits) -> Result<Self, GpuError> {
+        let plan = Self::of(seeds);
+        fits(&plan.buffers(), limits)?;
+        Ok(plan)
     }
 }
 
@@ -267,109 +290,30 @@ const MOST_FACETS: u64 = 1 << 30;
 pub const LIST_BYTES: u64 = 4 * LIST as u64;
 /// Seeds that one dispatch of a search looks at.
 pub const SEARCH_PART: u64 = 2 * PART;
-/// Bytes of the arguments of all parts of a search for so many seeds.
+
+/// Bytes of the arguments of all parts of a search for `seeds` seeds.
 fn search_bytes(seeds: u64) -> u64 {
     ARGUMENTS_BYTES * seeds.min(u64::from(u32::MAX)).div_ceil(SEARCH_PART)
 }
 
-/// The byte of the buffer of [`Plan::list_state_bytes`] where the arguments of a search for `seeds` seeds begin, with lists or
+/// The byte of [`Plan::list_state`]'s buffer where the arguments of a search for `seeds` seeds begin, with lists or
 /// without.
 pub fn search_arguments(seeds: u64, lists: bool) -> u64 {
     4 * LIST_STATE_WORDS + u64::from(lists) * search_bytes(seeds)
 }
 
-/// Seeds with a Verlet list, of so many: all or none.
+/// Seeds with a Verlet list: all or none.
 pub fn listed(seeds: u64, limits: Limits) -> u64 {
     if seeds.saturating_mul(LIST_BYTES) <= limits.seen_bytes() { seeds } else { 0 }
 }
 
-/// Bytes of the records and of the candidates of a window of so many facets.
+/// Bytes of the records and of the candidates of a window of `facets`.
 pub fn window_bytes(facets: u64) -> (u64, u64) {
-    let records = facets.saturating_mul(size_of::<Facet>() as u64);
-    (records, facets.saturating_add(EXTRA_CANDIDATES).saturating_mul(8))
+    (bytes::<Facet>(facets), bytes::<[u32; 2]>(facets.saturating_add(EXTRA_CANDIDATES)))
 }
 
 /// Passes of one submission at most.
 pub const PASSES: usize = 32;
-
-/// Bytes of the buffers with which seeds are moved where they are: a session has them once somebody does.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct OptimizerPlan {
-    /// The present point.
-    pub points_bytes: u64,
-    /// Which seeds are held.
-    pub held_bytes: u64,
-    /// One vector of three floats a seed: the gradient, that of the trial point, the direction.
-    pub vector_bytes: u64,
-    /// Steps of the history, and as many changes of the gradient.
-    pub history_bytes: u64,
-    /// Partial sums over cells.
-    pub partial_totals_bytes: u64,
-    /// Their sum.
-    pub totals_bytes: u64,
-    /// Partial dot products.
-    pub partials_bytes: u64,
-    /// Dot products.
-    pub dots_bytes: u64,
-    /// Parameters.
-    pub params_bytes: u64,
-    /// State and totals of each pass of a submission.
-    pub journal_bytes: u64,
-}
-
-impl OptimizerPlan {
-    /// For at most `seeds` seeds.
-    ///
-    /// # Errors
-    /// `NeverFits` with the bytes of the first buffer that passes a limit.
-    pub fn new(seeds: u64, limits: Limits) -> Result<Self, GpuError> {
-        let plan = Self::of(seeds);
-        fits(&plan.buffers(), limits)?;
-        Ok(plan)
-    }
-
-    /// The same, whether it fits a device or not.
-    pub fn of(seeds: u64) -> Self {
-        let vector_bytes = seeds.saturating_mul(12);
-        let groups = u64::from(REDUCTION_GROUPS);
-        Self {
-            points_bytes: seeds.saturating_mul(size_of::<Seed>() as u64),
-            held_bytes: seeds.saturating_mul(4),
-            vector_bytes,
-            history_bytes: vector_bytes.saturating_mul(PAIRS as u64),
-            partial_totals_bytes: groups * size_of::<Totals>() as u64,
-            totals_bytes: size_of::<Totals>() as u64,
-            partials_bytes: groups * DOTS as u64 * 4,
-            dots_bytes: DOTS as u64 * 4,
-            params_bytes: size_of::<OptimizerParams>() as u64,
-            journal_bytes: PASSES as u64 * ENTRY_BYTES,
-        }
-    }
-
-    /// Name and bytes of every buffer.
-    pub fn buffers(&self) -> [(&'static str, u64); 13] {
-        [
-            ("points", self.points_bytes),
-            ("held", self.held_bytes),
-            ("gradient", self.vector_bytes),
-            ("ahead", self.vector_bytes),
-            ("direction", self.vector_bytes),
-            ("steps", self.history_bytes),
-            ("changes", self.history_bytes),
-            ("partial_totals", self.partial_totals_bytes),
-            ("totals", self.totals_bytes),
-            ("partials", self.partials_bytes),
-            ("dots", self.dots_bytes),
-            ("optimizer params", self.params_bytes),
-            ("journal", self.journal_bytes),
-        ]
-    }
-
-    /// Bytes of all of them.
-    pub fn total_bytes(&self) -> u64 {
-        self.buffers().iter().fold(0, |sum, (_, bytes)| sum.saturating_add(*bytes))
-    }
-}
 
 /// Cells along each side of the grid over the unit box in which `seeds` seeds on a surface of `area` are
 /// searched: three spacings wide, not many more than there are seeds, and at most 160 a side.
@@ -414,7 +358,7 @@ mod tests {
     #[test]
     fn a_million_facets_and_seeds_fit_128_mib_bindings() {
         let plan = Plan::new(counts(1_000_000), LIMITS).unwrap();
-        assert_eq!(plan.facets_bytes, 96_000_000);
+        assert_eq!(plan.facets, 96_000_000);
         assert_eq!(plan.total_bytes(), plan.buffers().iter().map(|b| b.1).sum::<u64>());
     }
 
@@ -463,7 +407,7 @@ mod tests {
     #[test]
     fn a_million_seeds_can_be_moved_within_128_mib_bindings() {
         let plan = OptimizerPlan::new(1_000_000, LIMITS).unwrap();
-        assert_eq!(plan.history_bytes, 96_000_000);
+        assert_eq!(plan.steps, 96_000_000);
         assert!(OptimizerPlan::new(u64::MAX / 8, LIMITS).is_err());
     }
 

@@ -36,7 +36,6 @@ use geometry::rvd::{
 };
 use geometry::token::Token;
 
-/// See the module's head.
 pub(super) struct GpuSession {
     cx: Context,
     memory: Memory,
@@ -110,6 +109,12 @@ impl GpuSession {
         }
     }
 
+    /// Does work on the host's threads.
+    fn on_pool<R: Send>(&mut self, work: impl FnOnce(&mut Self) -> R + Send) -> R {
+        let pool = Arc::clone(&self.cx.pool);
+        pool.install(|| work(self))
+    }
+
     /// Allocates the buffers, and fills them with all that the host knows, if they are not there.
     pub(super) fn ensure_memory(&mut self) -> Result<(), RvdError> {
         if self.memory.is_allocated() {
@@ -149,7 +154,6 @@ impl GpuSession {
         self.clip.params(&self.cx, &self.memory, &self.neighbours)
     }
 
-    /// All facets.
     fn facets(&self) -> Range<u32> {
         0..self.memory.facets.len() as u32
     }
@@ -264,13 +268,11 @@ impl Session for GpuSession {
     }
 
     fn sums(&mut self, out: &mut CellSums, token: &Token) -> Result<PassStats, RvdError> {
-        let pool = Arc::clone(&self.cx.pool);
-        pool.install(|| self.compute_sums(out, token))
+        self.on_pool(|session| session.compute_sums(out, token))
     }
 
     fn pieces(&mut self, facets: Range<u32>, out: &mut PieceBatch, token: &Token) -> Result<PassStats, RvdError> {
-        let pool = Arc::clone(&self.cx.pool);
-        pool.install(|| self.compute_pieces(facets, out, token))
+        self.on_pool(|session| session.compute_pieces(facets, out, token))
     }
 
     fn device_bytes(&self) -> u64 {

@@ -159,7 +159,7 @@ fn shortest<I: Iterator<Item = (usize, f64)>>(
 mod tests {
     use super::*;
 
-    /// A zigzag of teeth so high and half as wide as long, along a line or around a circle of so many target lengths.
+    /// A zigzag of teeth of this height, half as wide as long, along a line or around a circle of this length.
     fn zigzag(length: f64, height: f64, closed: bool) -> Vec<DVec3> {
         let n = (4.0 * length) as usize * 2;
         let point = |k: usize| {

@@ -26,7 +26,7 @@ const DEVIATION_WEIGHT: f64 = 15.0;
 const KINK_PASSES: usize = 4;
 /// Points of a running mean on either side.
 const MEAN_POINTS: i32 = 4;
-/// A curve is cut at one of so many points a target length, or at its vertices.
+/// Points per target length at which a curve may be cut, beside its vertices.
 const POINTS_PER_EDGE: f64 = 12.0;
 
 /// A curve by arc length, with ∫ ds/h, ∫ ds/h³ and ∫ s ds/h³ up to each of its points.

@@ -41,7 +41,7 @@ const SAMPLES: f64 = 10_000.0;
 /// The most samples of each kind; of more vertices than this every k-th is one.
 const MOST_SAMPLES: usize = 200_000;
 
-/// Balls grow from about so many samples of each kind, on both sides. Beside a ball's centre all samples may be at about the same
+/// Balls grow from about this many samples of each kind, on both sides. Beside a ball's centre all samples may be at about the same
 /// distance (a sphere), so that a query visits them all: these two bounds keep the whole from becoming quadratic.
 /// What is thinner than a hundredth of the surface's width is not resolved.
 const SOURCES: usize = 10_000;

@@ -1,7 +1,7 @@
 //! Edge lengths that vary: from a source, within bounds.
 //!
 //! Purpose: [`of_curvature`] has lengths up to a factor; [`bounded`] applies least lengths, gradation and ratio, and finds
-//! the factor for which so many points come out.
+//! the factor that gives the wanted number of points.
 //! Invariant: no length is zero. The same bits with any number of threads. Must not know: weights, facets.
 
 use super::curvature;
@@ -60,7 +60,7 @@ impl Least {
 /// Edges may be so much shorter than those of as many even points, even if the mesh has none as short.
 const SHORTER: f64 = 0.5;
 
-/// The length of the mesh's own edges at each vertex, caller's units, as far as so many points can tell.
+/// The length of the mesh's own edges at each vertex, caller's units, as far as `points` points can resolve.
 pub(super) fn resolved(net: &Net, points: f64) -> Vec<f64> {
     let most = SHORTER * net.outline.edge_length(points);
     net.resolution().into_iter().map(|edge| (edge * net.outline.extent).min(most)).collect()

@@ -39,9 +39,6 @@ pub struct Net {
 
 impl Net {
     /// Reads `mesh`.
-    ///
-    /// # Errors
-    /// [`Stopped`].
     pub fn new(mesh: &TriMesh, token: &Token) -> Result<Self, Stopped> {
         let adjacency = Adjacency::new(mesh);
         token.check()?;
@@ -95,7 +92,6 @@ impl Net {
         &self.outline
     }
 
-    /// How many vertices the mesh has.
     pub(super) fn vertices(&self) -> usize {
         self.class.len()
     }

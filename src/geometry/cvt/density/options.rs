@@ -129,7 +129,7 @@ impl From<Option<Vec<f64>>> for DensityOptions {
 /// How many points there are to be.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Count {
-    /// So many.
+    /// This number.
     Points(usize),
     /// As many as the edge lengths imply.
     Implied,

@@ -32,9 +32,6 @@ pub struct Outline {
 
 impl Outline {
     /// Measures `mesh`.
-    ///
-    /// # Errors
-    /// [`Stopped`].
     pub fn new(mesh: &TriMesh, token: &Token) -> Result<Self, Stopped> {
         let adjacency = Adjacency::new(mesh);
         token.check()?;
@@ -42,9 +39,6 @@ impl Outline {
     }
 
     /// Measures `mesh`, whose edges are known already.
-    ///
-    /// # Errors
-    /// [`Stopped`].
     pub(super) fn of(mesh: &TriMesh, adjacency: &Adjacency, token: &Token) -> Result<Self, Stopped> {
         let (low, high) = mesh.bounds();
         let extent = (high - low).max_element();

@@ -280,7 +280,7 @@ impl Draft {
         let mut ends = vec![b];
         let mut from = a;
         while let Some(&to) = ends.last() {
-            // What has no length any more is not halved; nor is what nobody waits for.
+            // An edge without length is not halved, nor is one after a stop.
             let is_stopped = self.token.is_stopped_after(1, &mut self.pace) || self.token.is_told_to_stop();
             let has_room = ends.len() < DEPTH && self.positions.len() <= self.most_vertices;
             if !is_stopped && has_room && self.is_long(from as usize, to as usize) {

@@ -21,9 +21,6 @@ pub(crate) struct SizeField {
 impl SizeField {
     /// Takes one length per vertex of the mesh that `net` was made of. Coincident vertices get the
     /// smallest one of theirs; a vertex that no facet uses gets the median.
-    ///
-    /// # Errors
-    /// `SizeCount`, `BadSize` with the vertex.
     pub(crate) fn new(net: &Net, sizes: Vec<f64>) -> Result<Self, DensityError> {
         let vertices = net.vertices();
         if sizes.len() != vertices {
@@ -63,12 +60,10 @@ impl SizeField {
         sizes.iter().map(|&h| (least / h).powi(4)).collect()
     }
 
-    /// The smallest length.
     pub(crate) fn least(&self) -> f64 {
         self.sizes.iter().copied().fold(f64::INFINITY, f64::min)
     }
 
-    /// The largest length.
     pub(crate) fn largest(&self) -> f64 {
         self.sizes.iter().copied().fold(0.0, f64::max)
     }
@@ -85,7 +80,6 @@ impl SizeField {
         net.outline.count(POINTS_PER_AREA * cells, rim.sum())
     }
 
-    /// Every length times `factor`.
     pub(super) fn scaled(&self, factor: f64) -> Self {
         Self { sizes: self.sizes.iter().map(|h| (h * factor).clamp(f64::MIN_POSITIVE, f64::MAX)).collect() }
     }
@@ -120,9 +114,6 @@ impl SizeField {
     /// to the largest, each vertex settled once (Dijkstra's order). Says how many were lowered.
     ///
     /// The result is the largest field below this one that keeps the bound, whatever the order of equals.
-    ///
-    /// # Errors
-    /// [`Stopped`].
     pub(crate) fn grade(&mut self, net: &Net, slope: f64, token: &Token) -> Result<usize, Stopped> {
         if slope == f64::INFINITY {
             return Ok(0);
@@ -300,7 +291,7 @@ mod tests {
                 let lengths = mesh.positions().iter().enumerate().map(|(v, &p)| 0.02 * of(v, p));
                 SizeField::new(&net, lengths.collect()).unwrap()
             };
-            // A jump, a steep slope and a spike are what somebody may want.
+            // A jump, a steep slope and a spike may be wanted.
             let jump = field(&|_, p| if p.x > 0.45 { 100.0 } else { 1.0 });
             let steep = field(&|_, p| 1.0 + 150.0 * (p.x - 0.3).abs());
             let spike = field(&|v, _| if v == 7 { 0.01 } else { 1.0 });

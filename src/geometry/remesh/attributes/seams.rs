@@ -241,7 +241,6 @@ impl<'a> Seams<'a> {
     }
 }
 
-/// From where to where.
 struct Query {
     origin: u32,
     start: DVec3,
@@ -251,7 +250,6 @@ struct Query {
     goal_squared: f64,
 }
 
-/// How a walk ended.
 struct Reached {
     /// The nearest facet of the walk, and where.
     facet: u32,

@@ -16,18 +16,18 @@ use crate::remesh::triangle::perimeter;
 use crate::token::{Pace, Stopped, Token};
 
 /// Distance between input and result.
-pub(in crate::remesh) struct HausdorffEstimate {
+pub(crate) struct HausdorffEstimate {
     /// Places of the input that were missed; see [`missed_places`].
-    pub(in crate::remesh) missed: Vec<(u32, DVec3)>,
+    pub(crate) missed: Vec<(u32, DVec3)>,
     /// The largest distance in either direction.
-    pub(in crate::remesh) largest: f64,
+    pub(crate) largest: f64,
     /// The largest distance around each vertex of the result.
-    pub(in crate::remesh) by_vertex: Vec<f64>,
+    pub(crate) by_vertex: Vec<f64>,
 }
 
 impl HausdorffEstimate {
     /// Measures the whole result. Places farther away than `tolerance` were missed.
-    pub(in crate::remesh) fn of(mesh: &LocalMesh, input: &InputSamples, tolerance: Option<f64>, token: &Token) -> Self {
+    pub(crate) fn of(mesh: &LocalMesh, input: &InputSamples, tolerance: Option<f64>, token: &Token) -> Self {
         let deviations = deviations(mesh, &input.vertices, token);
         let missed = select(mesh, &input.vertices, &deviations, tolerance);
         let by_facet = deviation_by_facet(mesh, &input.samples, token);
@@ -92,7 +92,7 @@ fn deviation(mesh: &LocalMesh, query: &mut RingQuery, vertex: DVec3) -> Deviatio
 
 /// Places of the input that are farther from the result than `tolerance`, or than a share of an edge where that is
 /// `None`: (nearest vertex of the result, place) by falling deviation. No two are in one one-ring.
-pub(in crate::remesh) fn missed_places(
+pub(crate) fn missed_places(
     mesh: &LocalMesh,
     input: &InputSamples,
     tolerance: Option<f64>,

@@ -28,7 +28,7 @@ struct Wedge {
 
 /// See the module's head. One query serves one vertex after the other.
 #[derive(Default)]
-pub(in crate::remesh) struct RingQuery {
+pub(crate) struct RingQuery {
     centre: DVec3,
     wedges: Vec<Wedge>,
     bounds: Vec<f64>,
@@ -36,18 +36,18 @@ pub(in crate::remesh) struct RingQuery {
 
 /// The nearest point of a one-ring.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(in crate::remesh) struct Nearest {
+pub(crate) struct Nearest {
     /// Squared distance; infinite if there are no facets.
-    pub(in crate::remesh) squared: f64,
+    pub(crate) squared: f64,
     /// The facet; `u32::MAX` if there are none.
-    pub(in crate::remesh) facet: u32,
+    pub(crate) facet: u32,
     /// Barycentric coordinates.
-    pub(in crate::remesh) weights: [f64; 3],
+    pub(crate) weights: [f64; 3],
 }
 
 impl RingQuery {
     /// From now on, answers for the one-ring of vertex `v`.
-    pub(in crate::remesh) fn move_to(&mut self, mesh: &LocalMesh, v: u32) {
+    pub(crate) fn move_to(&mut self, mesh: &LocalMesh, v: u32) {
         self.centre = mesh.positions[v as usize];
         self.wedges.clear();
         self.wedges.extend(mesh.ring(v).iter().map(|&facet| {
@@ -65,7 +65,7 @@ impl RingQuery {
     }
 
     /// The nearest facet to `p`.
-    pub(in crate::remesh) fn nearest(&mut self, p: DVec3) -> Nearest {
+    pub(crate) fn nearest(&mut self, p: DVec3) -> Nearest {
         let d = p - self.centre;
         self.bounds.clear();
         let (mut first, mut least) = (0, f64::INFINITY);

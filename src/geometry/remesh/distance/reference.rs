@@ -12,25 +12,25 @@ use crate::rvd::Surface;
 
 /// A point of the input with its share of the area.
 #[derive(Clone, Copy, Debug)]
-pub(in crate::remesh) struct SurfaceSample {
+pub(crate) struct SurfaceSample {
     /// Unit frame.
-    pub(in crate::remesh) position: DVec3,
+    pub(crate) position: DVec3,
     /// Unit normal of the input there.
-    pub(in crate::remesh) normal: DVec3,
+    pub(crate) normal: DVec3,
     /// Area it stands for.
-    pub(in crate::remesh) area: f64,
+    pub(crate) area: f64,
 }
 
 /// The input as points, by result vertex.
 #[derive(Debug)]
-pub(in crate::remesh) struct InputSamples {
-    pub(in crate::remesh) samples: Csr<SurfaceSample>,
+pub(crate) struct InputSamples {
+    pub(crate) samples: Csr<SurfaceSample>,
     /// Unit frame. The nearest facet is sought in the one-ring of the result vertex.
-    pub(in crate::remesh) vertices: Csr<DVec3>,
+    pub(crate) vertices: Csr<DVec3>,
 }
 
 /// The input as facets and vertices, by result vertex.
-pub(in crate::remesh) struct Reference<'a> {
+pub(crate) struct Reference<'a> {
     surface: &'a Surface,
     facets: Csr<u32>,
     vertices: Csr<DVec3>,
@@ -38,22 +38,22 @@ pub(in crate::remesh) struct Reference<'a> {
 
 impl<'a> Reference<'a> {
     /// `facets` and `vertices` are those of the input by result vertex.
-    pub(in crate::remesh) fn new(surface: &'a Surface, facets: Csr<u32>, vertices: Csr<DVec3>) -> Self {
+    pub(crate) fn new(surface: &'a Surface, facets: Csr<u32>, vertices: Csr<DVec3>) -> Self {
         Self { surface, facets, vertices }
     }
 
     /// Input facets that the cell of result vertex `v` meets.
-    pub(in crate::remesh) fn facets(&self, v: u32) -> &[u32] {
+    pub(crate) fn facets(&self, v: u32) -> &[u32] {
         self.facets.of(v)
     }
 
     /// Input vertices in the cell of result vertex `v`, unit frame.
-    pub(in crate::remesh) fn vertices(&self, v: u32) -> &[DVec3] {
+    pub(crate) fn vertices(&self, v: u32) -> &[DVec3] {
         self.vertices.of(v)
     }
 
     /// Corners of an input facet, unit frame.
-    pub(in crate::remesh) fn corners(&self, facet: u32) -> [DVec3; 3] {
+    pub(crate) fn corners(&self, facet: u32) -> [DVec3; 3] {
         self.surface.facets()[facet as usize].map(|v| self.surface.positions()[v as usize])
     }
 }

@@ -34,16 +34,16 @@ fn evenly(points: &[DVec3], count: usize) -> impl Iterator<Item = DVec3> + '_ {
 
 /// Curves and their seeds.
 #[derive(Clone, Debug, Default)]
-pub(in crate::remesh) struct KeptCurves {
+pub(crate) struct KeptCurves {
     features: Features,
-    pub(in crate::remesh) seeds: CurveSeeds,
+    pub(crate) seeds: CurveSeeds,
     /// Curves that were dropped.
     dropped_curves: usize,
 }
 
 impl KeptCurves {
     /// Finds what `options` ask for; nothing where seeds are given.
-    pub(in crate::remesh) fn find(
+    pub(crate) fn find(
         mesh: &TriMesh,
         plan: &Plan<'_>,
         surface: &Surface,
@@ -115,7 +115,7 @@ impl KeptCurves {
     }
 
     /// The curves' seeds and as many drawn ones as make `points`, clear of the curves; caller's coordinates.
-    pub(in crate::remesh) fn with_others(&self, plan: &Plan<'_>, surface: &Surface, seed: u64) -> Vec<DVec3> {
+    pub(crate) fn with_others(&self, plan: &Plan<'_>, surface: &Surface, seed: u64) -> Vec<DVec3> {
         let (mesh, points): (&TriMesh, usize) = (&plan.mesh, plan.points);
         let frame = surface.frame();
         let mut all: Vec<DVec3> = (0..self.seeds.len() as u32).map(|i| self.position(mesh, frame, i)).collect();
@@ -141,7 +141,7 @@ impl KeptCurves {
     }
 
     /// Where a curve's seed lies, caller's coordinates: a corner exactly at its vertex.
-    pub(in crate::remesh) fn position(&self, mesh: &TriMesh, frame: Frame, seed: u32) -> DVec3 {
+    pub(crate) fn position(&self, mesh: &TriMesh, frame: Frame, seed: u32) -> DVec3 {
         match self.features.corners.get(seed as usize) {
             Some(&vertex) => mesh.positions()[vertex as usize],
             None => frame.to_world(self.seeds.seeds[seed as usize]),
@@ -149,7 +149,7 @@ impl KeptCurves {
     }
 
     /// For each segment of the curves the edge between its seeds, where the facets have it.
-    pub(in crate::remesh) fn edges_in(&self, facets: &[[u32; 3]], vertex_seed: &[u32]) -> Vec<Option<[u32; 2]>> {
+    pub(crate) fn edges_in(&self, facets: &[[u32; 3]], vertex_seed: &[u32]) -> Vec<Option<[u32; 2]>> {
         let n = self.seeds.len() as u32;
         let edges = facets.iter().flat_map(|t| [[t[0], t[1]], [t[1], t[2]], [t[2], t[0]]]);
         let on_curves = edges.filter(|e| e.iter().all(|&v| vertex_seed[v as usize] < n));
@@ -170,7 +170,7 @@ impl KeptCurves {
 
     /// Vertices between which the result has no edge although their seeds follow each other on a curve of a kind that
     /// `counts`.
-    pub(in crate::remesh) fn missing(
+    pub(crate) fn missing(
         &self,
         edges: &[Option<[u32; 2]>],
         vertex_seed: &[u32],
@@ -187,13 +187,12 @@ impl KeptCurves {
         missing.filter_map(|(s, _)| Some([vertex(s.ends[0])?, vertex(s.ends[1])?])).collect()
     }
 
-    /// Whether a seed is a corner.
-    pub(in crate::remesh) fn is_corner(&self, seed: u32) -> bool {
+    pub(crate) fn is_corner(&self, seed: u32) -> bool {
         (seed as usize) < self.seeds.corners
     }
 
     /// Points of the curves that the result has edges for; `edges` are those of [`KeptCurves::edges_in`].
-    pub(in crate::remesh) fn samples(&self, edges: &[Option<[u32; 2]>]) -> Vec<CurveSample> {
+    pub(crate) fn samples(&self, edges: &[Option<[u32; 2]>]) -> Vec<CurveSample> {
         let present = self.seeds.segments.iter().zip(edges).filter_map(|(s, &e)| Some((s, e?)));
         let beside_acute = self.seeds.beside_acute();
         let of = |(segment, edge): (&Segment, [u32; 2])| {
@@ -211,7 +210,7 @@ impl KeptCurves {
     }
 
     /// What the report says; `edges` are those of [`KeptCurves::edges_in`].
-    pub(in crate::remesh) fn figures(&self, edges: &[Option<[u32; 2]>]) -> FeatureFigures {
+    pub(crate) fn figures(&self, edges: &[Option<[u32; 2]>]) -> FeatureFigures {
         let count = |kind| self.features.curves.iter().filter(|c| c.kind == kind).count();
         let broken: HashSet<u32> =
             self.seeds.segments.iter().zip(edges).filter(|(_, e)| e.is_none()).map(|(s, _)| s.curve).collect();

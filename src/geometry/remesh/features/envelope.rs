@@ -15,15 +15,15 @@ use crate::remesh::constants::{STRAIGHT_EDGES, STRAIGHTNESS};
 
 /// A point of an input curve.
 #[derive(Clone, Copy, Debug)]
-pub(in crate::remesh) struct CurveSample {
+pub(crate) struct CurveSample {
     /// Unit frame.
-    pub(in crate::remesh) position: DVec3,
+    pub(crate) position: DVec3,
     /// The result's edge for its segment of the curve.
-    pub(in crate::remesh) edge: [u32; 2],
+    pub(crate) edge: [u32; 2],
     /// Area it stands for: its share of the curve's length times the length of the edge.
-    pub(in crate::remesh) area: f64,
+    pub(crate) area: f64,
     /// How far the edge may be from the curve.
-    pub(in crate::remesh) limit: f64,
+    pub(crate) limit: f64,
 }
 
 /// An edge of a curve, seen from one of its ends.
@@ -41,8 +41,7 @@ struct Chord {
     straight: bool,
 }
 
-/// See the module's head.
-pub(in crate::remesh) struct CurveEnvelope {
+pub(crate) struct CurveEnvelope {
     points: Vec<DVec3>,
     /// By vertex.
     chords: Csr<Chord>,
@@ -52,7 +51,7 @@ pub(in crate::remesh) struct CurveEnvelope {
 
 impl CurveEnvelope {
     /// For edges of curves with their ends at `start`; corners are `fixed`. Samples of one edge follow each other.
-    pub(in crate::remesh) fn new(start: &[DVec3], fixed: &[bool], samples: &[CurveSample]) -> Self {
+    pub(crate) fn new(start: &[DVec3], fixed: &[bool], samples: &[CurveSample]) -> Self {
         let points: Vec<DVec3> = samples.iter().map(|s| s.position).collect();
         let mut edges: Vec<([u32; 2], Chord)> = Vec::new();
         let mut from = 0;
@@ -122,24 +121,22 @@ impl CurveEnvelope {
         &self.points[chord.points[0] as usize..chord.points[1] as usize]
     }
 
-    /// The vertices of curves.
-    pub(in crate::remesh) fn vertices(&self) -> Vec<u32> {
+    pub(crate) fn vertices(&self) -> Vec<u32> {
         (0..self.start.len() as u32).filter(|&v| !self.chords(v).is_empty()).collect()
     }
 
-    /// Where a vertex was at first.
-    pub(in crate::remesh) fn start(&self, v: u32) -> DVec3 {
+    pub(crate) fn start(&self, v: u32) -> DVec3 {
         self.start[v as usize]
     }
 
     /// The shortest edge of a curve at a vertex.
-    pub(in crate::remesh) fn shortest_edge(&self, positions: &[DVec3], v: u32) -> f64 {
+    pub(crate) fn shortest_edge(&self, positions: &[DVec3], v: u32) -> f64 {
         let lengths = self.chords(v).iter().map(|s| positions[v as usize].distance(positions[s.other as usize]));
         lengths.fold(f64::INFINITY, f64::min)
     }
 
     /// How far the edges of vertex `v` are from their curves with it at `p`, as a multiple of their limits.
-    pub(in crate::remesh) fn violation(&self, positions: &[DVec3], v: u32, p: DVec3) -> f64 {
+    pub(crate) fn violation(&self, positions: &[DVec3], v: u32, p: DVec3) -> f64 {
         let of = |chord: &Chord| {
             if chord.straight {
                 // It may slide along the line.
@@ -159,7 +156,7 @@ impl CurveEnvelope {
     }
 
     /// How far the edges of vertex `v` and the curve are apart with it at `p`, in both directions, as a multiple of the goal.
-    pub(in crate::remesh) fn excess(&self, positions: &[DVec3], v: u32, p: DVec3) -> f64 {
+    pub(crate) fn excess(&self, positions: &[DVec3], v: u32, p: DVec3) -> f64 {
         let (chords, start) = (self.chords(v), self.start[v as usize]);
         let goal = chords.iter().map(|chord| chord.goal).fold(f64::INFINITY, f64::min);
         // The vertex has to be near the curve, and its first place near one of the edges.
@@ -186,7 +183,7 @@ impl CurveEnvelope {
     }
 
     /// Whether vertex `v` may go to `p`: its edges stay within their limits, or come nearer to them.
-    pub(in crate::remesh) fn admits(&self, positions: &[DVec3], v: u32, p: DVec3) -> bool {
+    pub(crate) fn admits(&self, positions: &[DVec3], v: u32, p: DVec3) -> bool {
         if self.chords(v).is_empty() {
             return true;
         }
@@ -212,7 +209,7 @@ mod tests {
         assert!(!envelope.admits(&start, 1, moved[1]) && envelope.admits(&start, 1, DVec3::new(1.05, 0.05, 0.0)));
     }
 
-    /// Nobody leaves a line where the curve is one, but may slide along it; a bend nearby leaves room, a corner does not.
+    /// No vertex leaves a line where the curve is one, but may slide along it; a bend nearby leaves room, a corner does not.
     #[test]
     fn straight_curves_stay_straight() {
         let ends = |bend: f64| -> Vec<DVec3> {

@@ -26,7 +26,6 @@ impl FacetShape {
         Self { normal: unit_normal(corners), lack: wanted.lack(corners, facet_quality(corners)) }
     }
 
-    /// Of all facets.
     pub(super) fn all(mesh: &LocalMesh) -> Vec<Self> {
         let wanted = Wanted::new(POOR_SCORE, POOR_ANGLE);
         (0..mesh.facets().len() as u32).into_par_iter().map(|f| Self::of(mesh.corners(f), wanted)).collect()

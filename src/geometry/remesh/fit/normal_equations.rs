@@ -21,7 +21,6 @@ use crate::remesh::features::envelope::CurveSample;
 use crate::remesh::manifold::local_mesh::LocalMesh;
 use crate::token::Token;
 
-/// The number of what has none.
 const NONE: u32 = u32::MAX;
 
 /// A symmetric matrix: xx xy xz yy yz zz.
@@ -33,7 +32,6 @@ impl Symmetric {
         Self([m.x_axis.x, m.x_axis.y, m.x_axis.z, m.y_axis.y, m.y_axis.z, m.z_axis.z])
     }
 
-    /// The outer product `n nᵀ`.
     fn outer(n: DVec3) -> Self {
         Self([n.x * n.x, n.x * n.y, n.x * n.z, n.y * n.y, n.y * n.z, n.z * n.z])
     }
@@ -42,7 +40,6 @@ impl Symmetric {
         self.0.iter_mut().zip(other.0).for_each(|(to, from)| *to += factor * from);
     }
 
-    /// Adds a multiple of the identity.
     fn widen(&mut self, by: f64) {
         [0, 3, 5].into_iter().for_each(|k| self.0[k] += by);
     }
@@ -276,7 +273,6 @@ impl Parts<'_> {
     }
 }
 
-/// See the module's head.
 pub(super) struct NormalEquations {
     vertices: usize,
     /// The vertices that may move.
@@ -301,7 +297,6 @@ impl NormalEquations {
         Self { vertices: mesh.positions.len(), unknowns, rows }
     }
 
-    /// The moves, one a vertex.
     pub(super) fn solve(&self, token: &Token) -> Vec<DVec3> {
         let mut moves = vec![DVec3::ZERO; self.vertices];
         let x = self.conjugate_gradients(token);

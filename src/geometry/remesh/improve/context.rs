@@ -13,7 +13,6 @@ use crate::remesh::manifold::local_mesh::LocalMesh;
 use crate::remesh::triangle::perimeter;
 use crate::token::Token;
 
-/// See the module's head.
 #[derive(Clone, Copy)]
 pub(super) struct Context<'a> {
     pub(super) mesh: &'a LocalMesh,

@@ -16,7 +16,7 @@ use crate::remesh::triangle::score;
 use crate::token::Token;
 
 /// Takes vertices that went too far back, no farther than they must.
-pub(in crate::remesh) fn restore(mesh: &mut LocalMesh, envelope: &CurveEnvelope, token: &Token) {
+pub(crate) fn restore(mesh: &mut LocalMesh, envelope: &CurveEnvelope, token: &Token) {
     mesh.mark();
     let vertices = envelope.vertices();
     for _ in 0..RESTORING_PASSES {
@@ -43,12 +43,7 @@ pub(in crate::remesh) fn restore(mesh: &mut LocalMesh, envelope: &CurveEnvelope,
 /// Moves vertices whose edges are farther from their curves than the goal a little, to where they are nearer. Corners, which
 /// are `fixed`, move less, and only on boundaries, whose teeth may be narrower than an edge is long. Returns the corners that
 /// moved.
-pub(in crate::remesh) fn tighten(
-    mesh: &mut LocalMesh,
-    envelope: &CurveEnvelope,
-    fixed: &[bool],
-    token: &Token,
-) -> Vec<u32> {
+pub(crate) fn tighten(mesh: &mut LocalMesh, envelope: &CurveEnvelope, fixed: &[bool], token: &Token) -> Vec<u32> {
     let excess = |mesh: &LocalMesh, v: u32| envelope.excess(&mesh.positions, v, mesh.positions[v as usize]);
     let may_move = |mesh: &LocalMesh, v: u32| !fixed[v as usize] || mesh.is_on_boundary(v);
     let mut vertices = envelope.vertices();

@@ -14,20 +14,19 @@ use crate::remesh::distance::reference::Reference;
 use crate::remesh::manifold::local_mesh::LocalMesh;
 use crate::token::Token;
 
-/// See the module's head.
-pub(in crate::remesh) struct MeshEditor<'a> {
+pub(crate) struct MeshEditor<'a> {
     mesh: &'a mut LocalMesh,
     reference: &'a Reference<'a>,
     movable: Vec<bool>,
     /// Patches that were put back so far.
-    edits: u32,
+    pub(super) edits: u32,
     /// By vertex, the number of the last edit that had it; 0 if none had.
     last_edit: Vec<u32>,
     token: &'a Token,
 }
 
 impl<'a> MeshEditor<'a> {
-    pub(in crate::remesh) fn new(
+    pub(crate) fn new(
         mesh: &'a mut LocalMesh,
         mobility: &[Mobility],
         reference: &'a Reference<'a>,
@@ -54,11 +53,7 @@ impl<'a> MeshEditor<'a> {
         self.mesh.keep(ends);
     }
 
-    pub(super) fn edits(&self) -> u32 {
-        self.edits
-    }
-
-    /// Whether anything that the patch around `v` depends on has changed since there were so many edits.
+    /// Whether anything that the patch around `v` depends on has changed since this number of edits.
     pub(super) fn has_changed(&self, v: u32, edits: u32) -> bool {
         self.dependencies(v).into_iter().any(|u| self.last_edit[u as usize] > edits)
     }

@@ -71,7 +71,6 @@ const SAMPLES: [[f64; 3]; 7] = [
     [0.25, 0.75, 0.0],
 ];
 
-/// See the module's head.
 pub(super) struct VertexObjective<'a> {
     patch: &'a Patch,
     v: u32,

@@ -47,7 +47,7 @@ enum Outcome {
 
 /// Improves places as long as that helps. `estimates` are the distances from the input around each vertex, about. Returns how
 /// many were improved.
-pub(in crate::remesh) fn improve(editor: &mut MeshEditor<'_>, estimates: &[f64]) -> usize {
+pub(crate) fn improve(editor: &mut MeshEditor<'_>, estimates: &[f64]) -> usize {
     let share = (MAX_IMPROVED_SHARE * estimates.len() as f64) as usize;
     let mut run = Run {
         queue: Queue::new(),
@@ -72,7 +72,7 @@ pub(in crate::remesh) fn improve(editor: &mut MeshEditor<'_>, estimates: &[f64])
 }
 
 /// Makes the edge between two vertices by one flip or two, and keeps it from then on. Returns whether it is there.
-pub(in crate::remesh) fn recover_edge(editor: &mut MeshEditor<'_>, ends: [u32; 2]) -> bool {
+pub(crate) fn recover_edge(editor: &mut MeshEditor<'_>, ends: [u32; 2]) -> bool {
     let Some(patch) = Patch::around(&editor.context(), ends[0]) else { return false };
     let Ok(to) = patch.vertices.binary_search(&ends[1]) else { return false };
     let joins = |patch: &Patch, before: &[_]| {
@@ -142,7 +142,7 @@ impl Run {
             if !self.ahead.contains_key(&first) {
                 let new: Vec<Place<Defect>> = batch.iter().copied().filter(|p| !self.ahead.contains_key(p)).collect();
                 let made: Vec<Outcome> = new.par_iter().with_max_len(1).map(|p| self.attempt(editor, p)).collect();
-                self.ahead.extend(new.into_iter().zip(made.into_iter().map(|outcome| (editor.edits(), outcome))));
+                self.ahead.extend(new.into_iter().zip(made.into_iter().map(|outcome| (editor.edits, outcome))));
             }
             // What a far place comes to may change which is the next one.
             self.queue.extend(batch.drain(if first.kind == Defect::Far { 1 } else { batch.len() }..));
@@ -204,7 +204,7 @@ impl Run {
         match outcome {
             Outcome::Fine => {}
             Outcome::Less(badness) => {
-                self.push_far(vec![Place::new(place.kind, place.vertex(), badness)], editor.edits())
+                self.push_far(vec![Place::new(place.kind, place.vertex(), badness)], editor.edits)
             }
             Outcome::Better(patch) => {
                 editor.put_back(&patch);
@@ -213,10 +213,10 @@ impl Run {
                 // Often a place that failed is improved from a neighbouring vertex.
                 self.failed.retain(|failed| is_exhausted(&self.exhausted, editor, failed));
                 let places = far(&editor.context(), patch.inner().collect());
-                self.push_far(places, editor.edits());
+                self.push_far(places, editor.edits);
             }
             Outcome::Failed(badness) => {
-                self.exhausted.insert((place.kind, place.vertex()), editor.edits());
+                self.exhausted.insert((place.kind, place.vertex()), editor.edits);
                 if is_far {
                     self.failures_left = self.failures_left.saturating_sub(1);
                     self.failed.push(Place::new(place.kind, place.vertex(), badness));

@@ -1,7 +1,7 @@
 //! A queue of vertices by priority.
 //!
 //! Purpose: the worst comes first; of equally bad vertices that with the lower number. A vertex may be in it several times:
-//! whoever takes it looks whether it is still as bad as it was.
+//! its taker checks whether it is still as bad.
 //! Invariant: the order depends on what was put in alone. Must not know: what makes a vertex bad.
 
 use std::cmp::Reverse;
@@ -16,7 +16,6 @@ pub(super) struct Place<K> {
     vertex: Reverse<u32>,
 }
 
-/// See the module's head.
 pub(super) type Queue<K> = BinaryHeap<Place<K>>;
 
 impl<K> Place<K> {

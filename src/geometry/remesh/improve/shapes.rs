@@ -26,9 +26,8 @@ use crate::remesh::manifold::local_mesh::{Flip, LocalMesh};
 use crate::remesh::triangle::{Wanted, perimeter};
 use crate::token::Token;
 
-/// How a vertex may move.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(in crate::remesh) enum Mobility {
+pub(crate) enum Mobility {
     /// In the tangent plane.
     Free,
     /// Along a direction, unit.
@@ -39,17 +38,16 @@ pub(in crate::remesh) enum Mobility {
     Fixed,
 }
 
-/// How the vertices may move.
 #[derive(Clone, Copy)]
-pub(in crate::remesh) struct MotionBounds<'a> {
-    pub(in crate::remesh) mobility: &'a [Mobility],
-    pub(in crate::remesh) envelope: &'a CurveEnvelope,
+pub(crate) struct MotionBounds<'a> {
+    pub(crate) mobility: &'a [Mobility],
+    pub(crate) envelope: &'a CurveEnvelope,
     /// No vertex leaves its curve by more than this, whatever the edge.
-    pub(in crate::remesh) off_curve: f64,
+    pub(crate) off_curve: f64,
 }
 
 /// Improves the worst facets. Ends early where `token` is stopped.
-pub(in crate::remesh) fn improve_shapes(mesh: &mut LocalMesh, bounds: MotionBounds<'_>, token: &Token) {
+pub(crate) fn improve_shapes(mesh: &mut LocalMesh, bounds: MotionBounds<'_>, token: &Token) {
     mesh.mark();
     let wanted = Wanted::new(POOR_SCORE, POOR_ANGLE);
     let lack = |f: u32| {
@@ -123,7 +121,7 @@ impl Shapes<'_> {
         self.queue.push(Place::new((), v, cost));
     }
 
-    /// The costliest vertices, so many at most, no two of them with a neighbour in common: what one does leaves the costs of the
+    /// The costliest vertices, `most` at most, no two of them with a neighbour in common: what one does leaves the costs of the
     /// others.
     fn next_batch(&mut self, most: usize) -> Vec<Place<()>> {
         self.rounds += 1;

@@ -49,7 +49,6 @@ impl Goal {
     }
 }
 
-/// How trials are compared.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Measure {
     /// The distance that counts as 1 beside what the worst facet lacks.
@@ -81,7 +80,7 @@ impl Tried {
     }
 }
 
-/// Relocates the vertices of a patch, the centre first, in so many passes at most. `worst` is the distance that costs as much
+/// Relocates the vertices of a patch, the centre first, in at most `passes` passes. `worst` is the distance that costs as much
 /// as a bad shape.
 fn relax(patch: &mut Patch, worst: f64, passes: usize) {
     for _ in 0..passes {

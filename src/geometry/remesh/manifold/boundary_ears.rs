@@ -16,7 +16,7 @@ use crate::remesh::triangle::unit_normal;
 
 /// Adds an ear for each pair of `wanted` boundary vertices between which the boundary goes by way of one other vertex that
 /// `may_be_inside`. Returns how many were added.
-pub(in crate::remesh) fn fill(
+pub(crate) fn fill(
     positions: &[DVec3],
     facets: &mut Vec<[u32; 3]>,
     wanted: &[[u32; 2]],

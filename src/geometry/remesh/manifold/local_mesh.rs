@@ -16,10 +16,9 @@ use crate::mesh::one_rings::{OneRings, ascending};
 use crate::remesh::constants::{FLIPPED_COSINE, REGULAR_VALENCE, VALENCES};
 use crate::remesh::triangle::unit_normal;
 
-/// See the module's head.
 #[derive(Clone, Debug)]
-pub(in crate::remesh) struct LocalMesh {
-    pub(in crate::remesh) positions: Vec<DVec3>,
+pub(crate) struct LocalMesh {
+    pub(crate) positions: Vec<DVec3>,
     facets: Vec<[u32; 3]>,
     rings: OneRings,
     /// Facets around each vertex that are not in this mesh.
@@ -33,14 +32,14 @@ pub(in crate::remesh) struct LocalMesh {
 
 /// Two facets with a common edge, and what they become with the other diagonal.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(in crate::remesh) struct Flip {
-    pub(in crate::remesh) facets: [u32; 2],
-    pub(in crate::remesh) corners: [[u32; 3]; 2],
+pub(crate) struct Flip {
+    pub(crate) facets: [u32; 2],
+    pub(crate) corners: [[u32; 3]; 2],
 }
 
 impl LocalMesh {
     /// A whole triangulation. Edges in `curves` (lower end first) stay.
-    pub(in crate::remesh) fn new(positions: Vec<DVec3>, facets: Vec<[u32; 3]>, curves: HashSet<[u32; 2]>) -> Self {
+    pub(crate) fn new(positions: Vec<DVec3>, facets: Vec<[u32; 3]>, curves: HashSet<[u32; 2]>) -> Self {
         let rings = OneRings::new(positions.len(), &facets);
         let outside = vec![0; positions.len()];
         let mut mesh = Self { on_boundary: Vec::new(), normals: Vec::new(), positions, facets, rings, outside, curves };
@@ -55,7 +54,7 @@ impl LocalMesh {
     }
 
     /// Some facets of it, with the vertices numbered anew: vertex `k` of the part is `vertices[k]`. Both lists ascend.
-    pub(in crate::remesh) fn part(&self, facets: &[u32], vertices: &[u32]) -> Self {
+    pub(crate) fn part(&self, facets: &[u32], vertices: &[u32]) -> Self {
         let local = |v: u32| vertices.binary_search(&v).unwrap_or_default() as u32;
         let of = |f: &u32| self.facets[*f as usize].map(local);
         let own: Vec<[u32; 3]> = facets.iter().map(of).collect();
@@ -77,76 +76,76 @@ impl LocalMesh {
     }
 
     /// Puts a part back: the inverse of [`Self::part`]. Vertices stay as many.
-    pub(in crate::remesh) fn put_back(&mut self, part: &Self, facets: &[u32], vertices: &[u32]) {
+    pub(crate) fn put_back(&mut self, part: &Self, facets: &[u32], vertices: &[u32]) {
         vertices.iter().zip(&part.positions).for_each(|(&v, &p)| self.positions[v as usize] = p);
         for (&f, t) in facets.iter().zip(&part.facets) {
             self.replace(f, t.map(|v| vertices[v as usize]));
         }
     }
 
-    pub(in crate::remesh) fn facets(&self) -> &[[u32; 3]] {
+    pub(crate) fn facets(&self) -> &[[u32; 3]] {
         &self.facets
     }
 
     /// Its vertices and facets, and nothing else of it.
-    pub(in crate::remesh) fn into_parts(self) -> (Vec<DVec3>, Vec<[u32; 3]>) {
+    pub(crate) fn into_parts(self) -> (Vec<DVec3>, Vec<[u32; 3]>) {
         (self.positions, self.facets)
     }
 
     /// Facets around vertex `v`, ascending.
-    pub(in crate::remesh) fn ring(&self, v: u32) -> &[u32] {
+    pub(crate) fn ring(&self, v: u32) -> &[u32] {
         self.rings.of(v)
     }
 
     /// The vertices of the facets around `v`, that vertex included, ascending.
-    pub(in crate::remesh) fn neighbours(&self, v: u32) -> Vec<u32> {
+    pub(crate) fn neighbours(&self, v: u32) -> Vec<u32> {
         self.corners_around(&[v])
     }
 
     /// The corners of all facets around some vertices, ascending.
-    pub(in crate::remesh) fn corners_around(&self, vertices: &[u32]) -> Vec<u32> {
+    pub(crate) fn corners_around(&self, vertices: &[u32]) -> Vec<u32> {
         let facets = vertices.iter().flat_map(|&v| self.ring(v));
         ascending(facets.flat_map(|&f| self.facets[f as usize]))
     }
 
     /// The facets around some vertices, ascending.
-    pub(in crate::remesh) fn facets_around(&self, vertices: &[u32]) -> Vec<u32> {
+    pub(crate) fn facets_around(&self, vertices: &[u32]) -> Vec<u32> {
         ascending(vertices.iter().flat_map(|&v| self.ring(v)).copied())
     }
 
-    pub(in crate::remesh) fn corners(&self, f: u32) -> [DVec3; 3] {
+    pub(crate) fn corners(&self, f: u32) -> [DVec3; 3] {
         self.places(self.facets[f as usize])
     }
 
     /// The corners of `f` with vertex `v` at `p`.
-    pub(in crate::remesh) fn corners_with(&self, f: u32, v: u32, p: DVec3) -> [DVec3; 3] {
+    pub(crate) fn corners_with(&self, f: u32, v: u32, p: DVec3) -> [DVec3; 3] {
         self.facets[f as usize].map(|u| if u == v { p } else { self.positions[u as usize] })
     }
 
-    pub(in crate::remesh) fn places(&self, t: [u32; 3]) -> [DVec3; 3] {
+    pub(crate) fn places(&self, t: [u32; 3]) -> [DVec3; 3] {
         t.map(|v| self.positions[v as usize])
     }
 
-    pub(in crate::remesh) fn valence(&self, v: u32) -> usize {
+    pub(crate) fn valence(&self, v: u32) -> usize {
         self.ring(v).len() + self.outside[v as usize] as usize
     }
 
     /// Whether all facets of a vertex are in this mesh.
-    pub(in crate::remesh) fn is_inside(&self, v: u32) -> bool {
+    pub(crate) fn is_inside(&self, v: u32) -> bool {
         self.outside[v as usize] == 0
     }
 
-    pub(in crate::remesh) fn is_on_boundary(&self, v: u32) -> bool {
+    pub(crate) fn is_on_boundary(&self, v: u32) -> bool {
         self.on_boundary[v as usize]
     }
 
     /// Whether one of its edges is kept.
-    pub(in crate::remesh) fn is_on_curve(&self, v: u32) -> bool {
+    pub(crate) fn is_on_curve(&self, v: u32) -> bool {
         self.neighbours(v).into_iter().any(|u| self.curves.contains(&undirected([u, v])))
     }
 
     /// By how much the valence of an inner vertex is off the range that flips keep.
-    pub(in crate::remesh) fn irregularity(&self, v: u32) -> usize {
+    pub(crate) fn irregularity(&self, v: u32) -> usize {
         match self.valence(v).abs_diff(REGULAR_VALENCE) {
             0 | 1 => 0,
             _ if self.is_on_boundary(v) => 0,
@@ -155,32 +154,32 @@ impl LocalMesh {
     }
 
     /// From now on an edge stays.
-    pub(in crate::remesh) fn keep(&mut self, ends: [u32; 2]) {
+    pub(crate) fn keep(&mut self, ends: [u32; 2]) {
         self.curves.insert(undirected(ends));
     }
 
     /// Facets turn from the normals that they have now.
-    pub(in crate::remesh) fn mark(&mut self) {
+    pub(crate) fn mark(&mut self) {
         self.normals = (0..self.facets.len() as u32).into_par_iter().map(|f| unit_normal(self.corners(f))).collect();
     }
 
     /// The normal that facet `f` turns from.
-    pub(in crate::remesh) fn marked_normal(&self, f: u32) -> DVec3 {
+    pub(crate) fn marked_normal(&self, f: u32) -> DVec3 {
         self.normals[f as usize]
     }
 
     /// The mean normal around a vertex.
-    pub(in crate::remesh) fn vertex_normal(&self, v: u32) -> DVec3 {
+    pub(crate) fn vertex_normal(&self, v: u32) -> DVec3 {
         self.ring(v).iter().map(|&f| unit_normal(self.corners(f))).sum::<DVec3>().normalize_or(DVec3::Z)
     }
 
     /// Whether facet `f` with these corners is turned by more than this cosine from its marked normal.
-    pub(in crate::remesh) fn is_turned(&self, f: u32, corners: [DVec3; 3], least_cosine: f64) -> bool {
+    pub(crate) fn is_turned(&self, f: u32, corners: [DVec3; 3], least_cosine: f64) -> bool {
         unit_normal(corners).dot(self.normals[f as usize]) < least_cosine
     }
 
     /// Whether a facet would turn by more than this cosine from its marked normal with vertex `v` at `p`.
-    pub(in crate::remesh) fn turns(&self, v: u32, p: DVec3, least_cosine: f64) -> bool {
+    pub(crate) fn turns(&self, v: u32, p: DVec3, least_cosine: f64) -> bool {
         self.ring(v).iter().any(|&f| self.is_turned(f, self.corners_with(f, v, p), least_cosine))
     }
 
@@ -200,7 +199,7 @@ impl LocalMesh {
 
     /// The flip of a side of `f`, if that is allowed: the link condition holds, the edge is no curve's, inner valences stay in
     /// the range or come nearer to it, and neither new facet turns over.
-    pub(in crate::remesh) fn flip(&self, f: u32, side: usize, [least, most]: [usize; 2]) -> Option<Flip> {
+    pub(crate) fn flip(&self, f: u32, side: usize, [least, most]: [usize; 2]) -> Option<Flip> {
         let t = self.facets[f as usize];
         let (a, b, c) = (t[side], t[(side + 1) % 3], t[(side + 2) % 3]);
         let g = self.facet_along(b, a)?;
@@ -219,11 +218,11 @@ impl LocalMesh {
     }
 
     /// Flips of the edges of a facet that keep valences.
-    pub(in crate::remesh) fn flips_of(&self, f: u32) -> impl Iterator<Item = Flip> + '_ {
+    pub(crate) fn flips_of(&self, f: u32) -> impl Iterator<Item = Flip> + '_ {
         (0..3).filter_map(move |side| self.flip(f, side, VALENCES))
     }
 
-    pub(in crate::remesh) fn apply(&mut self, flip: &Flip) {
+    pub(crate) fn apply(&mut self, flip: &Flip) {
         for (&f, &t) in flip.facets.iter().zip(&flip.corners) {
             self.replace(f, t);
             self.normals[f as usize] = unit_normal(self.corners(f));
@@ -231,7 +230,7 @@ impl LocalMesh {
     }
 
     /// Moves a vertex, if no facet turns by more than this cosine.
-    pub(in crate::remesh) fn relocate(&mut self, v: u32, p: DVec3, least_cosine: f64) -> bool {
+    pub(crate) fn relocate(&mut self, v: u32, p: DVec3, least_cosine: f64) -> bool {
         let fine = !self.turns(v, p, least_cosine);
         if fine {
             self.positions[v as usize] = p;

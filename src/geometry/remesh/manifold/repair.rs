@@ -20,7 +20,6 @@ use crate::remesh::report::RepairFigures;
 use crate::remesh::triangle::unit_normal;
 use crate::token::{Stopped, Token};
 
-/// A repaired triangulation.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Repaired {
     /// For each result vertex, the input vertex it stands for (several for a split vertex, and for one that was put into an
@@ -37,10 +36,6 @@ pub(crate) struct Repaired {
     pub figures: RepairFigures,
 }
 
-/// Repairs `triangles` over `positions`.
-///
-/// # Errors
-/// [`Stopped`].
 pub(crate) fn repair(positions: &[DVec3], triangles: &[[u32; 3]], token: &Token) -> Result<Repaired, Stopped> {
     let mut figures = RepairFigures::default();
     let mut facets = simple_facets(triangles, &mut figures);
@@ -61,7 +56,7 @@ pub(crate) fn repair(positions: &[DVec3], triangles: &[[u32; 3]], token: &Token)
 }
 
 /// Whether each of these triangles lies back to back with another.
-pub(in crate::remesh) fn all_cancel(triangles: &[[u32; 3]]) -> bool {
+pub(crate) fn all_cancel(triangles: &[[u32; 3]]) -> bool {
     simple_facets(triangles, &mut RepairFigures::default()).is_empty()
 }
 
@@ -334,7 +329,7 @@ mod tests {
         halves.sort_unstable();
         assert!(halves.windows(2).all(|w| w[0] != w[1]));
         assert!(halves.iter().all(|&(a, b)| halves.binary_search(&(b, a)).is_ok()), "closed");
-        // Ascending, as whoever reads them relies on.
+        // Ascending, as readers rely on.
         assert!(out.source.is_sorted() && out.source.iter().all(|&v| v < 6), "{:?}", out.source);
     }
 

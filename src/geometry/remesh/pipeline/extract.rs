@@ -62,7 +62,6 @@ pub(super) struct Draft<'a> {
     pub(super) seeds: usize,
 }
 
-/// Vertices that were fitted.
 pub(super) struct Fitted<'a> {
     /// Unit frame. Its facets are those of the draft.
     pub(super) mesh: LocalMesh,

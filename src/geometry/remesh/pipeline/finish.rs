@@ -14,7 +14,6 @@ use crate::remesh::improve::places::{improve, recover_edge};
 use crate::remesh::manifold::local_mesh::LocalMesh;
 use crate::remesh::report::RepairFigures;
 
-/// A finished surface.
 pub(super) struct Built {
     pub(super) mesh: TriMesh,
     pub(super) vertex_seed: Vec<u32>,

@@ -12,7 +12,6 @@ use crate::remesh::report::Timings;
 use crate::rvd::Backend;
 use crate::token::Token;
 
-/// See the module's head.
 pub(super) struct Job<'a, 'b> {
     /// The input, preprocessed, its components apart.
     pub(super) separated: &'a TriMesh,
@@ -31,7 +30,6 @@ pub(super) struct Job<'a, 'b> {
 }
 
 impl Job<'_, '_> {
-    /// A stage begins.
     pub(super) fn enter(&mut self, stage: &'static str) {
         self.token.enter(stage);
         self.observer.stage(stage);
@@ -57,7 +55,6 @@ impl Laps {
         self.last = Instant::now();
     }
 
-    /// Time since the start.
     pub(super) fn total(&self) -> f64 {
         self.begin.elapsed().as_secs_f64() * 1e3
     }

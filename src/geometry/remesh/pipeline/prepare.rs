@@ -15,7 +15,6 @@ use crate::remesh::{RemeshError, RemeshOptions, Seeds};
 use crate::rvd::Surface;
 use crate::token::Token;
 
-/// See the module's head.
 pub(super) struct Prepared<'a> {
     pub(super) plan: Plan<'a>,
     /// The surface that the plan is for.
@@ -26,7 +25,6 @@ pub(super) struct Prepared<'a> {
     pub(super) closest: ClosestPoint,
 }
 
-/// Prepares `separated` for `options`.
 pub(super) fn prepare<'a>(
     separated: &'a TriMesh,
     options: &RemeshOptions,

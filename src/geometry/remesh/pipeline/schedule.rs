@@ -30,13 +30,11 @@ pub(super) struct Figures {
 }
 
 impl Figures {
-    /// Passes over the diagram.
     pub(super) fn passes(&self) -> usize {
         self.refine.evaluations + self.iterations.iter().map(|step| step.evaluations).sum::<usize>()
     }
 }
 
-/// See the module's head.
 pub(super) struct Schedule<'s, 'a, 'b> {
     pub(super) job: &'s mut Job<'a, 'b>,
     pub(super) options: &'s RemeshOptions,

@@ -24,7 +24,7 @@ fn is_near(vertices: usize, asked: usize) -> bool {
     vertices.abs_diff(asked) <= COUNT_SLACK.max((COUNT_LIMIT * asked as f64) as usize)
 }
 
-/// Why a result of some vertices, with so many parts, does not have as many as were asked for; `None` if it has.
+/// Why a result with this number of vertices and parts does not have as many as were asked for; `None` if it has.
 pub(super) fn reason(
     (vertices, parts): (usize, usize),
     asked: usize,

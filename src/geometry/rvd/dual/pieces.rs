@@ -50,7 +50,6 @@ struct Joined {
     boundary: Vec<bool>,
 }
 
-/// What some mesh edges join.
 #[derive(Default)]
 struct Seams {
     /// Half-edges with the number of their edge among these.
@@ -173,7 +172,7 @@ impl Pieces {
         Ok(Dual { not_disks, multiple_boundary_arcs, multiple_edges, pieces, ..std::mem::take(&mut dual) })
     }
 
-    /// What of so many components breaks the topology.
+    /// What breaks the topology, of `count` components.
     fn failing(&self, surface: &Surface, joined: &Joined, count: usize, component: &[u32]) -> Failing {
         let of = |pieces: &[u32]| pieces.iter().map(|&p| component[p as usize]).collect::<Vec<u32>>();
         let disks = || {

@@ -11,7 +11,7 @@ use rayon::prelude::*;
 use crate::knn::Threads;
 use crate::rvd::{CellSums, Evaluation};
 
-/// Seeds in a block: a few vectors of so many stay in the cache that a core has for itself.
+/// Seeds in a block: a few vectors of this length stay in a core's own cache.
 const BLOCK: usize = 1024;
 
 /// What comes of each block, in their order.

@@ -77,7 +77,7 @@ impl<'a> Stretch<'a> {
         (a + b + c) / 3.0
     }
 
-    /// So many at a time.
+    /// Parts of `size` facets.
     pub(super) fn chunks(self, size: usize) -> impl Iterator<Item = Stretch<'a>> {
         let each = self.facets.chunks(size).zip(self.corners.chunks(size));
         each.map(move |(facets, corners)| Stretch { facets, corners, ..self })
@@ -116,12 +116,10 @@ impl Order {
         }
     }
 
-    /// How many facets there are.
     pub(super) fn len(&self) -> usize {
         self.facets.len()
     }
 
-    /// All facets.
     pub(super) fn all(&self) -> Stretch<'_> {
         Stretch { facets: &self.facets, corners: &self.corners, vertices: &self.vertices }
     }

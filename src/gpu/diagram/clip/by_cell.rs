@@ -103,7 +103,6 @@ impl Clip {
         memory.upload_facets(cx)
     }
 
-    /// Uploads the grid of facets.
     pub(crate) fn upload_near(&self, cx: &Context, memory: &Memory) -> Result<(), RvdError> {
         Ok(write(&cx.device, &memory.there()?.buffers.near, 0, &self.near.near)?)
     }
@@ -123,7 +122,7 @@ impl Clip {
         self.write_params(cx, memory, params)?;
         self.write_state(cx, memory, State { failures: 0, ..state })?;
         let mut encoder = device.encoder();
-        let bindings = &there.bindings.windows[memory.windows.present()].verify;
+        let bindings = &there.bindings.windows[memory.windows.present].verify;
         let (pipeline, items) = (&cx.pipelines.verify, state.length.into());
         let stage = Stage { pipeline, bindings, items, size: size::ITEM, arguments: None };
         there.encode(device, &mut encoder, lane::CLIP, &[stage], token)?;

@@ -37,7 +37,6 @@ fn scale(bound: f64) -> f64 {
     exponent.clamp(-100.0, 120.0).exp2()
 }
 
-/// Total mass of a surface, unit frame.
 pub(crate) fn total_mass(surface: &Surface) -> f64 {
     let mut mass = 0.0;
     for (f, corners) in surface.facets().iter().enumerate().filter(|(f, _)| !surface.skips(*f)) {

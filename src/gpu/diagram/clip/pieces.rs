@@ -22,7 +22,6 @@ use geometry::token::Token;
 /// Status of a pair that ended, in the heads that the device writes.
 const DONE: u32 = 0;
 
-/// One batch as read back.
 struct Emitted {
     heads: Vec<[u32; 4]>,
     vertices: Vec<[f32; 4]>,
@@ -72,7 +71,7 @@ impl Clip {
         let mut encoder = device.encoder();
         {
             let mut compute = device.pass(&mut encoder, lane::CLIP);
-            let bindings = &there.bindings.windows[memory.windows.present()].emit;
+            let bindings = &there.bindings.windows[memory.windows.present].emit;
             run(&mut compute, &cx.pipelines.emit, bindings, count.into(), cx.limits());
         }
         device.run(encoder)?;
@@ -134,7 +133,7 @@ impl Clip {
     ) -> Result<(), RvdError> {
         neighbours.view(cx, memory)?;
         let mut ignored = PassStats::default();
-        self.walker.clip_to_end(neighbours.diagram(cx), facet, seed, cx.capacities, &mut ignored);
+        self.walker.clip(None, neighbours.diagram(cx), facet, seed, &mut ignored);
         push(facet, seed, neighbours.host.seen[seed as usize], self.walker.clipper().polygon(), out);
         Ok(())
     }
@@ -154,7 +153,7 @@ impl Clip {
         for &facet in &self.pass.walked {
             let start = neighbours.host.first[facet as usize];
             let diagram = neighbours.diagram(cx);
-            self.walker.walk(diagram, facet, start, cx.capacities, &mut ignored, |i, clipper| {
+            self.walker.walk(None, diagram, facet, start, &mut ignored, |i, clipper| {
                 push(facet, i, neighbours.host.seen[i as usize], clipper.polygon(), out);
             });
         }

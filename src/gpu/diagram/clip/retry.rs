@@ -1,6 +1,7 @@
 //! What becomes of pairs that did not end.
 //!
-//! Purpose: says who gets a longer row, who more slots, and who is finished in f64; and finishes those.
+//! Purpose: sorts failed pairs into those that get a longer row, those that get more slots and those finished in f64, and
+//! finishes the last.
 //! Invariant: nothing is dropped. A pair that is launched again sees a longer prefix of the same row, so capacities cannot
 //! change its polygon.
 //! Must not know: how pairs are launched.
@@ -20,7 +21,6 @@ use geometry::rvd::incident::FacetWalker;
 use geometry::rvd::{PassStats, RvdError};
 use geometry::token::Token;
 
-/// A facet and a cell.
 pub(crate) type Pair = (u32, u32);
 
 /// What is to be done with the pairs that failed.
@@ -139,13 +139,13 @@ impl Clip {
         let mut ended = Ended::default();
         let diagram = neighbours.diagram(cx);
         if neighbours.host.first[facet as usize] == seed {
-            walker.walk(diagram, facet, seed, cx.capacities, &mut ignored, |i, clipper| {
+            walker.walk(None, diagram, facet, seed, &mut ignored, |i, clipper| {
                 ended.sums.push((i, fixed::encode(&clipper.integrals(), &self.scales)));
             });
             ended.walked = true;
             return ended;
         }
-        walker.clip_to_end(diagram, facet, seed, cx.capacities, &mut ignored);
+        walker.clip(None, diagram, facet, seed, &mut ignored);
         let clipper = walker.clipper();
         if !clipper.polygon().is_empty() {
             ended.sums.push((seed, fixed::encode(&clipper.integrals(), &self.scales)));

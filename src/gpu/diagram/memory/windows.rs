@@ -23,60 +23,43 @@ pub(crate) struct Windows {
     pairs_per_cell: f64,
     /// What that has grown by.
     grown: f64,
-    /// Never empty.
-    windows: Vec<Window>,
+    /// By facet; never empty.
+    pub all: Vec<Window>,
     /// The window at work.
-    present: usize,
+    pub present: usize,
 }
 
 impl Windows {
-    /// For facets that meet so many cells each, with room for `pairs_per_cell` pairs for each.
+    /// For facets that are expected to meet these numbers of cells, with room for `pairs_per_cell` pairs for each.
     pub(crate) fn new(expected: &[f64], pairs_per_cell: f64) -> Self {
         let all = Window { facets: 0..expected.len() as u32, slots: 0, pairs: 0 };
         Self {
             expected: expected.iter().map(|&e| e as f32).collect(),
             pairs_per_cell,
             grown: 1.0,
-            windows: vec![all],
+            all: vec![all],
             present: 0,
         }
     }
 
-    /// All of them, by facet.
-    pub(crate) fn all(&self) -> &[Window] {
-        &self.windows
-    }
-
-    /// Facets of the window at work.
     pub(crate) fn facets(&self) -> Range<u32> {
-        self.windows.get(self.present).map_or(0..0, |w| w.facets.clone())
+        self.all.get(self.present).map_or(0..0, |w| w.facets.clone())
     }
 
     /// The window at work is the last one.
     pub(crate) fn is_last(&self) -> bool {
-        self.present + 1 >= self.windows.len()
+        self.present + 1 >= self.all.len()
     }
 
-    /// Which window is at work.
-    pub(crate) fn present(&self) -> usize {
-        self.present
-    }
-
-    /// Turns to window `k`.
-    pub(crate) fn turn_to(&mut self, k: usize) {
-        self.present = k;
-    }
-
-    /// The window that `facet` is in.
     pub(crate) fn window_of(&self, facet: u32) -> usize {
-        self.windows.partition_point(|w| w.facets.end <= facet).min(self.windows.len() - 1)
+        self.all.partition_point(|w| w.facets.end <= facet).min(self.all.len() - 1)
     }
 
     /// Cuts the facets anew, for sets of cells of these sizes.
     pub(crate) fn cut(&mut self, slots_log2: &[u8], limits: Limits) {
         let (expected, per_cell) = (&self.expected, self.pairs_per_cell * self.grown);
         let need = |(&e, &log2): (&f32, &u8)| Need { slots: 1 << log2, pairs: per_cell * f64::from(e) };
-        self.windows = plan::windows(expected.iter().zip(slots_log2).map(need), self.spare(), limits);
+        self.all = plan::windows(expected.iter().zip(slots_log2).map(need), self.spare(), limits);
         self.present = 0;
     }
 

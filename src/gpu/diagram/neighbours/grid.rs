@@ -27,14 +27,14 @@ const NEIGHBOURHOOD: f64 = 3.6;
 /// No more than this share of the seeds may be farther apart than rows are found.
 const FAR_APART: f64 = 0.01;
 
-/// The most that [`grid_side_for`] gives for so many seeds with weights, whatever the surface.
+/// The most that [`grid_side_for`] gives for `seeds` seeds with weights, whatever the surface.
 pub(crate) fn finest_side(seeds: u64) -> u32 {
     // Few seeds fill no cell, so the grid stays as it was.
     let even = grid_side(0.0, seeds);
     if (seeds as f64) <= FULL { even } else { even.saturating_mul(2).min(FINEST) }
 }
 
-/// Grid cells along each side of the unit box for so many seeds.
+/// Grid cells along each side of the unit box for `seeds` seeds.
 pub(crate) fn grid_side_for(surface: &Surface, seeds: usize) -> u32 {
     let mut side = grid_side(surface.area(), seeds as u64);
     if surface.is_uniform() {

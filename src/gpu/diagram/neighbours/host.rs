@@ -79,7 +79,7 @@ impl Neighbours {
     /// For the pairs that the host does; [`Self::view`] comes before.
     pub(crate) fn diagram<'a>(&'a self, cx: &'a Context) -> Diagram<'a> {
         let HostCopy { seen, index, table, .. } = &self.host;
-        Diagram { surface: &cx.surface, seeds: seen, index, table }
+        Diagram { surface: &cx.surface, seeds: seen, index, table, capacities: cx.capacities }
     }
 
     /// Rows and first cells by the host's tree. Whether the table has room for them; if so, they are to be uploaded.
@@ -147,7 +147,6 @@ impl Neighbours {
         Ok(true)
     }
 
-    /// Uploads the rows of the host's search.
     pub(crate) fn upload_rows(&self, cx: &Context, memory: &Memory) -> Result<(), RvdError> {
         let buffers = &memory.there()?.buffers;
         write(&cx.device, &buffers.seeds, 0, &self.host.records)?;

@@ -9,9 +9,9 @@ use geometry::rvd::Together;
 /// A submission of several passes is not to take longer, by what the last ones took.
 const SUBMISSION_MS: f64 = 100.0;
 
-/// How many passes the next submission may have.
+/// Learns how many passes a submission may have.
 pub(crate) struct Batch {
-    /// So many.
+    /// Passes of the next submission.
     pub count: usize,
     by: Together,
 }

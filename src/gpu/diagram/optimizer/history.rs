@@ -25,7 +25,6 @@ pub(super) struct History {
 }
 
 impl History {
-    /// Empties it.
     pub(super) fn clear(&mut self) {
         self.order.clear();
     }
@@ -41,7 +40,6 @@ impl History {
         }
     }
 
-    /// Whether there is no pair.
     pub(super) fn is_empty(&self) -> bool {
         self.order.is_empty()
     }
@@ -128,7 +126,6 @@ mod tests {
         a.iter().zip(b).map(|(x, y)| x * y).sum()
     }
 
-    /// Multiplies `v` by the preconditioner.
     fn preconditioned(v: &[f64], preconditioner: &[f64]) -> Vec<f64> {
         v.iter().zip(preconditioner).map(|(v, preconditioner)| v * preconditioner).collect()
     }

@@ -35,7 +35,7 @@ pub(crate) enum Step {
     Taken,
 }
 
-/// What a session has once somebody moves its seeds.
+/// What a session has once its seeds are moved.
 pub(crate) struct Moving {
     pub buffers: OptimizerBuffers,
     pub(super) bindings: Option<OptimizerBindings>,
@@ -59,7 +59,6 @@ pub(crate) struct Moving {
 }
 
 impl Moving {
-    /// Allocates the buffers.
     pub(super) fn new(cx: &Context, together: Together) -> Result<Self, RvdError> {
         let plan = OptimizerPlan::new(cx.max_seeds as u64, cx.limits())?;
         Ok(Self {
@@ -78,7 +77,6 @@ impl Moving {
         })
     }
 
-    /// Sets which seeds are held.
     pub(crate) fn hold(&mut self, cx: &Context, held: &[bool]) -> Result<(), RvdError> {
         let words: Vec<u32> = held.iter().map(|&h| u32::from(h)).collect();
         write(&cx.device, &self.buffers.held, 0, &words)?;

@@ -36,8 +36,8 @@ impl GpuSession {
     fn attempt_sums(&mut self, token: &Token, stats: &mut PassStats) -> Result<bool, RvdError> {
         self.search_apart(token)?;
         let (mut finished, mut pairs) = (Vec::new(), 0);
-        for k in 0..self.memory.windows.all().len() {
-            self.memory.windows.turn_to(k);
+        for k in 0..self.memory.windows.all.len() {
+            self.memory.windows.present = k;
             if !self.attempt(self.memory.windows.facets(), Wants::Sums, token, stats)? {
                 return Ok(false);
             }
@@ -53,7 +53,7 @@ impl GpuSession {
     /// then known before any is added up.
     fn search_apart(&mut self, token: &Token) -> Result<(), RvdError> {
         self.ensure_memory()?;
-        if self.memory.windows.all().len() > 1 {
+        if self.memory.windows.all.len() > 1 {
             self.search_now(token)?;
             self.start_now(token)?;
             self.ensure_memory()?;
@@ -72,7 +72,7 @@ impl GpuSession {
         loop {
             // Where a capacity has grown, windows may be smaller.
             self.search_apart(token)?;
-            self.memory.windows.turn_to(self.memory.windows.window_of(facets.start));
+            self.memory.windows.present = self.memory.windows.window_of(facets.start);
             let part = facets.start..facets.end.min(self.memory.windows.facets().end);
             if self.attempt(part.clone(), Wants::Pairs, token, stats)? {
                 stats.pairs += self.clip.pass.pairs;
@@ -127,7 +127,7 @@ impl GpuSession {
         self.clip.choose(wants, self.neighbours.rows);
         let roots = self.clip.roots_params(&self.cx, &self.memory, &self.neighbours, &facets);
         let mut encoder = self.cx.device.encoder();
-        let begins = wants == Wants::Sums && self.memory.windows.present() == 0;
+        let begins = wants == Wants::Sums && self.memory.windows.present == 0;
         let sums = begins.then_some(self.neighbours.count);
         self.clip.encode_clears(&self.memory, &mut encoder, &facets, sums)?;
         self.clip.write_state(&self.cx, &self.memory, State::default())?;

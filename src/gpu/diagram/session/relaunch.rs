@@ -3,7 +3,7 @@
 //! Purpose: longer rows for `NeighboursExhausted`, more slots for `PolygonOverflow`, f64 for the
 //! rest; then the pairs are put to the end of the list and launched again. What the device has seen
 //! to itself (the stages `lengthen` and `overflow`) does not come here.
-//! Invariant: nothing is dropped. Must not know: who needs what.
+//! Invariant: nothing is dropped. Must not know: what each pair lacks.
 
 use std::collections::HashMap;
 

@@ -32,7 +32,7 @@ impl GpuSession {
         self.open_optimizer()?;
         self.ensure_memory()?;
         // Windows come one after another, and facets that are found by cell have to be proved first.
-        let alone = self.memory.windows.all().len() == 1 && self.clip.near.side == 0;
+        let alone = self.memory.windows.all.len() == 1 && self.clip.near.side == 0;
         let together = steps.min(self.optimizer.there()?.batch.count);
         let before = self.work();
         let begin = Instant::now();
@@ -90,7 +90,7 @@ impl GpuSession {
 
     /// State and totals of `count` passes and steps in one submission, and the first cells that each entered.
     fn submit_together(&mut self, count: usize) -> Result<(Vec<(State, Totals)>, u32), RvdError> {
-        // Where long stages are submitted on the way, steps are taken that no evaluation would tell of.
+        // Where long stages are submitted on the way, a stop would leave steps without an evaluation.
         let to_the_end = Token::default();
         self.point_changed();
         self.neighbours.place = Place::Point;

@@ -5,7 +5,6 @@
 //! Invariant: the optimizer is asked only when the device has the sums and gradients that it needs.
 //! Must not know: what a search along the direction looks for.
 
-use std::sync::Arc;
 use std::time::Instant;
 
 use glam::DVec3;
@@ -146,42 +145,36 @@ impl Resident for GpuSession {
     }
 
     fn evaluate(&mut self, token: &Token) -> Result<Evaluation, RvdError> {
-        let pool = Arc::clone(&self.cx.pool);
-        pool.install(|| {
-            self.open_optimizer()?;
-            self.evaluate_at(Place::Point, token)
+        self.on_pool(|session| {
+            session.open_optimizer()?;
+            session.evaluate_at(Place::Point, token)
         })
     }
 
     fn to_centroids(&mut self) -> Result<(), RvdError> {
-        let pool = Arc::clone(&self.cx.pool);
-        pool.install(|| self.step_to_centroids())
+        self.on_pool(|session| session.step_to_centroids())
     }
 
     fn relax(&mut self, steps: usize, evaluations: &mut Vec<Evaluation>, token: &Token) -> Result<(), RvdError> {
-        let pool = Arc::clone(&self.cx.pool);
-        pool.install(|| self.take_steps(steps.max(1), evaluations, token))
+        self.on_pool(|session| session.take_steps(steps.max(1), evaluations, token))
     }
 
     fn search_direction(&mut self) -> Result<f64, RvdError> {
-        let pool = Arc::clone(&self.cx.pool);
-        pool.install(|| self.find_direction())
+        self.on_pool(|session| session.find_direction())
     }
 
     fn probe(&mut self, step: f64, token: &Token) -> Result<Evaluation, RvdError> {
-        let pool = Arc::clone(&self.cx.pool);
-        pool.install(|| {
-            self.open_optimizer()?;
-            if !self.optimizer.there()?.directed {
+        self.on_pool(|session| {
+            session.open_optimizer()?;
+            if !session.optimizer.there()?.directed {
                 return Err(RvdError::Internal("no direction to try".to_owned()));
             }
-            self.evaluate_at(Place::Trial(step as f32), token)
+            session.evaluate_at(Place::Trial(step as f32), token)
         })
     }
 
     fn accept(&mut self) -> Result<(), RvdError> {
-        let pool = Arc::clone(&self.cx.pool);
-        pool.install(|| self.accept_trial())
+        self.on_pool(|session| session.accept_trial())
     }
 
     fn clear_history(&mut self) {
@@ -198,13 +191,12 @@ impl Resident for GpuSession {
     }
 
     fn read_sums(&mut self, out: &mut CellSums) -> Result<(), RvdError> {
-        let pool = Arc::clone(&self.cx.pool);
-        pool.install(|| {
-            self.open_optimizer()?;
-            if !self.optimizer.there()?.has_sums() {
-                self.evaluate_at(Place::Point, &Token::default())?;
+        self.on_pool(|session| {
+            session.open_optimizer()?;
+            if !session.optimizer.there()?.has_sums() {
+                session.evaluate_at(Place::Point, &Token::default())?;
             }
-            self.download_sums(out)
+            session.download_sums(out)
         })
     }
 }

@@ -19,9 +19,6 @@ use geometry::token::Token;
 impl Gpu {
     /// Searches for the neighbours of each of `sets` of seeds (unit frame) in turn and the first cells of `surface`, as
     /// every pass of one session does, and shows what was found.
-    ///
-    /// # Errors
-    /// Those of a pass.
     pub fn search(
         &self,
         surface: Arc<Surface>,
@@ -104,8 +101,8 @@ impl GpuSession {
         }
         self.ensure_memory()?;
         let mut all = State::default();
-        for k in 0..self.memory.windows.all().len() {
-            self.memory.windows.turn_to(k);
+        for k in 0..self.memory.windows.all.len() {
+            self.memory.windows.present = k;
             self.clip.write_params(&self.cx, &self.memory, self.params())?;
             self.clip.write_state(&self.cx, &self.memory, State::default())?;
             let mut encoder = self.cx.device.encoder();

@@ -1,7 +1,7 @@
 //! Seeds that have left their skin.
 //!
 //! Purpose: a few seeds that move farther than the others need not void the lists of all facets. Facets that an escaped seed
-//! concerns are told apart, and get lists for one pass.
+//! concerns get lists for one pass.
 //! Invariant: all other seeds are within their skin. So a list holds that has no escaped seed, on a facet that none reaches. An
 //! escaped seed reaches a facet where it may be nearer to some corner than a seed within its skin is. Beyond that, the latter
 //! beats it at all three corners.
@@ -67,7 +67,6 @@ impl Reach {
     }
 }
 
-/// A box.
 #[derive(Clone, Copy)]
 pub(crate) struct Bounds {
     pub low: DVec3,
@@ -108,7 +107,7 @@ impl Bounds {
 
 impl Escaped {
     /// Finds those that are not within `used` of their skin about where they were; seeds that were not there have escaped
-    /// too. Returns whether there are at most so many; nothing is known of them otherwise.
+    /// too. Returns whether there are at most `most`; nothing is known of them otherwise.
     pub(crate) fn find(&mut self, seeds: &[DVec3], were: &[DVec3], (skin, used): (Skin<'_>, f64), most: usize) -> bool {
         let has_left = |i: usize| {
             let Some(was) = were.get(i) else { return true };
@@ -132,7 +131,6 @@ impl Escaped {
         true
     }
 
-    /// Whether a seed is one.
     pub(crate) fn contains(&self, seed: u32) -> bool {
         self.has_escaped[seed as usize]
     }

@@ -76,7 +76,8 @@ impl Skin<'_> {
 pub(crate) struct Gatherer {
     looked_at: Vec<u32>,
     kept: Vec<Kept>,
-    list: Vec<u32>,
+    /// Those that were gathered last; some may be beaten by others.
+    pub list: Vec<u32>,
 }
 
 /// A seed around a facet.
@@ -97,11 +98,6 @@ struct View {
 }
 
 impl Gatherer {
-    /// Those that were gathered last; some may be beaten by others.
-    pub(crate) fn list(&self) -> &[u32] {
-        &self.list
-    }
-
     /// Finds the seeds that count on the facet with these corners, beginning at any seed; the nearer, the
     /// sooner. Returns a seed of those that is nearer to the facet's centroid, if there is one, and whether there are few
     /// enough.

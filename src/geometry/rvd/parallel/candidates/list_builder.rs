@@ -88,7 +88,7 @@ impl WithSimd for Evenly<'_> {
                     unlisted += 1;
                     few = gatherer.gather_from(diagram, (Skin::NONE, Few::TO_WALK), &corner, *start);
                 }
-                out.push(gatherer.list().iter().copied());
+                out.push(gatherer.list.iter().copied());
                 bounds = bounds.with(Reach::of(diagram, skin, &corner, *start).bounds());
                 few
             };
@@ -186,7 +186,7 @@ impl Renew<'_> {
                     return false;
                 }
                 out.copy(lists, next..at);
-                let steady = gatherer.list().iter().copied().filter(|&seed| !escaped.contains(seed));
+                let steady = gatherer.list.iter().copied().filter(|&seed| !escaped.contains(seed));
                 let new = escaped.within(reach.bounds()).filter(|(p, _)| reach.holds(*p));
                 out.push(steady.chain(new.map(|(_, seed)| seed)));
                 next = at + 1;
@@ -254,7 +254,7 @@ impl ListBuilder {
                 unlisted += 1;
                 (_, few) = gatherer.gather(diagram, (Skin::NONE, most), &corner, centroid, *start);
             }
-            out.push(gatherer.list().iter().copied().take(if few { usize::MAX } else { 0 }));
+            out.push(gatherer.list.iter().copied().take(if few { usize::MAX } else { 0 }));
         }
         if !skin.is_none() {
             out.bounds.extend(facets.chunks(GROUP).zip(starts.chunks(GROUP)).map(|(facets, starts)| {

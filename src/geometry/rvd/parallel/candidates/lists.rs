@@ -1,7 +1,7 @@
 //! Lists of seeds, one for each facet.
 //!
 //! Purpose: the lists of a chunk of facets as compressed sparse rows.
-//! Invariant: as many lists as facets. Must not know: who is listed.
+//! Invariant: as many lists as facets. Must not know: which seeds are listed.
 
 use std::ops::Range;
 
@@ -12,8 +12,8 @@ use super::escaped::Bounds;
 pub(crate) struct Lists {
     ends: Vec<u32>,
     seeds: Vec<u32>,
-    /// Of each group of [`super::neighbourhood::GROUP`] facets, who may be nearer to a corner than the seed that the facet starts
-    /// with.
+    /// For each group of [`super::neighbourhood::GROUP`] facets, the box of seeds that may be nearer to a corner than the
+    /// facet's start.
     pub bounds: Vec<Bounds>,
 }
 
@@ -29,7 +29,7 @@ impl Lists {
         self.ends.push(self.seeds.len() as u32);
     }
 
-    /// Appends a list of so many, which are to be written there.
+    /// Appends a list of `len` seeds to be written.
     #[inline(always)]
     pub(crate) fn end(&mut self, len: usize) -> &mut [u32] {
         let begin = self.seeds.len();
@@ -56,7 +56,6 @@ impl Lists {
         if at == 0 { 0 } else { self.ends[at - 1] }
     }
 
-    /// How many lists there are.
     pub(crate) fn len(&self) -> usize {
         self.ends.len()
     }

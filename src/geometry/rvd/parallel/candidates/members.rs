@@ -10,7 +10,6 @@ use pulp::{Simd, WithSimd};
 
 use super::gather::Skin;
 use super::lists::Lists;
-use crate::rvd::Capacities;
 use crate::rvd::incident::Diagram;
 use crate::rvd::parallel::divide::facets::{Facets, Given, InTurn, LISTED, MEMBERS, beats};
 use crate::rvd::parallel::divide::lanes::Number;
@@ -25,7 +24,6 @@ pub(crate) struct Listed<'a> {
     /// A seed near each facet.
     pub starts: &'a [u32],
     pub lists: &'a Lists,
-    pub capacities: Capacities,
     /// There are rows of neighbours, and facets with many members are walked by them.
     pub by_rows: bool,
 }
@@ -106,7 +104,7 @@ impl Chooser {
 }
 
 impl LongLists {
-    /// The list of which a facet's `members` say who is one.
+    /// The list in which the bits of a facet's `members` count.
     #[inline(always)]
     pub(crate) fn list<'a>(&'a self, listed: Listed<'a>, at: usize) -> &'a [u32] {
         match self.of[at] {
@@ -115,7 +113,7 @@ impl LongLists {
         }
     }
 
-    /// One facet's members in the order of their numbers; `members` says who is one, if its list is not long.
+    /// One facet's members in the order of their numbers; `members` has their bits, if its list is not long.
     pub(crate) fn among(&mut self, listed: Listed<'_>, at: usize, members: u32) -> &FacetMembers {
         let mut among = std::mem::take(&mut self.among);
         let all = self.of[at] != 0;

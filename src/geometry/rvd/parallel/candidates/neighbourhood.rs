@@ -16,8 +16,8 @@ use crate::rvd::parallel::divide::lanes::{Mask, Number, Row, WIDEST};
 
 /// Facets that are looked around together.
 pub(crate) const GROUP: usize = 16;
-/// They are taken by halves where the halves lie so far apart that two boxes around them are smaller than one; but not
-/// further than so many, which fill some lanes.
+/// They are taken by halves where the halves lie so far apart that two boxes around them are smaller than one; parts
+/// keep at least about this many facets, which fill some lanes.
 const APART: usize = 4;
 /// Seeds that are looked at for them. They are far more where seeds are dense somewhere near.
 const LOOKED_AT: usize = 1024;
@@ -136,7 +136,7 @@ impl Neighbourhood {
                 }
                 bits = bits + counts.choose(Number::all(simd, bit), zero);
                 bit *= 2.0;
-                // Who is nearest to the centroid has the least sum of squared distances from the corners, and counts.
+                // The seed nearest to the centroid has the least sum of squared distances from the corners, and counts.
                 let nearer = sum.below(least);
                 (least, nearest) = (sum.smaller(least), nearer.choose(Number::all(simd, at), nearest));
                 at += 1.0;

@@ -94,7 +94,7 @@ pub(crate) struct Verlet<'a> {
 }
 
 impl VerletLists {
-    /// Whether the lists, so many facets to a chunk, hold for these seeds, but for a few escaped seeds. The index must
+    /// Whether the lists, in chunks of `facets`, hold for these seeds, but for a few escaped seeds. The index must
     /// be there for those.
     pub(crate) fn hold(&mut self, seeds: &[DVec3], facets: usize) -> bool {
         if !self.there || self.facets != facets || self.made_at.len() > seeds.len() {
@@ -104,7 +104,7 @@ impl VerletLists {
         self.hold_but_for(few, seeds)
     }
 
-    /// The same for so many escaped seeds at most.
+    /// The same for at most `escaped` escaped seeds.
     fn hold_but_for(&mut self, escaped: usize, seeds: &[DVec3]) -> bool {
         let skin = skin(self.share, self.most, &self.width);
         self.escaped.find(seeds, &self.made_at, (skin, USED), escaped)
@@ -253,7 +253,7 @@ impl VerletLists {
         self.made_at.extend_from_slice(seeds);
     }
 
-    /// What was chosen, and the lists of so many chunks of so many facets.
+    /// What was chosen, and the lists by chunk of `facets` facets.
     pub(crate) fn split(&mut self, chunks: usize, facets: usize) -> (Verlet<'_>, &mut [Lists]) {
         self.facets = facets;
         self.chunks.resize_with(chunks, Lists::default);
@@ -315,7 +315,7 @@ impl VerletLists {
     }
 }
 
-/// How far a seed comes in so many moves, as a multiple of its last one, if each is `goes_on` times the one before.
+/// How far a seed comes in this number of moves, as a multiple of its last one, if each is `goes_on` times the one before.
 fn goes_on_for(goes_on: f64, moves: f64) -> f64 {
     match goes_on < 1.0 {
         true => goes_on * (1.0 - goes_on.powf(moves)) / (1.0 - goes_on),
@@ -334,8 +334,7 @@ mod tests {
 
     #[test]
     fn seeds_that_could_meet_are_found_beside_dense_ones() {
-        // A wide grid, and between four of its seeds so many cells of a fiftieth the width that whoever looks as far as the
-        // widest skin goes sees too many.
+        // A wide grid, and between four of its seeds cells of a fiftieth the width: too many within the widest skin.
         let wide = (0..900).map(|k| DVec3::new((k % 30) as f64, (k / 30) as f64, 0.0));
         let dense = (0..900).map(|k| DVec3::new(14.2 + (k % 30) as f64 / 50.0, 14.2 + (k / 30) as f64 / 50.0, 0.0));
         let last: Vec<DVec3> = wide.chain(dense).collect();

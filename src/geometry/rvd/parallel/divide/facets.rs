@@ -186,7 +186,7 @@ pub(crate) struct Turn<'a> {
 }
 
 impl InTurn {
-    /// The turns that it takes for facets, so many to a group.
+    /// The turns for groups of `lanes` facets.
     pub(crate) fn turns(facets: &[u32], lanes: usize) -> impl Iterator<Item = Turn<'_>> {
         let groups = facets.chunks(lanes).map(Some);
         let set = groups.clone().chain([None]);

@@ -21,7 +21,7 @@ use crate::rvd::parallel::divide::facets::{Found, InTurn, MEMBERS};
 use crate::rvd::parallel::divide::lanes::Number;
 use crate::rvd::parallel::divide::moments::{UNIFORM, WEIGHTED};
 use crate::rvd::parallel::order::Stretch;
-use crate::rvd::{Capacities, CellSums, PassStats, PieceBatch, start};
+use crate::rvd::{CellSums, PassStats, PieceBatch, start};
 use crate::token::Token;
 
 /// What one task found. Reused from wave to wave.
@@ -46,7 +46,6 @@ pub(crate) struct Task<'a> {
     /// The places about which seeds have their skin, if those are not where they are; then the index is of the places.
     pub about: Option<&'a [DVec3]>,
     pub skin: Skin<'a>,
-    pub capacities: Capacities,
     /// Facets with many members are walked by rows.
     pub by_rows: bool,
     /// Seeds are spread evenly, and there are no rows.
@@ -58,8 +57,7 @@ pub(crate) struct Task<'a> {
 impl<'a> Task<'a> {
     /// Of facets with lists.
     pub(crate) fn listed(&self, facets: Stretch<'a>, starts: &'a [u32], lists: &'a Lists) -> Listed<'a> {
-        let Self { diagram, capacities, by_rows, .. } = *self;
-        Listed { diagram, facets, starts, lists, capacities, by_rows }
+        Listed { diagram: self.diagram, facets, starts, lists, by_rows: self.by_rows }
     }
 }
 
@@ -169,14 +167,14 @@ impl Walkers {
     /// change roundings.
     fn walk(&mut self, listed: Listed<'_>, stats: &mut PassStats) {
         let Self { chooser: Chooser { members, long, .. }, walker, to_walk, to_clip, written, .. } = self;
-        let Listed { diagram, facets, starts, lists, capacities, by_rows } = listed;
+        let Listed { diagram, facets, starts, lists, by_rows } = listed;
         for (k, &(at, slot)) in to_clip.iter().enumerate() {
             if k.is_multiple_of(ASKED) && walker.is_stopped() {
                 break;
             }
             let among = long.among(listed, at as usize, members[at as usize]);
             let (seed, sum) = (&mut written.seeds[slot], &mut written.integrals[slot]);
-            walker.clip_listed(&among.seeds, diagram, facets.facet(at as usize), *seed, capacities, stats);
+            walker.clip(Some(&among.seeds), diagram, facets.facet(at as usize), *seed, stats);
             if walker.clipper().polygon().is_empty() {
                 *seed = NONE;
             } else {
@@ -192,15 +190,15 @@ impl Walkers {
             let at = at as usize;
             let (facet, centroid) = (facets.facet(at), facets.centroid(at));
             let visit = |i: u32, clipper: &Clipper| written.walked.push((i, clipper.integrals()));
-            // Who has many members was not tried, and is found by rows, if there are any.
+            // A facet with many members was not tried. It is walked by rows, if there are any.
             let many = !(1..=MEMBERS as u32).contains(&members[at].count_ones());
             if lists.get(at).is_empty() || many && by_rows {
                 let start = start::nearest(diagram, centroid, starts[at]);
-                walker.walk(diagram, facet, start, capacities, stats, visit);
+                walker.walk(None, diagram, facet, start, stats, visit);
             } else {
                 let among = long.among(listed, at, members[at]);
                 let nearest = among.nearest(diagram, centroid);
-                walker.walk_listed(&among.seeds, diagram, facet, nearest, capacities, stats, visit);
+                walker.walk(Some(&among.seeds), diagram, facet, nearest, stats, visit);
             }
             written.end_walk(at);
         }
@@ -288,15 +286,7 @@ impl Chunk {
 
     /// Pieces of the facets from `first` on, as many as there are `starts`, their nearest seeds; of those without area
     /// too if they are wanted.
-    pub(crate) fn cut(
-        &mut self,
-        walkers: &mut Walkers,
-        diagram: Diagram<'_>,
-        first: u32,
-        starts: &[u32],
-        capacities: Capacities,
-        flat: bool,
-    ) {
+    pub(crate) fn cut(&mut self, walkers: &mut Walkers, diagram: Diagram<'_>, first: u32, starts: &[u32], flat: bool) {
         self.begin();
         let surface = diagram.surface;
         let Self { pieces, stats, .. } = self;
@@ -305,7 +295,7 @@ impl Chunk {
                 break;
             }
             if if flat { surface.joins(facet as usize) } else { !surface.skips(facet as usize) } {
-                walkers.walker.walk(diagram, facet, start, capacities, stats, |i, clipper| {
+                walkers.walker.walk(None, diagram, facet, start, stats, |i, clipper| {
                     let origin = diagram.seeds[i as usize];
                     pieces.push(facet, i, clipper.polygon().iter().map(|v| (origin + v.p, v.w, v.edge)));
                 });
@@ -324,7 +314,7 @@ fn sorted(list: &[u32], mut members: u32, out: &mut [u32]) {
         seed
     };
     match out {
-        // Without a jump that depends on who is first, for most facets.
+        // Without a jump that depends on the order, for most facets.
         [one] => *one = next(),
         [one, two] => {
             let (a, b) = (next(), next());
@@ -377,9 +367,9 @@ mod tests {
     use super::*;
     use crate::knn::{SeedIndex, Threads};
     use crate::mesh::shapes::Shape;
-    use crate::rvd::Surface;
     use crate::rvd::parallel::candidates::gather::{Few, Gatherer};
     use crate::rvd::parallel::order::Order;
+    use crate::rvd::{Capacities, Surface};
 
     /// What a chunk of all facets finds with registers of one kind.
     fn found<S: Simd>(simd: S, listed: Listed<'_>) -> Vec<(u32, Integrals)> {
@@ -407,7 +397,8 @@ mod tests {
             let index = SeedIndex::new(&seeds);
             let mut table = NeighbourTable::default();
             assert!(table.fill(&index, 24, Threads::One, &|| false));
-            let diagram = Diagram { surface: &surface, seeds: &seeds, index: &index, table: &table };
+            let capacities = Capacities::default();
+            let diagram = Diagram { surface: &surface, seeds: &seeds, index: &index, table: &table, capacities };
             let (mut lists, mut gatherer) = (Lists::default(), Gatherer::default());
             let mut order = Order::default();
             order.begin(&surface);
@@ -417,17 +408,10 @@ mod tests {
                 let (_, few) =
                     gatherer.gather(diagram, (Skin::NONE, Few::TO_WALK), &corner, centroid, index.near(centroid));
                 assert!(few);
-                lists.push(gatherer.list().iter().copied());
+                lists.push(gatherer.list.iter().copied());
             }
             let starts = vec![0; facets.len()];
-            let listed = Listed {
-                diagram,
-                facets,
-                starts: &starts,
-                lists: &lists,
-                capacities: Capacities::default(),
-                by_rows: false,
-            };
+            let listed = Listed { diagram, facets, starts: &starts, lists: &lists, by_rows: false };
             let want = found(pulp::Scalar::new(), listed);
             let area: f64 = want.iter().map(|(_, sum)| sum.area).sum();
             assert!((area - surface.area()).abs() < 1e-13, "{area}");

@@ -72,7 +72,7 @@ impl Written {
         self.inserts.push(Insert { at, end: self.walked.len() });
     }
 
-    /// Appends the sums of all cells, block by block of so many facets. `seeds` is how many there are.
+    /// Appends the sums of all cells in blocks of `block` facets. `seeds` is the number of seeds.
     pub(super) fn add_blocks(&mut self, block: usize, seeds: usize, out: &mut Vec<(u32, Integrals)>) {
         if self.place.len() != seeds {
             self.place.clear();
