@@ -13,7 +13,7 @@ use super::say::SayArgs;
 use super::{files, interrupt, say};
 use geometry::mesh::TriMesh;
 use geometry::mesh::io::Format;
-use geometry::mesh::measure::{Quality, Topology, quality_unless, topology};
+use geometry::mesh::measure::{Quality, Topology, quality_and_distances, topology};
 use geometry::token::Token;
 
 /// Measure a mesh: its triangles, its topology, and how far it is from the mesh that it was made from.
@@ -95,7 +95,8 @@ pub(crate) fn run(args: &MeasureArgs) -> Result<()> {
     }
     let original = read(&args.original)?;
     let remesh = args.remesh.as_ref().map(|path| Ok::<_, anyhow::Error>((path, read(path)?))).transpose()?;
-    let quality = quality_unless(&original, None, remesh.as_ref().map_or(&original, |(_, mesh)| mesh), &token)?;
+    let result = remesh.as_ref().map_or(&original, |(_, mesh)| mesh);
+    let (quality, _) = quality_and_distances(&original, None, result, &token)?;
     let measured = Measured {
         original: Surface::new(&args.original, &original),
         remesh: remesh.map(|(path, mesh)| Surface::new(path, &mesh)),

@@ -9,15 +9,30 @@
 mod grid;
 mod index;
 mod kdtree;
-mod row;
 mod table;
 #[cfg(test)]
 mod tests;
 
 pub use index::SeedIndex;
-pub use row::NeighbourRow;
-pub use row::Threads;
 pub use table::NeighbourTable;
+
+/// One seed's neighbours.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct NeighbourRow {
+    /// Other seeds, nearest first.
+    pub seeds: Vec<u32>,
+    /// Whether no other seed can matter, so that the row cannot be exhausted.
+    pub complete: bool,
+}
+
+/// The threads that build an index or a table.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Threads {
+    /// The calling thread alone.
+    One,
+    /// All threads of the present rayon pool.
+    Pool,
+}
 
 /// The squared distance that orders all rows, with the same rounding in every search.
 pub fn squared_distance(a: &[f64; 3], b: &[f64; 3]) -> f64 {

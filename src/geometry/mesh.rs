@@ -1,6 +1,6 @@
 //! Triangle surfaces.
 //!
-//! Purpose: one validated type, [`TriMesh`], that higher rooms can trust, and operations on a single surface: files,
+//! Purpose: one validated type, [`TriMesh`], that other modules can trust, and operations on a single surface: files,
 //! adjacency, samples, closest points, quality.
 //! Invariant: a `TriMesh` has finite positions, indices in range and at least one facet with an area. Facets without area
 //! stay in the list, so that facet numbers are the caller's, and are marked [`TriMesh::is_degenerate`]; integration ignores
@@ -50,18 +50,14 @@ pub struct TriMesh {
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum MeshError {
     /// A coordinate is NaN or infinite.
-    #[error("vertex {vertex} has a coordinate that is not finite: ({x}, {y}, {z})")]
+    #[error("vertex {vertex} has a coordinate that is not finite: ({}, {}, {})", .position.x, .position.y, .position.z)]
     NonFinitePosition {
         /// Index of the vertex, from 0.
         vertex: usize,
-        /// Its coordinates as given.
-        x: f64,
-        /// Second coordinate.
-        y: f64,
-        /// Third coordinate.
-        z: f64,
+        /// Its position as given.
+        position: DVec3,
     },
-    /// A corner names a vertex that is not there.
+    /// A corner names a vertex that does not exist.
     #[error("facet {facet}, corner {corner} names vertex {index}, but there are {vertices} vertices (0 to {})", .vertices.saturating_sub(1))]
     IndexOutOfRange {
         /// Index of the facet, from 0.
@@ -79,7 +75,7 @@ pub enum MeshError {
     /// Every facet is a point or a segment.
     #[error("none of the {facets} facets has an area; the surface is empty")]
     NoArea {
-        /// How many facets were given.
+        /// Number of facets.
         facets: usize,
     },
     /// More than 2^31 - 1 vertices or facets.
@@ -137,8 +133,7 @@ impl TriMesh {
             return Err(MeshError::NoFacets);
         }
         if let Some(vertex) = positions.par_iter().position_first(|p| !p.is_finite()) {
-            let [x, y, z] = positions[vertex].to_array();
-            return Err(MeshError::NonFinitePosition { vertex, x, y, z });
+            return Err(MeshError::NonFinitePosition { vertex, position: positions[vertex] });
         }
         let outside = |&index: &u32| index as usize >= positions.len();
         if let Some(facet) = facets.par_iter().position_first(|corners| corners.iter().any(outside)) {
@@ -163,13 +158,13 @@ impl TriMesh {
         Ok(mesh)
     }
 
-    /// Measures a surface that is known to be valid.
+    /// Takes a surface that is known to be valid.
     fn assemble(positions: Vec<DVec3>, facets: Vec<[u32; 3]>) -> Self {
         let (low, high) = bounds(&positions, &facets);
         Self::measured(positions, facets, low, (high - low).max_element())
     }
 
-    /// As [`Self::assemble`], the box known.
+    /// [`Self::assemble`] with a known bounding box.
     fn measured(positions: Vec<DVec3>, facets: Vec<[u32; 3]>, low: DVec3, extent: f64) -> Self {
         // Areas are taken in the unit box, so that a mesh scaled by 1e-200 keeps its facets.
         let scale = if extent > 0.0 { extent } else { 1.0 };
@@ -191,8 +186,7 @@ impl TriMesh {
             }
             (area, degenerate_count)
         };
-        let parts: Vec<(f64, usize)> =
-            degenerate.par_chunks_mut(CHUNK).zip(facets.par_chunks(CHUNK)).map(measure).collect();
+        let parts: Vec<_> = degenerate.par_chunks_mut(CHUNK).zip(facets.par_chunks(CHUNK)).map(measure).collect();
         let (area, degenerate_count) = parts.iter().fold((0.0, 0), |sum, part| (sum.0 + part.0, sum.1 + part.1));
         Self { positions, facets, degenerate, degenerate_count, area: area * scale * scale }
     }

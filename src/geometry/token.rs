@@ -1,24 +1,22 @@
-//! One token for a piece of work: whoever works asks it whether to go on.
+//! A token for a piece of work, which checks it to see whether to go on.
 //!
-//! Purpose: [`Token`] carries a cancellation and a limit on time from a caller to every loop that can take long, on any
-//! thread, and tells the caller which stage is at work.
-//! Invariant: once stopped it stays stopped, and the first reason stays the reason. Asking takes some ten nanoseconds.
-//! How long nobody asked is known, so that a stage that does not listen can be found.
-//! Must not know: meshes, seeds, jobs, or what the work is.
+//! Purpose: [`Token`] carries a cancellation and a time limit from a caller to every long loop, on any thread, and the current
+//! stage back. It records the longest time without a check, so that a stage that does not check can be found.
+//! Invariant: once stopped it stays stopped, for the first reason. A check takes some ten nanoseconds.
+//! Must not know: meshes, seeds, jobs, the kind of work.
 //!
-//! How to listen: a function that may take longer than [a few milliseconds](Token#how-often-to-ask) takes a token and
-//! returns [`Stopped`]. A loop that runs on many threads may instead return early with whatever it has, if its caller
-//! asks [`Token::check`] before it uses the result.
+//! A function that may take longer than [a few milliseconds](Token#how-often-to-check) takes a token and returns [`Stopped`]. A
+//! loop on many threads may instead return early with what it has, if its caller calls [`Token::check`] before it uses the result.
 
 use std::panic::Location;
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::{Arc, Mutex, OnceLock, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 use std::time::{Duration, Instant};
 
 /// Why work was stopped before its end.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum Stopped {
-    /// The caller asked, or has gone.
+    /// The caller cancelled it, or has gone.
     #[error("cancelled")]
     Cancelled,
     /// The work took as long as it may.
@@ -33,9 +31,9 @@ pub enum Stopped {
         .used_bytes >> 20, .limit_bytes >> 20
     )]
     Memory {
-        /// What it held when it was stopped.
+        /// Memory of the work when it was stopped.
         used_bytes: u64,
-        /// What it may hold.
+        /// The limit.
         limit_bytes: u64,
     },
 }
@@ -51,7 +49,7 @@ pub enum Stopped {
 /// assert_eq!(token.check(), Err(Stopped::Cancelled));
 /// ```
 ///
-/// # How often to ask
+/// # How often to check
 /// At least every few milliseconds of work: about every [`Token::STRIDE`] facets or vertices of a plain loop, and every
 /// item where an item may itself look at many others.
 #[derive(Clone, Debug, Default)]
@@ -67,12 +65,11 @@ struct State {
     /// Microseconds of the limit that were left when the clock stopped last.
     left: AtomicU64,
     stage: Mutex<&'static str>,
-    /// Hears of stages.
     listener: Mutex<Option<Arc<dyn StageListener>>>,
     begin: Instant,
-    /// Microseconds after `begin` at which somebody asked last.
-    asked: AtomicU64,
-    /// The longest time between two questions so far.
+    /// Microseconds after `begin` of the last check.
+    checked: AtomicU64,
+    /// The longest time between two checks so far.
     silence: Mutex<Silence>,
     longest: AtomicU64,
 }
@@ -81,6 +78,10 @@ const NEVER: u64 = u64::MAX;
 
 fn micros(time: Duration) -> u64 {
     u64::try_from(time.as_micros()).unwrap_or(NEVER)
+}
+
+fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 impl Default for State {
@@ -93,36 +94,36 @@ impl Default for State {
             stage: Mutex::new(""),
             listener: Mutex::default(),
             begin: Instant::now(),
-            asked: AtomicU64::new(0),
+            checked: AtomicU64::new(0),
             silence: Mutex::default(),
             longest: AtomicU64::new(0),
         }
     }
 }
 
-/// How long nobody asked a token, and where.
+/// A time without a check of a token, and where it ended.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Silence {
-    /// How long.
+    /// Its length.
     pub time: Duration,
     /// See [`Token::enter`].
     pub stage: &'static str,
-    /// Where somebody asked again.
+    /// The place of the next check.
     pub until: Option<&'static Location<'static>>,
 }
 
-/// Who hears which stage of the work is entered.
+/// Receives the stages of the work.
 pub trait StageListener: std::fmt::Debug + Send + Sync {
-    /// The last one is over, if there was one, and this one begins.
+    /// A stage begins, and the one before it is over.
     fn entered(&self, stage: &'static str);
 }
 
-/// Steps of work since a token was asked last; see [`Token::is_stopped_after`].
+/// Steps of work since the last check of a token; see [`Token::is_stopped_after`].
 #[derive(Clone, Debug, Default)]
 pub struct Pace(usize);
 
 impl Token {
-    /// Items of a plain loop between two questions.
+    /// Items of a plain loop between two checks.
     pub const STRIDE: usize = 4096;
 
     /// A token that stops by itself after `limit`.
@@ -148,7 +149,7 @@ impl Token {
         }
     }
 
-    /// Nobody works: the clock stands.
+    /// Work pauses: the clock stands.
     pub fn pause(&self) {
         let end = self.0.end.swap(NEVER, Ordering::AcqRel);
         if end != NEVER {
@@ -156,12 +157,12 @@ impl Token {
         }
     }
 
-    /// Asks everyone who holds a clone to stop.
+    /// Stops the work of all clones.
     pub fn cancel(&self) {
         self.stop(Stopped::Cancelled);
     }
 
-    /// Asks everyone who holds a clone to stop, for this reason if there is none yet.
+    /// [`Self::cancel`], for this reason if there is none yet.
     pub fn stop(&self, reason: Stopped) {
         let _ = self.0.reason.set(reason);
     }
@@ -181,7 +182,7 @@ impl Token {
         self.0.reason.get().copied()
     }
 
-    /// Whether somebody has told the work to stop, for who watches it and does none: this is no question of the work's own.
+    /// Whether the work was stopped. For watchers: it does not count as a check by the work.
     pub fn is_told_to_stop(&self) -> bool {
         self.0.reason.get().is_some()
     }
@@ -193,28 +194,19 @@ impl Token {
     }
 
     /// Whether to go on.
-    ///
-    /// # Errors
-    /// [`Stopped`].
     #[track_caller]
     pub fn check(&self) -> Result<(), Stopped> {
-        match self.stopped() {
-            Some(reason) => Err(reason),
-            None => Ok(()),
-        }
+        self.stopped().map_or(Ok(()), Err)
     }
 
     /// [`Token::check`] at every [`Token::STRIDE`]-th item of a plain loop.
-    ///
-    /// # Errors
-    /// [`Stopped`].
     #[track_caller]
     pub fn check_at(&self, item: usize) -> Result<(), Stopped> {
         if item.is_multiple_of(Self::STRIDE) { self.check() } else { Ok(()) }
     }
 
-    /// Whether the work is to stop, where items differ much: asks once `pace` has come to [`Token::STRIDE`] steps, of which
-    /// this item took so many.
+    /// Whether the work is to stop, where items differ much in cost: checks each time that `pace` reaches [`Token::STRIDE`] steps.
+    /// The current item took `steps`.
     #[track_caller]
     pub fn is_stopped_after(&self, steps: usize, pace: &mut Pace) -> bool {
         pace.0 = pace.0.saturating_add(steps);
@@ -225,25 +217,22 @@ impl Token {
         self.is_stopped()
     }
 
-    /// The same for work that can fail.
-    ///
-    /// # Errors
-    /// [`Stopped`].
+    /// [`Token::is_stopped_after`], as a result.
     #[track_caller]
     pub fn check_after(&self, steps: usize, pace: &mut Pace) -> Result<(), Stopped> {
         if self.is_stopped_after(steps, pace) { self.check() } else { Ok(()) }
     }
 
-    /// Notes that somebody asked.
+    /// Notes a check.
     #[track_caller]
     fn note(&self) {
         let state = &*self.0;
         let now = state.begin.elapsed().as_micros() as u64;
-        let before = state.asked.fetch_max(now, Ordering::Relaxed);
+        let before = state.checked.fetch_max(now, Ordering::Relaxed);
         let silent = now.saturating_sub(before);
         if silent > state.longest.load(Ordering::Relaxed) {
             state.longest.fetch_max(silent, Ordering::Relaxed);
-            let mut longest = state.silence.lock().unwrap_or_else(PoisonError::into_inner);
+            let mut longest = lock(&state.silence);
             let time = Duration::from_micros(silent);
             if time > longest.time {
                 *longest = Silence { time, stage: self.stage(), until: Some(Location::caller()) };
@@ -251,38 +240,36 @@ impl Token {
         }
     }
 
-    /// How long nobody has asked until now.
+    /// Time since the last check.
     pub fn silent_for(&self) -> Duration {
-        let asked = Duration::from_micros(self.0.asked.load(Ordering::Relaxed));
-        self.0.begin.elapsed().saturating_sub(asked)
+        let checked = Duration::from_micros(self.0.checked.load(Ordering::Relaxed));
+        self.0.begin.elapsed().saturating_sub(checked)
     }
 
-    /// The longest time between two questions so far. A stage that does not listen shows here.
+    /// The longest time between two checks so far. A stage that does not check shows here.
     pub fn longest_silence(&self) -> Silence {
-        *self.0.silence.lock().unwrap_or_else(PoisonError::into_inner)
+        *lock(&self.0.silence)
     }
 
-    /// Says what is being done now, for whoever watches.
+    /// Begins a stage of the work.
     #[track_caller]
     pub fn enter(&self, stage: &'static str) {
         self.note();
-        *self.0.stage.lock().unwrap_or_else(PoisonError::into_inner) = stage;
-        {
-            let listener = self.0.listener.lock().unwrap_or_else(PoisonError::into_inner).clone();
-            if let Some(listener) = listener {
-                listener.entered(stage);
-            }
+        *lock(&self.0.stage) = stage;
+        let listener = lock(&self.0.listener).clone();
+        if let Some(listener) = listener {
+            listener.entered(stage);
         }
     }
 
-    /// From now on `listener` hears of stages, or nobody does.
+    /// Sends later stages to `listener`, if there is one.
     pub fn tell_stages(&self, listener: Option<Arc<dyn StageListener>>) {
-        *self.0.listener.lock().unwrap_or_else(PoisonError::into_inner) = listener;
+        *lock(&self.0.listener) = listener;
     }
 
     /// The stage last entered; empty before the first.
     pub fn stage(&self) -> &'static str {
-        *self.0.stage.lock().unwrap_or_else(PoisonError::into_inner)
+        *lock(&self.0.stage)
     }
 }
 

@@ -7,10 +7,10 @@
 
 use rayon::prelude::*;
 
-use super::row::{NeighbourRow, Threads};
-use super::squared_distance;
+use super::{NeighbourRow, Threads, squared_distance};
 
 /// Seeds sorted by their cell.
+#[derive(Default)]
 pub(super) struct Grid {
     origin: [f64; 3],
     /// Cells per unit of length.
@@ -43,12 +43,19 @@ struct Block {
     high: [usize; 3],
 }
 
+impl Block {
+    /// Lines of cells along x.
+    fn lines(self) -> usize {
+        (self.high[2] - self.low[2] + 1) * (self.high[1] - self.low[1] + 1)
+    }
+}
+
 /// Seeds that share a seed's cell, itself among them, on average: cells of two and a half spacings, so
 /// that the cells around one hold the 16 nearest seeds of all its seeds, and the 24 nearest of most.
 const OCCUPANCY: f64 = 6.0;
-/// So many on average, and rows of neighbours are found sooner than all seeds in a box.
+/// Occupancy above which rows of neighbours are found sooner than all seeds in a box.
 const EVEN: f64 = 30.0;
-/// So many on average, and a tree is faster.
+/// Occupancy above which a tree is faster.
 const DENSE: f64 = 64.0;
 /// Cells per seed, at most.
 const CELLS: usize = 8;
@@ -85,7 +92,7 @@ impl Grid {
         // Half of the box's surface: about the area of its content, exact for a sheet.
         let area = extent[0] * extent[1] + extent[1] * extent[2] + extent[2] * extent[0];
         let mut size = 3.0 * (area / n as f64).sqrt();
-        let mut grid = Self::empty(low);
+        let mut grid = Self { origin: low, ..Self::default() };
         let mut cell = Vec::new();
         for last in [false, false, true] {
             size = grid.lay(size, extent, longest, n);
@@ -102,11 +109,6 @@ impl Grid {
         }
         grid.place_all(points, &cell, threads);
         Some(grid)
-    }
-
-    fn empty(origin: [f64; 3]) -> Self {
-        let (begin, order, points, place) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
-        Self { origin, inverse: 0.0, cells: [1; 3], occupancy: 0.0, begin, order, points, place }
     }
 
     /// Chooses the cells: of `size`, or larger where there would be too many. Returns their size.
@@ -126,16 +128,10 @@ impl Grid {
     /// Finds the cell of every point and counts them: `begin` gets the end of each cell.
     fn sort_into(&mut self, points: &[[f64; 3]], cell: &mut Vec<u32>, threads: Threads) {
         let of = |p: &[f64; 3]| {
-            let [x, y, z] = [0, 1, 2].map(|c| self.clamped(self.at(p, c), c));
+            let [x, y, z] = self.cell(self.at(p));
             ((z * self.cells[1] + y) * self.cells[0] + x) as u32
         };
-        match threads {
-            Threads::One => {
-                cell.clear();
-                cell.extend(points.iter().map(of));
-            }
-            Threads::Pool => points.par_iter().with_min_len(CHUNK).map(of).collect_into_vec(cell),
-        }
+        *cell = mapped(points, threads, of);
         self.begin.clear();
         self.begin.resize(self.cells.iter().product::<usize>() + 1, 0);
         for &c in cell.iter() {
@@ -159,11 +155,7 @@ impl Grid {
             self.order[at as usize] = i as u32;
             at
         }));
-        let of = |&i: &u32| points[i as usize];
-        match threads {
-            Threads::One => self.points.extend(self.order.iter().map(of)),
-            Threads::Pool => self.order.par_iter().with_min_len(CHUNK).map(of).collect_into_vec(&mut self.points),
-        }
+        self.points = mapped(&self.order, threads, |&i| points[i as usize]);
     }
 
     /// Whether cells hold few enough seeds for a fast search in a box.
@@ -230,8 +222,8 @@ impl Grid {
         out.complete = wanted >= n;
         let enough = wanted.min(n);
         let least = enough.min(least.saturating_add(1));
-        let at = [0, 1, 2].map(|c| self.at(p, c));
-        let cell = [0, 1, 2].map(|c| self.clamped(at[c], c));
+        let at = self.at(p);
+        let cell = self.cell(at);
         if out.complete {
             scratch.ranges.clear();
             scratch.ranges.push((0, n as u32));
@@ -301,23 +293,13 @@ impl Grid {
 
     /// The only nearest seed of a point; `None` if the cells around it do not prove it, or if it is not unique.
     pub(super) fn nearest(&self, p: &[f64; 3]) -> Option<u32> {
-        let at = [0, 1, 2].map(|c| self.at(p, c));
-        let cell = [0, 1, 2].map(|c| self.clamped(at[c], c));
-        let mut best = Nearest { squared: f64::INFINITY, place: 0, several: false };
-        for ring in 0..3 {
-            self.visit(self.around(cell, ring), p, &mut best);
-            if best.squared < f64::INFINITY {
-                break;
-            }
-        }
+        let at = self.at(p);
+        let cell = self.cell(at);
+        let mut best = self.first_of_rings(cell, p, 3);
         // No seed that is nearer lies outside these cells.
         let reach = best.squared.sqrt() * self.inverse * (1.0 + ROUNDING) + ROUNDING;
-        let block = Block {
-            low: [0, 1, 2].map(|c| self.clamped(at[c] - reach, c)),
-            high: [0, 1, 2].map(|c| self.clamped(at[c] + reach, c)),
-        };
-        let rows = (block.high[2] - block.low[2] + 1) * (block.high[1] - block.low[1] + 1);
-        if best.squared == f64::INFINITY || rows > 25 {
+        let block = Block { low: self.cell(at.map(|x| x - reach)), high: self.cell(at.map(|x| x + reach)) };
+        if best.squared == f64::INFINITY || block.lines() > 25 {
             return None;
         }
         best.several = false;
@@ -327,12 +309,8 @@ impl Grid {
 
     /// A seed of the cells around a point, the nearest of the first that have any; `None` if none has.
     pub(super) fn near(&self, p: &[f64; 3]) -> Option<u32> {
-        let cell = [0, 1, 2].map(|c| self.clamped(self.at(p, c), c));
-        let mut best = Nearest { squared: f64::INFINITY, place: 0, several: false };
-        (0..2).any(|ring| {
-            self.visit(self.around(cell, ring), p, &mut best);
-            best.squared < f64::INFINITY
-        });
+        let cell = self.cell(self.at(p));
+        let best = self.first_of_rings(cell, p, 2);
         (best.squared < f64::INFINITY).then(|| self.order[best.place as usize])
     }
 
@@ -347,13 +325,10 @@ impl Grid {
         mut found: impl FnMut(u32, &[f64; 3]),
     ) -> bool {
         // A place and an end of the box may be rounded apart by this.
-        let block = Block {
-            low: [0, 1, 2].map(|c| self.clamped(self.at(low, c) - ROUNDING, c)),
-            high: [0, 1, 2].map(|c| self.clamped(self.at(high, c) + ROUNDING, c)),
-        };
-        let lines = (block.high[2] - block.low[2] + 1) * (block.high[1] - block.low[1] + 1);
+        let (low, high) = (self.at(low).map(|x| x - ROUNDING), self.at(high).map(|x| x + ROUNDING));
+        let block = Block { low: self.cell(low), high: self.cell(high) };
         let mut left = most;
-        if lines > most {
+        if block.lines() > most {
             return false;
         }
         for z in block.low[2]..=block.high[2] {
@@ -366,6 +341,18 @@ impl Grid {
             }
         }
         true
+    }
+
+    /// The nearest seed of the first block around a cell, with at most `rings` rings, that has any.
+    fn first_of_rings(&self, cell: [usize; 3], p: &[f64; 3], rings: usize) -> Nearest {
+        let mut best = Nearest { squared: f64::INFINITY, place: 0, several: false };
+        for ring in 0..rings {
+            self.visit(self.around(cell, ring), p, &mut best);
+            if best.squared < f64::INFINITY {
+                break;
+            }
+        }
+        best
     }
 
     fn visit(&self, block: Block, p: &[f64; 3], best: &mut Nearest) {
@@ -384,14 +371,15 @@ impl Grid {
         }
     }
 
-    /// A coordinate in cells.
-    fn at(&self, p: &[f64; 3], axis: usize) -> f64 {
-        (p[axis] - self.origin[axis]) * self.inverse
+    /// Coordinates in cells.
+    fn at(&self, p: &[f64; 3]) -> [f64; 3] {
+        [0, 1, 2].map(|c| (p[c] - self.origin[c]) * self.inverse)
     }
 
-    fn clamped(&self, at: f64, axis: usize) -> usize {
+    /// The cell there, or the nearest one.
+    fn cell(&self, at: [f64; 3]) -> [usize; 3] {
         // A cast turns negative numbers and NaN into zero.
-        (at as usize).min(self.cells[axis] - 1)
+        [0, 1, 2].map(|c| (at[c] as usize).min(self.cells[c] - 1))
     }
 
     fn around(&self, cell: [usize; 3], ring: usize) -> Block {
@@ -454,6 +442,13 @@ impl Grid {
             }
         }
         keys.truncate(found);
+    }
+}
+
+fn mapped<T: Sync, U: Send>(items: &[T], threads: Threads, map: impl Fn(&T) -> U + Sync + Send) -> Vec<U> {
+    match threads {
+        Threads::One => items.iter().map(map).collect(),
+        Threads::Pool => items.par_iter().with_min_len(CHUNK).map(map).collect(),
     }
 }
 

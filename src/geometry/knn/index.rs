@@ -11,7 +11,7 @@ use glam::DVec3;
 
 use super::grid::{Grid, Scratch};
 use super::kdtree::Tree;
-use super::row::{NeighbourRow, Threads};
+use super::{NeighbourRow, Threads};
 use crate::mesh::coincident;
 
 /// One set of seeds, ready to be searched.

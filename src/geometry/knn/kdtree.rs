@@ -9,7 +9,7 @@ use std::num::NonZero;
 
 use kiddo::{ImmutableKdTree, SquaredEuclidean};
 
-use super::row::{NeighbourRow, Threads};
+use super::{NeighbourRow, Threads};
 
 /// A kd-tree over the seeds that lie on no earlier one.
 pub(super) struct Tree {
@@ -24,12 +24,9 @@ const PARALLEL_BUILD: usize = 8192;
 impl Tree {
     /// Builds the tree; `earlier` holds the seeds to leave out.
     pub(super) fn new(seeds: &[[f64; 3]], earlier: &HashMap<u32, u32>, threads: Threads) -> Self {
-        let (unique, item_seed) = if earlier.is_empty() {
-            (None, None)
-        } else {
-            let kept: Vec<u32> = (0..seeds.len() as u32).filter(|i| !earlier.contains_key(i)).collect();
-            (Some(kept.iter().map(|&i| seeds[i as usize]).collect::<Vec<_>>()), Some(kept))
-        };
+        let kept = || (0..seeds.len() as u32).filter(|i| !earlier.contains_key(i)).collect::<Vec<_>>();
+        let item_seed = (!earlier.is_empty()).then(kept);
+        let unique = item_seed.as_ref().map(|kept| kept.iter().map(|&i| seeds[i as usize]).collect::<Vec<_>>());
         let slice = unique.as_deref().unwrap_or(seeds);
         let builder = ImmutableKdTree::<f64, 3>::builder();
         // An immutable tree is refused only for more items than u32 can number, which the
@@ -67,9 +64,6 @@ impl Tree {
     }
 
     fn seed_of(&self, item: u32) -> u32 {
-        match &self.item_seed {
-            Some(map) => map[item as usize],
-            None => item,
-        }
+        self.item_seed.as_ref().map_or(item, |seeds| seeds[item as usize])
     }
 }

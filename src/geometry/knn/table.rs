@@ -19,6 +19,9 @@ pub struct NeighbourTable {
 /// Seeds per task: enough to hide the cost of a task, few enough to share evenly.
 const CHUNK: usize = 256;
 
+/// Seeds, lengths and flags of a task.
+type Part<'a> = (&'a mut [u32], (&'a mut [u32], &'a mut [bool]));
+
 impl NeighbourTable {
     /// Fills the table with rows of at most `k` neighbours, most of at least two thirds of that, reusing its memory. Returns
     /// `false` soon after `stop` does; the table is then invalid.
@@ -39,7 +42,7 @@ impl NeighbourTable {
                 self.place[seed as usize] = row as u32;
             }
         }
-        let fill = |chunk: usize, (seeds, (len, complete)): (&mut [u32], (&mut [u32], &mut [bool]))| {
+        let fill = |(chunk, (seeds, (len, complete))): (usize, Part<'_>)| {
             let (mut row, mut scratch) = (NeighbourRow::default(), Scratch::default());
             for (s, (l, c)) in len.iter_mut().zip(complete).enumerate() {
                 // A row may look at all seeds.
@@ -53,19 +56,11 @@ impl NeighbourTable {
                 *c = row.complete;
             }
         };
+        let rows = self.len.chunks_mut(CHUNK).zip(self.complete.chunks_mut(CHUNK));
+        let parts: Vec<_> = self.seeds.chunks_mut(CHUNK * k).zip(rows).enumerate().collect();
         match threads {
-            Threads::One => self
-                .seeds
-                .chunks_mut(CHUNK * k)
-                .zip(self.len.chunks_mut(CHUNK).zip(self.complete.chunks_mut(CHUNK)))
-                .enumerate()
-                .for_each(|(c, part)| fill(c, part)),
-            Threads::Pool => self
-                .seeds
-                .par_chunks_mut(CHUNK * k)
-                .zip(self.len.par_chunks_mut(CHUNK).zip(self.complete.par_chunks_mut(CHUNK)))
-                .enumerate()
-                .for_each(|(c, part)| fill(c, part)),
+            Threads::One => parts.into_iter().for_each(fill),
+            Threads::Pool => parts.into_par_iter().for_each(fill),
         }
         !stop()
     }

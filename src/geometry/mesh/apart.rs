@@ -110,7 +110,7 @@ impl Apart {
     /// A surface beside this one, where it was.
     ///
     /// # Errors
-    /// None for a surface that is one there too.
+    /// None if the surface moved back is still valid.
     pub(crate) fn mesh_back(&self, mesh: &TriMesh) -> Result<TriMesh, MeshError> {
         TriMesh::new(mesh.positions().iter().map(|&p| self.back(p)).collect(), mesh.facets().to_vec())
     }

@@ -156,7 +156,7 @@ const TEXTURE: &str = "texture coordinates";
 const COLOURS: &str = "colours";
 
 impl Attributes {
-    /// None yet, for `mesh`.
+    /// No attributes, for `mesh`.
     pub fn new(mesh: &TriMesh) -> Self {
         Self {
             vertices: mesh.positions().len(),
@@ -175,7 +175,7 @@ impl Attributes {
     /// `Count`, `NonFinite`, `IndexOutOfRange`, `TooLarge`.
     pub fn set_normals(&mut self, mut normals: Normals) -> Result<(), AttributeError> {
         match &normals {
-            Normals::PerVertex(values) => self.check_count(NORMALS, values.len())?,
+            Normals::PerVertex(values) => check_count(NORMALS, values.len(), self.vertices, "vertices")?,
             Normals::PerCorner(normals) => self.check_corners(NORMALS, normals)?,
         }
         let (Normals::PerVertex(values) | Normals::PerCorner(PerCorner { values, .. })) = &mut normals;
@@ -201,7 +201,7 @@ impl Attributes {
     /// # Errors
     /// `Count`, `NonFinite`.
     pub fn set_colours(&mut self, colours: Colours) -> Result<(), AttributeError> {
-        self.check_count(COLOURS, colours.values.len())?;
+        check_count(COLOURS, colours.values.len(), self.vertices, "vertices")?;
         check_finite(COLOURS, &colours.values, |c| c.iter().all(|x| x.is_finite()))?;
         self.colours = Some(colours);
         Ok(())
@@ -218,7 +218,7 @@ impl Attributes {
             return Err(AttributeError::Name { name, reason: "another scalar has this name" });
         }
         let attribute = format!("scalar {name:?}");
-        self.check_count(&attribute, values.len())?;
+        check_count(&attribute, values.len(), self.vertices, "vertices")?;
         check_finite(&attribute, &values, |x| x.is_finite())?;
         self.scalars.push(Scalar { name, values });
         Ok(())
@@ -258,10 +258,6 @@ impl Attributes {
             return Ok(());
         }
         Err(AttributeError::OtherMesh { vertices: self.vertices, facets: self.facets })
-    }
-
-    fn check_count(&self, attribute: &str, count: usize) -> Result<(), AttributeError> {
-        check_count(attribute, count, self.vertices, "vertices")
     }
 
     fn check_corners<T>(&self, attribute: &str, given: &PerCorner<T>) -> Result<(), AttributeError> {

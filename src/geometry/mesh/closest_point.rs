@@ -13,6 +13,7 @@ use rayon::prelude::*;
 use super::TriMesh;
 use super::adjacency::weld;
 use super::bvh::{self, Bvh};
+use super::csr::Csr;
 use super::morton;
 use crate::token::{Pace, Stopped, Token};
 
@@ -47,9 +48,9 @@ struct Nearest {
     visited: usize,
 }
 
-/// So many points are one task.
+/// Points of one task.
 const RUN: usize = 256;
-/// A search takes as many steps as it looks at facets, and these.
+/// Steps of a search beyond one for each facet that it looks at.
 const STEPS: usize = 16;
 
 /// Farther away than this many unit boxes, only the direction of a point counts.
@@ -85,17 +86,11 @@ impl ClosestPoint {
 
     /// As [`ClosestPoint::project`], all points at once: they are taken along a curve that fills space, and each
     /// search begins with the facet that the last one found.
-    ///
-    /// # Errors
-    /// [`Stopped`].
     pub fn project_all(&self, points: &[DVec3], token: &Token) -> Result<Vec<SurfacePoint>, Stopped> {
         self.all(points, token, |nearest| self.on_surface(nearest))
     }
 
     /// As [`ClosestPoint::distance`], all points at once; see [`ClosestPoint::project_all`].
-    ///
-    /// # Errors
-    /// [`Stopped`].
     pub fn distances(&self, points: &[DVec3], token: &Token) -> Result<Vec<f64>, Stopped> {
         self.all(points, token, |nearest| nearest.squared.sqrt() / self.scale)
     }
@@ -207,28 +202,22 @@ fn distinct_facets(mesh: &TriMesh) -> Vec<([u32; 3], u32)> {
         place.sort_unstable();
         place
     };
-    let solid = || (0..mesh.facets().len()).filter(|&f| !mesh.is_degenerate(f));
+    let is_solid = |f: &usize| !mesh.is_degenerate(*f);
+    let facets = 0..mesh.facets().len();
     // Side by side by their lowest vertex, of each the lowest facet first.
-    let mut first = vec![0u32; mesh.positions().len() + 1];
-    solid().for_each(|f| first[place(f)[0] as usize + 1] += 1);
-    (1..first.len()).for_each(|v| first[v] += first[v - 1]);
-    let mut next = first.clone();
-    let mut others = vec![([0; 2], 0); first[first.len() - 1] as usize];
-    for f in solid() {
-        let [lowest, rest @ ..] = place(f);
-        let at = &mut next[lowest as usize];
-        others[*at as usize] = (rest, f as u32);
-        *at += 1;
-    }
-    let mut again = vec![false; mesh.facets().len()];
-    let mut rest = others.as_mut_slice();
-    for range in first.windows(2) {
-        let (here, after) = rest.split_at_mut((range[1] - range[0]) as usize);
-        rest = after;
+    let lowest: Vec<u32> = facets.clone().map(|f| if is_solid(&f) { place(f)[0] } else { u32::MAX }).collect();
+    let mut around = Csr::group(mesh.positions().len(), &lowest, |f| {
+        let [_, rest @ ..] = place(f);
+        (rest, f as u32)
+    });
+    let mut again = vec![false; facets.len()];
+    for v in 0..mesh.positions().len() as u32 {
+        let range = around.range(v);
+        let here = &mut around.all_mut()[range];
         here.sort_unstable();
         here.windows(2).filter(|two| two[0].0 == two[1].0).for_each(|two| again[two[1].1 as usize] = true);
     }
-    solid().filter(|&f| !again[f]).map(|f| (mesh.facets()[f], f as u32)).collect()
+    facets.filter(is_solid).filter(|&f| !again[f]).map(|f| (mesh.facets()[f], f as u32)).collect()
 }
 
 /// A barycentric coordinate is off by a few roundings times the product of the lengths that it was computed from, by

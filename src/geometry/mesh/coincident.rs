@@ -42,9 +42,6 @@ pub fn find(points: &[DVec3]) -> Vec<(u32, u32)> {
 
 /// Returns `(later, earlier, distance)` for each of the points `numbers` within `reach` of an earlier one: the nearest of
 /// the points that have no earlier neighbour themselves. `origin` is a corner of the points' box.
-///
-/// # Errors
-/// [`Stopped`].
 pub fn near(
     points: &[DVec3],
     numbers: impl IntoIterator<Item = u32>,

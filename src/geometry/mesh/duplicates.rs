@@ -14,7 +14,7 @@ use serde::Serialize;
 use super::TriMesh;
 use super::adjacency::weld;
 use super::disjoint::DisjointSets;
-use super::edges::EdgeGroups;
+use super::edges::{EdgeGroups, sides};
 use crate::token::{Stopped, Token};
 
 /// A facet's corners in ascending order, its number, and whether it runs from the lowest corner to the middle one.
@@ -39,16 +39,8 @@ impl Groups {
             let [a, b, c] = t.map(|v| class[v as usize]);
             let mut corners = [a, b, c];
             corners.sort_unstable();
-            let next = |v: u32| {
-                if v == a {
-                    b
-                } else if v == b {
-                    c
-                } else {
-                    a
-                }
-            };
-            Sorted { corners, facet, forward: next(corners[0]) == corners[1] }
+            let forward = sides([a, b, c]).contains(&[corners[0], corners[1]]);
+            Sorted { corners, facet, forward }
         };
         let mut all: Vec<Sorted> = mesh.facets().iter().zip(0..).map(of).collect();
         // A facet with equal corners has no sides.
@@ -122,9 +114,6 @@ pub(crate) fn any(mesh: &TriMesh) -> bool {
 
 /// Returns `mesh` with one facet of each group, oriented like its neighbours, and the number of removed facets; `None` if
 /// none is removed.
-///
-/// # Errors
-/// [`Stopped`].
 pub(crate) fn remove(mesh: &TriMesh, token: &Token) -> Result<Option<(TriMesh, usize)>, Stopped> {
     let found = Groups::of(mesh);
     token.check()?;

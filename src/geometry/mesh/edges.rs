@@ -17,6 +17,11 @@ pub(crate) fn undirected([a, b]: [u32; 2]) -> [u32; 2] {
     [a.min(b), a.max(b)]
 }
 
+/// The sides of a facet: side e runs from corner e to the next.
+pub(crate) fn sides([a, b, c]: [u32; 3]) -> [[u32; 2]; 3] {
+    [[a, b], [b, c], [c, a]]
+}
+
 /// All half-edges of some facets. One is a number: the edge's higher vertex in 31 bits, the facet in 31, the side in 2.
 pub(crate) struct EdgeGroups {
     /// For each vertex, the first half-edge with this vertex as the lower end; and the total.
@@ -24,7 +29,7 @@ pub(crate) struct EdgeGroups {
     halves: Vec<u64>,
 }
 
-/// Of a half-edge, the facet and the side of it: side e runs from corner e to the next.
+/// A half-edge: its facet and the side of it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Half {
     pub facet: u32,
@@ -32,14 +37,13 @@ pub(crate) struct Half {
 }
 
 impl EdgeGroups {
-    /// Of `facets`, each with its number and its corners among `vertices` many.
+    /// Groups the half-edges of `facets`, each given with its number and its corners, which are below `vertices`.
     pub(crate) fn new(vertices: usize, facets: impl Iterator<Item = (usize, [u32; 3])> + Clone) -> Self {
         // Vertices and facets have numbers of 31 bits.
         const { assert!(MAX_ELEMENTS < 1 << 31) };
-        let sides = |[a, b, c]: [u32; 3]| [(a, b), (b, c), (c, a)];
         let mut first = vec![0usize; vertices + 1];
         for (_, corners) in facets.clone() {
-            sides(corners).iter().for_each(|&(a, b)| first[a.min(b) as usize + 1] += 1);
+            sides(corners).iter().for_each(|&[a, b]| first[a.min(b) as usize + 1] += 1);
         }
         // Where each vertex' half-edges begin; they are filled in from there, which moves all by one.
         let mut total = 0;
@@ -49,7 +53,7 @@ impl EdgeGroups {
         }
         let mut halves = vec![0u64; total];
         for (facet, corners) in facets {
-            for (side, &(a, b)) in sides(corners).iter().enumerate() {
+            for (side, &[a, b]) in sides(corners).iter().enumerate() {
                 let next = &mut first[a.min(b) as usize];
                 halves[*next] = u64::from(a.max(b)) << 33 | (facet as u64) << 2 | side as u64;
                 *next += 1;

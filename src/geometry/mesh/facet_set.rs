@@ -22,7 +22,7 @@ const GRID_INTERVALS: u32 = 6;
 /// See the module's head.
 pub(crate) struct FacetSet {
     facets: Vec<BoundedFacet>,
-    /// Of consecutive facets.
+    /// Spheres around consecutive facets.
     groups: Vec<BoundingSphere>,
     /// Facets of each group but the last.
     group_size: usize,
@@ -57,7 +57,7 @@ impl BoundingSphere {
 }
 
 impl FacetSet {
-    /// Of facets with these corners. Coordinates are of the order of 1.
+    /// A set of facets with these corners. Coordinates are of the order of 1.
     pub(crate) fn new(facets: impl Iterator<Item = [DVec3; 3]>) -> Self {
         let bounded = |corners: [DVec3; 3]| BoundedFacet { corners, sphere: BoundingSphere::around(&corners) };
         let along_curve = |facet: BoundedFacet| (morton::code(facet.sphere.centre), facet);

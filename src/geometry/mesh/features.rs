@@ -129,26 +129,19 @@ impl Metric<'_> {
         self.positions[v as usize]
     }
 
-    /// Of an edge.
+    /// Length of an edge.
     fn edge(&self, a: u32, b: u32) -> f64 {
         self.at(a).distance(self.at(b)) * (0.5 * (self.resolution(a) + self.resolution(b)))
     }
 
-    /// Of a chain of edges.
+    /// Length of a chain of edges.
     fn chain(&self, chain: &[u32]) -> f64 {
         chain.windows(2).map(|p| self.edge(p[0], p[1])).sum()
     }
 }
 
-fn edge(a: u32, b: u32) -> Edge {
-    [a.min(b), a.max(b)]
-}
-
 impl Features {
     /// Finds the curves of `mesh`. `positions` are its vertices in the frame in which lengths are meant.
-    ///
-    /// # Errors
-    /// [`FeatureError`].
     pub fn find(
         mesh: &TriMesh,
         positions: &[DVec3],
@@ -173,13 +166,13 @@ impl Features {
             graph.insert(e, required(CurveKind::Boundary));
         }
         let edges = (!options.given_creases.is_empty()).then(|| all_edges(mesh, &adjacency)).into_iter().flatten();
-        let known: std::collections::HashSet<Edge> = edges.collect();
+        let known: HashSet<Edge> = edges.collect();
         for (crease, &[a, b]) in options.given_creases.iter().enumerate() {
             token.check_at(crease)?;
             let welded = |v: u32| class.get(v as usize).copied();
             match (welded(a), welded(b)) {
-                (Some(p), Some(q)) if known.contains(&edge(p, q)) => {
-                    graph.insert(edge(p, q), required(CurveKind::Crease))
+                (Some(p), Some(q)) if known.contains(&undirected([p, q])) => {
+                    graph.insert(undirected([p, q]), required(CurveKind::Crease))
                 }
                 _ => return Err(FeatureError::NoSuchEdge { crease, a, b }),
             }
@@ -190,12 +183,8 @@ impl Features {
         }
         let left_out = graph.prune(metric, options.min_crease_length, token)?;
         if options.ridge_clearance > 0.0 && options.crease_angle_deg > 0.0 {
-            angles.add_ridges(
-                &mut graph,
-                options.crease_angle_deg,
-                (options.ridge_clearance, options.min_crease_length),
-                token,
-            )?;
+            let lengths = (options.ridge_clearance, options.min_crease_length);
+            angles.add_ridges(&mut graph, options.crease_angle_deg, lengths, token)?;
         }
         let merge = CornerMerge {
             length: options.merge_length,
@@ -271,7 +260,7 @@ fn all_edges<'a>(mesh: &'a TriMesh, adjacency: &'a Adjacency) -> impl Iterator<I
     let class = adjacency.representative();
     (0..3 * mesh.facets().len()).map(move |half| {
         let corners = mesh.facets()[half / 3];
-        edge(class[corners[half % 3] as usize], class[corners[(half + 1) % 3] as usize])
+        undirected([half, half + 1].map(|half| class[corners[half % 3] as usize]))
     })
 }
 

@@ -48,9 +48,6 @@ pub struct InputFigures {
 
 impl InputFigures {
     /// Measures the input surface.
-    ///
-    /// # Errors
-    /// [`Stopped`].
     pub fn of(mesh: &TriMesh, token: &Token) -> Result<Self, Stopped> {
         let adjacency = Adjacency::new(mesh);
         token.check()?;
@@ -58,13 +55,8 @@ impl InputFigures {
     }
 
     /// Measures a surface with known adjacency.
-    ///
-    /// # Errors
-    /// [`Stopped`].
     pub fn with(mesh: &TriMesh, adjacency: &Adjacency, token: &Token) -> Result<Self, Stopped> {
         let outlier_vertices = outliers::find(mesh).len();
-        token.check()?;
-        let (area, degenerate_facets) = (mesh.area(), mesh.degenerate_count());
         token.check()?;
         let oddities =
             if adjacency.non_manifold_edges() > 0 { duplicates::oddities(mesh) } else { Oddities::default() };
@@ -75,13 +67,13 @@ impl InputFigures {
             back_to_back_facets: oddities.back_to_back,
             vertices: mesh.positions().len(),
             facets: mesh.facets().len(),
-            degenerate_facets,
+            degenerate_facets: mesh.degenerate_count(),
             inconsistent_edges: adjacency.inconsistent_edges(),
             reoriented_facets: 0,
             stitched_vertices: 0,
             coincident_facets: 0,
             outlier_vertices,
-            area,
+            area: mesh.area(),
             topology: topology_unless(mesh, adjacency, token)?,
         })
     }

@@ -1,14 +1,14 @@
 //! Surface files: OBJ, PLY, STL, OFF, VTK, Gmsh, Medit and glTF, in and out, packed by gzip or not.
 //!
 //! Purpose: [`read`] and [`write()`] for a path, [`decode`] and [`encode`] for bytes. The format is the file's
-//! extension ([`Format`]). The same names with `_with_attributes` take and give what a surface carries too.
+//! extension ([`Format`]). The functions with the suffix `_with_attributes` also read and write [`Attributes`]; an attribute that
+//! cannot be used is left aside and named, and never changes the surface.
 //! Invariant: no sequence of bytes makes a reader panic, hang, or allocate more than a small
 //! multiple of the bytes that are there, whatever counts they declare; of what is packed, no more than [`UNPACKED_RATIO`]
 //! times the bytes. A polygon of n corners becomes n - 2 facets: a fan around its first corner if it is convex, or ears
 //! (`polygons`). Positions are double precision; only STL and glTF, whose formats say so, hold single precision.
 //! Must not know: what is done with a surface.
 
-mod attributed;
 mod gltf;
 mod gmsh;
 mod held;
@@ -30,20 +30,14 @@ use std::path::{Path, PathBuf};
 
 use glam::DVec3;
 
-use super::attributes::AttributeError;
+use super::attributes::{AttributeError, Attributes};
 use super::{MeshError, TriMesh};
 use held::{Held, Holds, Raw};
 use polygons::Fan;
 use recognition::Signature;
 
 pub use packed::limit as unpacked_limit;
-pub use packed::pack_for;
-pub use packed::{Measure, are_packed, unpacked_wrong, unpacker};
-pub use packed::{UNPACKED_RATIO, unpack};
-
-pub use attributed::{
-    Loaded, decode_with_attributes, encode_with_attributes, read_with_attributes, write_with_attributes,
-};
+pub use packed::{Measure, UNPACKED_RATIO, are_packed, pack_for, unpack, unpacked_wrong, unpacker};
 
 /// Makes [`Format`] of its table: documentation, name, number in messages, codec.
 macro_rules! formats {
@@ -140,9 +134,6 @@ impl Format {
     }
 
     /// The format of a file name, which may have `.gz` after its extension.
-    ///
-    /// # Errors
-    /// [`FileError::UnknownFormat`].
     pub fn of_path(path: &Path) -> Result<Self, FileError> {
         let stem = if packed::is_packed(path) { path.file_stem().map(Path::new).unwrap_or(path) } else { path };
         let extension = stem.extension().and_then(|e| e.to_str()).unwrap_or_default();
@@ -151,7 +142,7 @@ impl Format {
     }
 }
 
-/// All that is to be known of a format, in its own file.
+/// The description of a format, given by its module.
 struct Codec {
     extension: &'static str,
     /// The preferred media type first.
@@ -160,7 +151,7 @@ struct Codec {
     facet_bytes: u64,
     /// How its files begin.
     signature: Signature,
-    /// The surface, and what it carries if that is wanted.
+    /// Reads the surface, and its attributes if they are wanted.
     decode: fn(bytes: &[u8], wanted: bool) -> Result<Soup, DataError>,
     encode: fn(&TriMesh, &Held<'_>) -> Result<Vec<u8>, DataError>,
     /// See [`counts`].
@@ -169,7 +160,7 @@ struct Codec {
     vertices: VertexNumbers,
 }
 
-/// What is known of a file before it is read.
+/// Sizes of a file that are known before it is read.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Counts {
     /// Vertices, at most.
@@ -188,9 +179,9 @@ impl From<(u64, u64)> for Counts {
 
 /// How vertices of a file are numbered in the surface that is read from it.
 enum VertexNumbers {
-    /// As in the file.
+    /// Numbers are those of the file.
     Kept,
-    /// The file has none.
+    /// The file has no vertices of its own.
     Absent,
     /// In another order.
     Reordered(fn(&[u8]) -> Result<VertexOrder, DataError>),
@@ -217,7 +208,7 @@ pub enum FileError {
         path: PathBuf,
         /// "read" or "write".
         action: &'static str,
-        /// What it said.
+        /// The error of the operating system.
         cause: std::io::Error,
     },
     /// The file was read, and what it holds is not a surface; or the surface does not fit the format.
@@ -225,7 +216,7 @@ pub enum FileError {
     Data {
         /// The file.
         path: PathBuf,
-        /// What is wrong and where.
+        /// The defect and its place.
         cause: DataError,
     },
 }
@@ -237,10 +228,10 @@ impl FileError {
     }
 }
 
-/// What is wrong with the content of a file.
+/// A defect of the content of a file.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum DataError {
-    /// Nothing is there.
+    /// The file has no content.
     #[error("the file is empty")]
     Empty,
     /// A line of text cannot be understood.
@@ -248,7 +239,7 @@ pub enum DataError {
     Syntax {
         /// From 1.
         line: usize,
-        /// What was expected.
+        /// The expected content.
         message: String,
     },
     /// An element of a format without lines cannot be understood.
@@ -258,10 +249,10 @@ pub enum DataError {
         element: &'static str,
         /// From 0.
         index: usize,
-        /// What was expected.
+        /// The expected content.
         message: String,
     },
-    /// The header says what cannot be.
+    /// The header contradicts itself or is not read.
     #[error("header: {0}")]
     Header(String),
     /// The file ends before what its header declares.
@@ -273,22 +264,19 @@ pub enum DataError {
         /// Bytes.
         limit: usize,
     },
-    /// All was understood, and it is not a surface.
+    /// The elements do not form a surface.
     #[error(transparent)]
     Mesh(#[from] MeshError),
     /// The surface does not fit the format.
     #[error(
-        "vertex {vertex} ({x:e}, {y:e}, {z:e}) does not fit the single precision of STL and glTF; write .ply, .obj or .off"
+        "vertex {vertex} ({:e}, {:e}, {:e}) does not fit the single precision of STL and glTF; write .ply, .obj or .off",
+        .position.x, .position.y, .position.z
     )]
     SinglePrecision {
         /// From 0.
         vertex: usize,
-        /// Coordinates.
-        x: f64,
-        /// Second coordinate.
-        y: f64,
-        /// Third coordinate.
-        z: f64,
+        /// Its position.
+        position: DVec3,
     },
     /// Facets that are more than a thousandth of the area would have two corners in one place; this is the first.
     #[error(
@@ -306,11 +294,31 @@ pub enum DataError {
     List(String),
 }
 
+/// A file's surface and its attributes.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Loaded {
+    /// The surface.
+    pub mesh: TriMesh,
+    /// Its attributes.
+    pub attributes: Attributes,
+    /// Attributes of the file that cannot be used, with the reason.
+    pub left_aside: Vec<AttributeError>,
+}
+
 /// Reads a surface; the format is the extension's.
 ///
 /// # Errors
 /// [`FileError`]: an unknown extension, a file that cannot be opened, or content that is wrong.
 pub fn read(path: &Path) -> Result<TriMesh, FileError> {
+    read_as(path, decode)
+}
+
+/// [`read`], with attributes.
+pub fn read_with_attributes(path: &Path) -> Result<Loaded, FileError> {
+    read_as(path, decode_with_attributes)
+}
+
+fn read_as<T>(path: &Path, decode: fn(Format, &[u8]) -> Result<T, DataError>) -> Result<T, FileError> {
     let format = Format::of_path(path)?;
     let bytes =
         std::fs::read(path).map_err(|cause| FileError::Io { path: path.to_path_buf(), action: "read", cause })?;
@@ -326,13 +334,23 @@ pub fn read(path: &Path) -> Result<TriMesh, FileError> {
 /// # Errors
 /// [`FileError`]: an unknown extension, a file that cannot be written, or coordinates that the format cannot hold.
 pub fn write(path: &Path, mesh: &TriMesh) -> Result<(), FileError> {
+    write_with_attributes(path, mesh, &Attributes::new(mesh)).map(|_| ())
+}
+
+/// [`write()`], with attributes. Returns the names of the attributes that the format cannot hold.
+///
+/// Numbers keep their bits, except colours that came in 8 bits, which PLY, OFF, VTK and glTF store so; glTF has all
+/// others in single precision.
+pub fn write_with_attributes(path: &Path, mesh: &TriMesh, attributes: &Attributes) -> Result<Vec<String>, FileError> {
     let format = Format::of_path(path)?;
-    let bytes = encode(format, mesh).map_err(|cause| FileError::Data { path: path.to_path_buf(), cause })?;
+    let encoded = encode_with_attributes(format, mesh, attributes);
+    let (bytes, left_out) = encoded.map_err(|cause| FileError::Data { path: path.to_path_buf(), cause })?;
     pack_for(path, bytes).and_then(|bytes| std::fs::write(path, bytes)).map_err(|cause| FileError::Io {
         path: path.to_path_buf(),
         action: "write",
         cause,
-    })
+    })?;
+    Ok(left_out)
 }
 
 /// Reads a surface from the bytes of a file.
@@ -352,6 +370,25 @@ pub fn decode(format: Format, bytes: &[u8]) -> Result<TriMesh, DataError> {
     Ok(TriMesh::new(positions, facets)?)
 }
 
+/// Reads a surface and its attributes from the bytes of a file.
+///
+/// # Errors
+/// [`DataError`], exactly where [`decode`] gives it.
+///
+/// ```
+/// use tessera::mesh::io::{DataError, Format, decode_with_attributes};
+/// let text = b"COFF 3 1 0\n0 0 0 255 0 0 255\n1 0 0 0 255 0 255\n0 1 0 0 0 51 255\n3 0 1 2\n";
+/// let loaded = decode_with_attributes(Format::Off, text)?;
+/// assert_eq!(loaded.attributes.colours().unwrap().values[2], [0.0, 0.0, 0.2, 1.0]);
+/// # Ok::<(), DataError>(())
+/// ```
+pub fn decode_with_attributes(format: Format, bytes: &[u8]) -> Result<Loaded, DataError> {
+    let Soup { positions, facets, raw, .. } = decode_soup(format, bytes, true)?;
+    let mesh = TriMesh::new(positions, facets)?;
+    let (attributes, left_aside) = raw.onto(&mesh);
+    Ok(Loaded { mesh, attributes, left_aside })
+}
+
 /// Vertices and facets that [`decode`] would find in a file, at most: a polygon of n corners counts as n - 2 facets, a facet
 /// of STL as three vertices. `None` if the bytes are no such file, or end before what its header declares; `decode` fails then.
 ///
@@ -362,13 +399,13 @@ pub fn counts(format: Format, bytes: &[u8]) -> Option<(u64, u64)> {
     counts_of_plain(format, &bytes).map(|counts| (counts.vertices, counts.facets))
 }
 
-/// The same of bytes that are not packed.
+/// [`counts`] of bytes that are not packed.
 pub fn counts_of_plain(format: Format, bytes: &[u8]) -> Option<Counts> {
     let counts = (format.codec().counts)(without_mark(bytes))?;
     (counts.vertices > 0 && counts.facets > 0).then_some(counts)
 }
 
-/// Says of elements that fill space that they are left aside; an error if there is nothing else.
+/// Reports elements that fill space as left aside; an error if there is nothing else.
 fn volumes(soup: &mut Soup, elements: usize, advice: &str) -> Result<(), DataError> {
     match (elements, soup.facets.is_empty()) {
         (0, _) => Ok(()),
@@ -382,7 +419,12 @@ fn volumes(soup: &mut Soup, elements: usize, advice: &str) -> Result<(), DataErr
     }
 }
 
-/// What the format's reader finds, its polygons cut; what the surface carries only if it is `wanted`.
+/// A line of text that cannot be understood.
+fn syntax(line: usize, message: impl Into<String>) -> DataError {
+    DataError::Syntax { line, message: message.into() }
+}
+
+/// The surface that the format's reader finds, with its polygons cut. Attributes are read only if they are `wanted`.
 fn decode_soup(format: Format, bytes: &[u8], wanted: bool) -> Result<Soup, DataError> {
     let bytes = unpack(bytes, unpacked_limit(bytes.len()))?;
     let bytes = without_mark(&bytes);
@@ -396,7 +438,7 @@ fn decode_soup(format: Format, bytes: &[u8], wanted: bool) -> Result<Soup, DataE
     Ok(soup)
 }
 
-/// Without the byte order mark that some editors put before text. It would hide the first word.
+/// Removes the byte order mark that some editors put before text. It would hide the first word.
 fn without_mark(bytes: &[u8]) -> &[u8] {
     bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes)
 }
@@ -409,14 +451,40 @@ pub fn encode(format: Format, mesh: &TriMesh) -> Result<Vec<u8>, DataError> {
     (format.codec().encode)(mesh, &Held::default())
 }
 
-/// What a reader collects: triangles, not yet validated.
+/// The bytes of a file that holds `mesh` and of `attributes` what the format can hold, and the names of
+/// the others.
+///
+/// | | normals | texture coordinates | colours | scalars |
+/// | --- | --- | --- | --- | --- |
+/// | OBJ | yes | yes | without opacity | no |
+/// | PLY | per vertex | yes; with seams as the face property `texcoord` | yes | yes |
+/// | OFF | per vertex | per vertex | yes | no |
+/// | VTK, `.vtk` and `.vtp` | per vertex | per vertex | yes | yes |
+/// | glTF | yes | yes | yes | no |
+/// | Gmsh | no | no | no | yes |
+/// | STL, Medit | no | no | no | no |
+///
+/// # Errors
+/// [`DataError::SinglePrecision`] for STL and glTF; [`DataError::Attributes`] if they are another mesh's.
+pub fn encode_with_attributes(
+    format: Format,
+    mesh: &TriMesh,
+    attributes: &Attributes,
+) -> Result<(Vec<u8>, Vec<String>), DataError> {
+    attributes.check_mesh(mesh)?;
+    let held = Held::of(&format.codec().holds, mesh, attributes);
+    let bytes = (format.codec().encode)(mesh, &held)?;
+    Ok((bytes, held.left_out))
+}
+
+/// The triangles that a reader collects, not yet validated.
 #[derive(Debug, Default)]
 struct Soup {
     positions: Vec<DVec3>,
     facets: Vec<[u32; 3]>,
     /// Which of them are polygons' with more than three corners, all of them fans.
     fans: Vec<Fan>,
-    /// What it carries, not yet checked.
+    /// Attributes, not yet checked.
     raw: Raw,
 }
 
@@ -433,7 +501,7 @@ impl Soup {
             _ => Err(format!("vertex {corner} is named, but there are {vertices} vertices, counted from 0")),
         };
         if corners.len() > 3 {
-            // As many facets as numbers can tell apart are refused later.
+            // More facets than 32 bits can number are refused later.
             let count = |n: usize| u32::try_from(n).unwrap_or(u32::MAX);
             self.fans.push((count(self.facets.len()), count(corners.len() - 2)));
         }

@@ -20,7 +20,7 @@ const MOST_LOST_PARTS: usize = 16;
 /// Parts of the input that are farther from the result than an edge of it.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct LostParts {
-    /// How many hang together each.
+    /// Number of connected parts.
     pub count: usize,
     /// Their area, percent of the input's.
     pub area_percent: f64,
@@ -37,7 +37,7 @@ pub struct LostPart {
     pub facets: usize,
     /// Percent of the input's area.
     pub area_percent: f64,
-    /// Of that vertex, percent of the input's bounding-box diagonal.
+    /// Distance of that vertex from the result, percent of the input's bounding-box diagonal.
     pub distance_percent: f64,
     /// Reason of the loss.
     pub reason: LostReason,
@@ -47,20 +47,17 @@ pub struct LostPart {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum LostReason {
-    /// It hangs together with nothing else, and is smaller than its share of points can show.
+    /// A connected component of its own, smaller than its share of points can show.
     Component,
-    /// It hangs on an edge of more than two facets.
+    /// A part at an edge of more than two facets.
     NonManifold,
-    /// It is at a boundary, and narrower than an edge.
+    /// A part at a boundary, narrower than an edge.
     Boundary,
-    /// It is thinner than an edge.
+    /// A part thinner than an edge.
     Thin,
 }
 
 /// Returns the parts of `mesh` that `result` lacks, given the distances of the vertices of `mesh`.
-///
-/// # Errors
-/// [`Stopped`].
 pub(crate) fn find(mesh: &TriMesh, result: &TriMesh, distances: &[f64], token: &Token) -> Result<LostParts, Stopped> {
     // Scaled, so that the squares of a tiny or huge box stay within range.
     let (low, high) = mesh.bounds();
@@ -70,7 +67,7 @@ pub(crate) fn find(mesh: &TriMesh, result: &TriMesh, distances: &[f64], token: &
         (b - a).cross(c - a).length() / 2.0
     };
     let area = |mesh: &TriMesh| (0..mesh.facets().len()).map(|f| size(mesh, f)).sum::<f64>();
-    // Of even triangles of the result's area and number.
+    // The edge of equilateral triangles of the result's area and number.
     let edge = extent * (4.0 / 3f64.sqrt() * area(result) / result.facets().len().max(1) as f64).sqrt();
     let far = |v: u32| distances[v as usize] > LOST_EDGES * edge;
     let is_lost = |f: usize| mesh.facets()[f].into_iter().any(far) && !mesh.is_degenerate(f);

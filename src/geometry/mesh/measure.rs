@@ -1,4 +1,4 @@
-//! What can be said of a surface as a whole: its topology, and its quality as a remesh.
+//! Figures of a whole surface: its topology, and its quality as a remesh.
 //!
 //! Purpose: [`topology`] and [`quality`], with the definitions of the CVT literature.
 //! Invariant: exactly coincident vertices count as one and facets that name a point twice not at all.
@@ -12,7 +12,7 @@ use serde::Serialize;
 use super::adjacency::{Adjacency, EdgeKind};
 use super::closest_point::{ClosestPoint, SurfacePoint};
 use super::disjoint::DisjointSets;
-use super::edges::undirected;
+use super::edges::{sides, undirected};
 use super::sample::sample;
 use super::{TriMesh, coincident};
 use crate::token::{Stopped, Token};
@@ -37,8 +37,7 @@ pub struct Topology {
 }
 
 impl Topology {
-    /// What a remesh did not keep, one sentence each. Non-manifold elements are not counted as kept or lost: a remesh never has
-    /// any.
+    /// Figures that a remesh did not keep, one sentence each. Non-manifold elements do not count: a remesh never has any.
     pub fn changes(&self, result: &Self) -> Vec<String> {
         let pairs = [
             ("euler", self.euler, result.euler),
@@ -96,9 +95,6 @@ pub fn topology(mesh: &TriMesh) -> Topology {
 }
 
 /// Topology of `mesh`, whose edges are known already.
-///
-/// # Errors
-/// [`Stopped`].
 pub fn topology_unless(mesh: &TriMesh, adjacency: &Adjacency, token: &Token) -> Result<Topology, Stopped> {
     let representative = adjacency.representative();
     let live: Vec<usize> = (0..mesh.facets().len()).filter(|&f| !adjacency.is_collapsed(f)).collect();
@@ -117,10 +113,7 @@ pub fn topology_unless(mesh: &TriMesh, adjacency: &Adjacency, token: &Token) -> 
     let components = (0..used.len()).filter(|&v| used[v] && surfaces.root(v) == v).count();
 
     token.check()?;
-    let mut fans = fans(mesh, adjacency, &live);
-    token.check()?;
-    let non_manifold_vertices =
-        fans_at(&mut fans, &live, representative.len(), vertex).filter(|&fans| fans > 1).count();
+    let (mut fans, fans_at) = fans(mesh, adjacency);
     token.check()?;
 
     Ok(Topology {
@@ -129,7 +122,7 @@ pub fn topology_unless(mesh: &TriMesh, adjacency: &Adjacency, token: &Token) -> 
         boundary_loops: boundary_loops(adjacency, &mut fans, vertex),
         boundary_edges: adjacency.boundary_edges(),
         non_manifold_edges: adjacency.non_manifold_edges(),
-        non_manifold_vertices,
+        non_manifold_vertices: fans_at.into_iter().filter(|&fans| fans > 1).count(),
     })
 }
 
@@ -137,9 +130,6 @@ pub fn topology_unless(mesh: &TriMesh, adjacency: &Adjacency, token: &Token) -> 
 const SAME_PLACE: f64 = 1e-5;
 
 /// Counts vertices in the place of an earlier one with which they share no edge.
-///
-/// # Errors
-/// [`Stopped`].
 pub fn coincident_vertices(result: &TriMesh, token: &Token) -> Result<usize, Stopped> {
     let (low, high) = result.bounds();
     let reach = SAME_PLACE * (high - low).length();
@@ -150,35 +140,18 @@ pub fn coincident_vertices(result: &TriMesh, token: &Token) -> Result<usize, Sto
     if found.is_empty() {
         return Ok(0);
     }
-    let edges = result.facets().iter().flat_map(|&[a, b, c]| [[a, b], [b, c], [c, a]]).map(undirected);
-    let edges: HashSet<[u32; 2]> = edges.collect();
+    let edges: HashSet<[u32; 2]> = result.facets().iter().flat_map(|&facet| sides(facet)).map(undirected).collect();
     Ok(found.iter().filter(|&&(later, earlier, _)| !edges.contains(&undirected([later, earlier]))).count())
 }
 
 /// Quality of `result` against `original`. Distances are taken from about 100,000 random points and all
 /// vertices of each side to the other surface.
 pub fn quality(original: &TriMesh, result: &TriMesh) -> Quality {
-    quality_unless(original, None, result, &Token::default()).unwrap_or_default()
+    quality_and_distances(original, None, result, &Token::default()).map(|(quality, _)| quality).unwrap_or_default()
 }
 
-/// As [`quality`]. Who has something that answers for `original`, or for the same
-/// surface with its facets divided, saves the time to make it.
-///
-/// # Errors
-/// [`Stopped`].
-pub fn quality_unless(
-    original: &TriMesh,
-    closest: Option<ClosestPoint>,
-    result: &TriMesh,
-    token: &Token,
-) -> Result<Quality, Stopped> {
-    quality_and_distances(original, closest, result, token).map(|(quality, _)| quality)
-}
-
-/// As [`quality_unless`], with how far each vertex of `original` is from the result, 0 where no facet with area has it.
-///
-/// # Errors
-/// [`Stopped`].
+/// [`quality`], and how far each vertex of `original` is from the result, 0 where no facet with area has it. `closest` answers for
+/// `original`, or for the same surface with its facets divided; it saves the time to make it.
 pub fn quality_and_distances(
     original: &TriMesh,
     closest: Option<ClosestPoint>,
@@ -209,14 +182,14 @@ pub fn facet_quality([a, b, c]: [DVec3; 3]) -> f64 {
     if box_of > 0.0 { 6.0 / 3f64.sqrt() * 0.5 * u.cross(w).length() / box_of } else { 0.0 }
 }
 
-/// Corners that are connected through edges with two facets. Corner `3 * facet + c` is the
-/// origin of the half-edge of that number.
-fn fans(mesh: &TriMesh, adjacency: &Adjacency, live: &[usize]) -> DisjointSets {
+/// Corners that are connected through edges with two facets, and how many such fans are around each vertex. Corner
+/// `3 * facet + c` is the origin of the half-edge of that number.
+fn fans(mesh: &TriMesh, adjacency: &Adjacency) -> (DisjointSets, Vec<u32>) {
     let representative = adjacency.representative();
-    let next = |half: usize| half - half % 3 + (half + 1) % 3;
     let vertex = |half: usize| representative[mesh.facets()[half / 3][half % 3] as usize];
+    let halves = || (0..3 * mesh.facets().len()).filter(|half| !adjacency.is_collapsed(half / 3));
     let mut fans = DisjointSets::new(3 * mesh.facets().len());
-    for half in live.iter().flat_map(|f| [3 * f, 3 * f + 1, 3 * f + 2]) {
+    for half in halves() {
         if let Some(other) = adjacency.opposite(half).filter(|&other| half < other) {
             // Where the facets run the same way through the edge, so do its ends.
             let (near, far) = if vertex(half) == vertex(other) { (other, next(other)) } else { (next(other), other) };
@@ -224,35 +197,25 @@ fn fans(mesh: &TriMesh, adjacency: &Adjacency, live: &[usize]) -> DisjointSets {
             fans.join(next(half), far);
         }
     }
-    fans
+    let mut count = vec![0u32; representative.len()];
+    // Each fan is known by one of its corners.
+    halves().for_each(|half| count[vertex(half) as usize] += u32::from(fans.root(half) == half));
+    (fans, count)
 }
 
-/// How many fans there are around each vertex.
-fn fans_at(
-    fans: &mut DisjointSets,
-    live: &[usize],
-    vertices: usize,
-    vertex: impl Fn(usize) -> usize,
-) -> impl Iterator<Item = u32> {
-    let mut count = vec![0u32; vertices];
-    // Each fan is known by one of its corners.
-    for half in live.iter().flat_map(|f| [3 * f, 3 * f + 1, 3 * f + 2]) {
-        count[vertex(half)] += u32::from(fans.root(half) == half);
-    }
-    count.into_iter()
+/// The next half-edge of the same facet.
+fn next(half: usize) -> usize {
+    half - half % 3 + (half + 1) % 3
 }
 
 /// The vertices around which a surface is no manifold; each is known by the lowest vertex in its place.
 pub fn non_manifold_vertices(mesh: &TriMesh) -> Vec<bool> {
     let adjacency = &Adjacency::new(mesh);
-    let live: Vec<usize> = (0..mesh.facets().len()).filter(|&f| !adjacency.is_collapsed(f)).collect();
-    let representative = adjacency.representative();
-    let vertex = |half: usize| representative[mesh.facets()[half / 3][half % 3] as usize] as usize;
-    let mut fans = fans(mesh, adjacency, &live);
-    let mut found: Vec<bool> = fans_at(&mut fans, &live, representative.len(), vertex).map(|fans| fans > 1).collect();
+    let vertex = |half: usize| adjacency.representative()[mesh.facets()[half / 3][half % 3] as usize] as usize;
+    let mut found: Vec<bool> = fans(mesh, adjacency).1.into_iter().map(|fans| fans > 1).collect();
     for half in 0..3 * mesh.facets().len() {
         if matches!(adjacency.kind(half), EdgeKind::NonManifold | EdgeKind::Inconsistent) {
-            [half, half - half % 3 + (half + 1) % 3].into_iter().for_each(|half| found[vertex(half)] = true);
+            [half, next(half)].into_iter().for_each(|half| found[vertex(half)] = true);
         }
     }
     found
@@ -263,8 +226,7 @@ fn boundary_loops(adjacency: &Adjacency, fans: &mut DisjointSets, vertex: impl F
     let mut ends = Vec::new();
     let halves: Vec<usize> = (0..fans.len()).filter(|&half| adjacency.kind(half) == EdgeKind::Boundary).collect();
     for (edge, &half) in halves.iter().enumerate() {
-        let next = half - half % 3 + (half + 1) % 3;
-        for corner in [half, next] {
+        for corner in [half, next(half)] {
             ends.push((vertex(corner), fans.root(corner), edge));
         }
     }
@@ -346,10 +308,9 @@ fn v567_percent(mesh: &TriMesh, adjacency: &Adjacency) -> f64 {
             EdgeKind::Collapsed => {}
         }
     }
-    let inner: Vec<u32> =
-        valence.into_iter().zip(interior).filter(|&(n, inside)| inside && n > 0).map(|(n, _)| n).collect();
-    let regular = inner.iter().filter(|n| (5..=7).contains(*n)).count();
-    if inner.is_empty() { 100.0 } else { 100.0 * regular as f64 / inner.len() as f64 }
+    let inner = || valence.iter().zip(&interior).filter(|(n, inside)| **inside && **n > 0);
+    let regular = inner().filter(|(n, _)| (5..=7).contains(*n)).count();
+    if inner().next().is_none() { 100.0 } else { 100.0 * regular as f64 / inner().count() as f64 }
 }
 
 /// Vertices of facets with an area, ascending. Facets without one are no part of the surface for samples and closest points,
@@ -390,9 +351,6 @@ impl Probe {
 
 /// All points at which [`quality`] takes distances from `mesh`: random ones, and the vertices; and points on edges that are
 /// longer than the random points are apart.
-///
-/// # Errors
-/// [`Stopped`].
 pub fn probes(mesh: &TriMesh, token: &Token) -> Result<Vec<Probe>, Stopped> {
     let mut probes: Vec<Probe> =
         sample(mesh, None, SAMPLES, SAMPLE_SEED).iter().map(|point| Probe::of(mesh, point)).collect();
@@ -401,7 +359,7 @@ pub fn probes(mesh: &TriMesh, token: &Token) -> Result<Vec<Probe>, Stopped> {
     probes.extend(solid_vertices(mesh).map(|v| Probe { position: at(v), vertices: [v; 3] }));
     let apart = (mesh.area() / SAMPLES as f64).sqrt();
     let solid = mesh.facets().iter().enumerate().filter(|&(f, _)| !mesh.is_degenerate(f));
-    let edges = solid.flat_map(|(_, &[a, b, c])| [[a, b], [b, c], [c, a]]).map(undirected);
+    let edges = solid.flat_map(|(_, &facet)| sides(facet)).map(undirected);
     let length = |&[a, b]: &[u32; 2]| at(a).distance(at(b));
     let mut edges: Vec<[u32; 2]> = edges.filter(|edge| length(edge) > apart).collect();
     token.check()?;

@@ -12,7 +12,7 @@ const UNCHANGED: u32 = u32::MAX;
 #[derive(Clone, Debug)]
 pub(crate) struct OneRings {
     base: Csr<u32>,
-    /// By vertex, which list of `changed` has its facets.
+    /// For each vertex the list of `changed` with its facets.
     list: Vec<u32>,
     changed: Vec<Vec<u32>>,
 }

@@ -12,9 +12,6 @@ use crate::token::{Stopped, Token};
 
 /// `mesh` with each component oriented as most of its area is, and how many facets were flipped; `None` if
 /// none had to be. Linear in the facets.
-///
-/// # Errors
-/// [`Stopped`].
 pub(crate) fn make_consistent(mesh: &TriMesh, token: &Token) -> Result<Option<(TriMesh, usize)>, Stopped> {
     let adjacency = Adjacency::new(mesh);
     token.check()?;

@@ -41,12 +41,12 @@ struct Masses<'a> {
 }
 
 impl<'a> Masses<'a> {
-    /// Without weights if these cannot be. Nothing if no facet has a mass.
+    /// Without weights if these are not valid. `None` if no facet has a mass.
     fn weighted_or_not(mesh: &'a TriMesh, weights: Option<&[f64]>) -> Option<Self> {
         weights.and_then(|given| Self::new(mesh, Some(given))).or_else(|| Self::new(mesh, None))
     }
 
-    /// Nothing if no facet has a mass.
+    /// `None` if no facet has a mass.
     fn new(mesh: &'a TriMesh, weights: Option<&[f64]>) -> Option<Self> {
         if weights.is_some_and(|given| given.len() != mesh.positions().len()) {
             return None;
@@ -65,7 +65,8 @@ impl<'a> Masses<'a> {
         for facet in 0..mesh.facets().len() {
             let [a, b, c] = mesh.corners(facet).map(|p| (p - low) / extent);
             let area = if mesh.is_degenerate(facet) { 0.0 } else { (b - a).cross(c - a).length() };
-            let top = weights.as_ref().map_or(1.0, |w| top(w, mesh.facets()[facet]));
+            let of_corners = |w: &Vec<f64>| mesh.facets()[facet].iter().map(|&v| w[v as usize]).fold(0.0, f64::max);
+            let top = weights.as_ref().map_or(1.0, of_corners);
             let before = total;
             total += area * top.sqrt();
             if total > before {
@@ -81,7 +82,7 @@ impl<'a> Masses<'a> {
         self.weights.as_ref().map(|weights| self.mesh.facets()[facet].map(|v| weights[v as usize]))
     }
 
-    /// Of a facet: its area times the root of its largest weight.
+    /// Area of a facet times the root of its largest weight.
     fn most(&self, facet: usize) -> f64 {
         self.cumulative[facet] - if facet > 0 { self.cumulative[facet - 1] } else { 0.0 }
     }
@@ -91,13 +92,11 @@ impl<'a> Masses<'a> {
             let target = uniform(rng) * self.total;
             let facet = self.cumulative.partition_point(|&sum| sum <= target).min(self.last);
             let [u, v, w] = in_triangle(rng);
-            if let Some(weights) = &self.weights {
-                let corners = self.mesh.facets()[facet];
-                let [wa, wb, wc] = corners.map(|corner| weights[corner as usize]);
+            if let Some([wa, wb, wc]) = self.weights(facet) {
                 let density = u * wa + v * wb + w * wc;
                 let chance = uniform(rng);
                 // chance < √(density / top), without a division.
-                if chance * chance * top(weights, corners) >= density {
+                if chance * chance * wa.max(wb).max(wc) >= density {
                     continue;
                 }
             }
@@ -119,11 +118,6 @@ fn in_triangle(rng: &mut ChaCha8Rng) -> [f64; 3] {
         (v, w) = (1.0 - v, 1.0 - w);
     }
     [(1.0 - v - w).max(0.0), v, w]
-}
-
-fn top(weights: &[f64], corners: [u32; 3]) -> f64 {
-    let [a, b, c] = corners.map(|corner| weights[corner as usize]);
-    a.max(b).max(c)
 }
 
 /// Uniform in [0, 1), 53 bits.

@@ -101,15 +101,8 @@ const MAX_GENUS: u32 = 99;
 impl fmt::Display for Shape {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::Sphere => f.write_str("sphere"),
-            Self::Torus => f.write_str("torus"),
             Self::Genus(holes) => write!(f, "genus{holes}"),
-            Self::Block => f.write_str("block"),
-            Self::Hills => f.write_str("hills"),
-            Self::Sheets => f.write_str("sheets"),
-            Self::Slivers => f.write_str("slivers"),
-            Self::Square => f.write_str("square"),
-            Self::Plane => f.write_str("plane"),
+            other => f.write_str(&format!("{other:?}").to_lowercase()),
         }
     }
 }
@@ -137,8 +130,7 @@ struct Draft {
 impl Draft {
     /// Two triangles; corners counter-clockwise from outside.
     fn quad(&mut self, [a, b, c, d]: [u32; 4]) {
-        self.facets.push([a, b, c]);
-        self.facets.push([a, c, d]);
+        self.facets.extend([[a, b, c], [a, c, d]]);
     }
 
     fn finish(self) -> TriMesh {

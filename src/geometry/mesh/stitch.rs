@@ -18,9 +18,6 @@ const MAX_EDGE_SHARE: f64 = 0.01;
 
 /// Returns `mesh` with such vertices at one position, and the number of moved ones; `None` if there are none. Linear in the
 /// facets.
-///
-/// # Errors
-/// [`Stopped`].
 pub(crate) fn boundaries(
     mesh: &TriMesh,
     adjacency: &Adjacency,

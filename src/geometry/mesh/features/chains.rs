@@ -9,7 +9,8 @@ use glam::DVec3;
 
 use super::close_corners::{self, CornerMerge};
 use super::graph::Graph;
-use super::{Curve, CurveKind, Metric, edge};
+use super::{Curve, CurveKind, Metric};
+use crate::mesh::edges::undirected;
 use crate::token::{Stopped, Token};
 
 /// Number of edges at the end of a curve that [`Curve::ends_deg`] averages.
@@ -24,9 +25,10 @@ pub(super) fn curves(
     merge: CornerMerge,
     token: &Token,
 ) -> Result<(Vec<Curve>, Vec<u32>, usize), Stopped> {
-    let kind = |a: u32, b: u32| graph.edges[&edge(a, b)].kind;
-    let mean_angle =
-        |c: &[u32]| c.windows(2).map(|p| graph.edges[&edge(p[0], p[1])].angle).sum::<f64>() / (c.len() - 1) as f64;
+    let kind = |a: u32, b: u32| graph.edges[&undirected([a, b])].kind;
+    let mean_angle = |c: &[u32]| {
+        c.windows(2).map(|p| graph.edges[&undirected([p[0], p[1]])].angle).sum::<f64>() / (c.len() - 1) as f64
+    };
     let mut corners: BTreeSet<u32> = graph
         .neighbours
         .iter()
@@ -39,13 +41,11 @@ pub(super) fn curves(
     for v in ends {
         token.check()?;
         for &next in &graph.neighbours[&v] {
-            if done.contains(&edge(v, next)) {
+            if done.contains(&undirected([v, next])) {
                 continue;
             }
             let chain = graph.chain_to(v, next, &corners);
-            chain.windows(2).for_each(|p| {
-                done.insert(edge(p[0], p[1]));
-            });
+            done.extend(chain.windows(2).map(|p| undirected([p[0], p[1]])));
             let closed = chain[0] == chain[chain.len() - 1] && !corners.contains(&v);
             split(&chain, closed, kind(v, next), (metric, merge.reach), (&mut corners, &mut curves), token)?;
         }
@@ -75,29 +75,19 @@ fn split(
 ) -> Result<(), Stopped> {
     let turns = sharp_turns(chain, closed, (metric, reach), token)?;
     let last = chain.len() - 1;
-    if turns.is_empty() {
-        let vertices = if closed { chain[..last].to_vec() } else { chain.to_vec() };
-        curves.push(Curve { kind, vertices, closed, angle_deg: 0.0, ends_deg: [0.0; 2] });
+    let curve = |vertices, closed| Curve { kind, vertices, closed, angle_deg: 0.0, ends_deg: [0.0; 2] };
+    if closed && turns.is_empty() {
+        curves.push(curve(chain[..last].to_vec(), true));
         return Ok(());
     }
     corners.extend(turns.iter().map(|&k| chain[k]));
-    let mut pieces: Vec<Vec<u32>> = Vec::new();
-    if closed {
-        for (i, &from) in turns.iter().enumerate() {
-            let to = turns.get(i + 1).copied().unwrap_or(turns[0] + last);
-            pieces.push((from..=to).map(|k| chain[k % last]).collect());
-        }
-    } else {
-        let cuts: Vec<usize> = std::iter::once(0).chain(turns).chain(std::iter::once(last)).collect();
-        pieces.extend(cuts.windows(2).map(|c| chain[c[0]..=c[1]].to_vec()));
-    }
-    curves.extend(pieces.into_iter().map(|vertices| Curve {
-        kind,
-        vertices,
-        closed: false,
-        angle_deg: 0.0,
-        ends_deg: [0.0; 2],
-    }));
+    // A closed chain is cut at its turns alone, the last piece goes on to the first of them.
+    let cuts: Vec<usize> = match turns.first() {
+        Some(&first) if closed => turns.iter().copied().chain([first + last]).collect(),
+        _ => [0].into_iter().chain(turns).chain([last]).collect(),
+    };
+    let vertex = |k: usize| chain[if k > last { k - last } else { k }];
+    curves.extend(cuts.windows(2).map(|cut| curve((cut[0]..=cut[1]).map(vertex).collect(), false)));
     Ok(())
 }
 

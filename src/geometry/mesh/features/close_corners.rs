@@ -116,7 +116,7 @@ impl Merger<'_> {
         Some(removed)
     }
 
-    /// By how much chords from `stays` leave the curves that end in `removed`, at most, once these continue along curve `c`;
+    /// Largest deviation of chords from `stays` from the curves that end in `removed`, once these continue along curve `c`;
     /// `None` where they may not, or by too much.
     fn off(&self, c: usize, removed: u32, stays: u32) -> Option<f64> {
         let others: Vec<&Curve> = self.at[&removed].iter().filter(|&&o| o != c).map(|&o| &self.curves[o]).collect();

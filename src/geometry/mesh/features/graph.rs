@@ -6,7 +6,8 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use super::{CurveKind, Edge, Metric, edge};
+use super::{CurveKind, Edge, Metric};
+use crate::mesh::edges::undirected;
 use crate::token::{Stopped, Token};
 
 /// A network is a tangle if its curves are on average shorter than this share of the shortest crease.
@@ -63,17 +64,22 @@ impl Graph {
         self.neighbours.get(&v).map_or(0, Vec::len)
     }
 
-    /// The chain that begins with the edge from `v` to `next`, through vertices of two edges.
-    fn chain(&self, v: u32, next: u32) -> Vec<u32> {
+    /// The chain that begins with the edge from `v` to `next`, up to `v` or a vertex that ends chains. All others have two edges.
+    fn chain(&self, v: u32, next: u32, ends: impl Fn(u32) -> bool) -> Vec<u32> {
         let mut chain = vec![v, next];
         let (mut before, mut here) = (v, next);
-        while self.degree(here) == 2 && here != v {
+        while here != v && !ends(here) {
             let list = &self.neighbours[&here];
             let ahead = if list[0] == before { list[1] } else { list[0] };
             chain.push(ahead);
             (before, here) = (here, ahead);
         }
         chain
+    }
+
+    /// A chain that ends at corners.
+    pub(super) fn chain_to(&self, v: u32, next: u32, corners: &BTreeSet<u32>) -> Vec<u32> {
+        self.chain(v, next, |v| corners.contains(&v))
     }
 
     /// Removes creases with a free end that are shorter than `min_length`, repeatedly, and then short networks and tangles.
@@ -94,7 +100,7 @@ impl Graph {
             let mut loose: Vec<(f64, Vec<u32>)> = Vec::new();
             for v in ends {
                 token.check()?;
-                let chain = self.chain(v, self.neighbours[&v][0]);
+                let chain = self.chain(v, self.neighbours[&v][0], |v| self.degree(v) != 2);
                 let length = metric.chain(&chain);
                 if length < min_length && self.is_removable(&chain) {
                     loose.push((length, chain));
@@ -111,7 +117,7 @@ impl Graph {
                     continue;
                 }
                 touched.extend(ends);
-                chain.windows(2).for_each(|p| self.remove(edge(p[0], p[1])));
+                chain.windows(2).for_each(|p| self.remove(undirected([p[0], p[1]])));
                 removed += 1;
             }
             if removed == 0 {
@@ -121,7 +127,7 @@ impl Graph {
     }
 
     fn is_removable(&self, chain: &[u32]) -> bool {
-        chain.windows(2).all(|p| self.edges.get(&edge(p[0], p[1])).is_none_or(|info| !info.required))
+        chain.windows(2).all(|p| self.edges.get(&undirected([p[0], p[1]])).is_none_or(|info| !info.required))
     }
 
     /// Removes short networks and tangles. Of a tangle with edges of moderate angle, only these are removed; returns whether
@@ -141,7 +147,7 @@ impl Graph {
                 token.check_at(edges.len())?;
                 ends += if self.degree(v) == 2 { 0 } else { self.degree(v) };
                 for &u in self.neighbours.get(&v).into_iter().flatten() {
-                    edges.insert(edge(v, u));
+                    edges.insert(undirected([v, u]));
                     if seen.insert(u) {
                         stack.push(u);
                     }
@@ -175,17 +181,5 @@ impl Graph {
             }
         }
         Ok(weakened)
-    }
-
-    pub(super) fn chain_to(&self, v: u32, next: u32, corners: &BTreeSet<u32>) -> Vec<u32> {
-        let mut chain = vec![v, next];
-        let (mut before, mut here) = (v, next);
-        while here != v && !corners.contains(&here) {
-            let list = &self.neighbours[&here];
-            let ahead = if list[0] == before { list[1] } else { list[0] };
-            chain.push(ahead);
-            (before, here) = (here, ahead);
-        }
-        chain
     }
 }

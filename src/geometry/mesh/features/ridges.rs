@@ -10,9 +10,10 @@
 use glam::DVec3;
 use rayon::prelude::*;
 
-use super::{Edge, EdgeInfo, Graph, Metric, edge};
+use super::{Edge, EdgeInfo, Graph, Metric};
 use crate::mesh::TriMesh;
 use crate::mesh::adjacency::{Adjacency, EdgeKind};
+use crate::mesh::edges::undirected;
 use crate::token::{Stopped, Token};
 
 /// Least dihedral angle of a ridge, share of the crease angle.
@@ -129,7 +130,7 @@ impl<'a> DihedralAngles<'a> {
             {
                 let corners = self.mesh.facets()[half / 3];
                 let [a, b] = [half % 3, (half + 1) % 3].map(|k| class[corners[k] as usize]);
-                found.push((edge(a, b), angle));
+                found.push((undirected([a, b]), angle));
             }
         }
         found.sort_unstable_by_key(|r| r.0);
@@ -176,7 +177,7 @@ impl<'a> DihedralAngles<'a> {
         }
         for chain in chosen {
             for p in chain.windows(2) {
-                let e = edge(p[0], p[1]);
+                let e = undirected([p[0], p[1]]);
                 graph.insert(e, ridges.edges[&e]);
             }
         }

@@ -22,7 +22,7 @@ use rayon::prelude::*;
 
 use self::document::{Accessor, Document, Primitive, Text};
 use super::held::{By, Held, Holds, eight_bit};
-use super::numbers::{Kind, Order};
+use super::numbers::{Cursor, Encoding, Kind, Order, cut};
 use super::single;
 use super::{Codec, Counts, DataError, Soup, VertexNumbers, unpacked_limit};
 use crate::mesh::TriMesh;
@@ -37,7 +37,7 @@ pub(super) const BINARY: Codec = Codec {
     // Half a vertex of three floats, and three indices.
     facet_bytes: 18,
     signature: super::recognition::Signature::Start(|head| head.bytes.starts_with(MAGIC)),
-    decode: decode_binary,
+    decode: |bytes, wanted| parts(bytes).and_then(|(json, binary)| surface(json, binary, bytes.len(), wanted)),
     encode: encode_binary,
     counts: |bytes| parts(bytes).ok().and_then(|(json, binary)| counts(json, binary, bytes.len())),
     holds: HOLDS,
@@ -51,7 +51,7 @@ pub(super) const TEXT: Codec = Codec {
     // Half a vertex of three floats, and three indices, in base64.
     facet_bytes: 24,
     signature: super::recognition::Signature::Start(|head| head.is_document(b'{', b"\"asset\"")),
-    decode: decode_text,
+    decode: |bytes, wanted| surface(bytes, None, bytes.len(), wanted),
     encode: encode_text,
     counts: |bytes| counts(bytes, None, bytes.len()),
     holds: HOLDS,
@@ -62,16 +62,7 @@ const MAGIC: &[u8] = b"glTF";
 const JSON: u32 = 0x4e4f_534a;
 const BIN: u32 = 0x004e_4942;
 
-fn decode_binary(bytes: &[u8], wanted: bool) -> Result<Soup, DataError> {
-    let (json, binary) = parts(bytes)?;
-    surface(json, binary, bytes.len(), wanted)
-}
-
-fn decode_text(bytes: &[u8], wanted: bool) -> Result<Soup, DataError> {
-    surface(bytes, None, bytes.len(), wanted)
-}
-
-/// What the nodes say that they have: no number of an accessor is read.
+/// What the nodes declare: no number of an accessor is read.
 fn counts(json: &[u8], binary: Option<&[u8]>, length: usize) -> Option<Counts> {
     let document = Document::read(json).ok()?;
     // Buffers are decoded from base64.
@@ -81,21 +72,22 @@ fn counts(json: &[u8], binary: Option<&[u8]>, length: usize) -> Option<Counts> {
     let most = unpacked_limit(length) as u64;
     // An element has a byte at the least.
     let there = (json.len() + binary.map_or(0, <[u8]>::len)) as u64;
-    let count = |accessor: usize| {
-        document.accessors.get(accessor).map(|a| a.count as u64).filter(|count| (1..=there).contains(count))
+    let count = |accessor: u32| {
+        document.accessors.get(accessor as usize).map(|a| a.count as u64).filter(|count| (1..=there).contains(count))
     };
     nodes(&document, length, |primitive, _| {
-        let (4..=6, Some(position)) = (primitive.mode, primitive.position()) else { return Ok(()) };
+        let Some((mode, position)) = primitive.triangles() else { return Ok(()) };
         let vertices = count(position).ok_or(DataError::Empty)?;
-        let corners = primitive.indices().map_or(Some(vertices), count).ok_or(DataError::Empty)?;
-        let facets = if primitive.mode == 4 { corners / 3 } else { corners.saturating_sub(2) };
+        let corners = primitive.indices.map_or(Some(vertices), count).ok_or(DataError::Empty)?;
+        let facets = if mode == 4 { corners / 3 } else { corners.saturating_sub(2) };
         counts.vertices += vertices;
         counts.facets += facets;
         // Numbers of vertices, as they are read and as they are kept, and of corners, and what corners carry.
-        let numbers = [(primitive.normal(), 3), (primitive.texture(), 2), (primitive.colour(), 4)];
+        let names = &primitive.attributes;
+        let numbers = [(names.normal, 3), (names.texture, 2), (names.colour, 4)];
         let numbers = 3 + numbers.iter().filter(|(name, _)| name.is_some()).map(|(_, n)| n).sum::<u64>();
         counts.made_bytes += (16 * numbers + 8) * vertices + 12 * corners + 48 * facets;
-        // What reading refuses ends here too.
+        // Reading refuses such files.
         if counts.made_bytes > most.saturating_mul(2) { Err(DataError::Empty) } else { Ok(()) }
     })
     .ok()?;
@@ -103,7 +95,7 @@ fn counts(json: &[u8], binary: Option<&[u8]>, length: usize) -> Option<Counts> {
     Some(counts)
 }
 
-/// The surface of a file of so many bytes.
+/// The surface of a file of `length` bytes.
 fn surface(json: &[u8], binary: Option<&[u8]>, length: usize, wanted: bool) -> Result<Soup, DataError> {
     let document = Document::read(json)?;
     let buffers = buffers(&document, binary)?;
@@ -118,10 +110,16 @@ fn surface(json: &[u8], binary: Option<&[u8]>, length: usize, wanted: bool) -> R
         colours: Vec::new(),
         eight: true,
         found: [false; 3],
-        told: HashSet::new(),
+        reported: HashSet::new(),
     };
     nodes(&document, length, |primitive, place| reader.primitive(primitive, place))?;
-    Ok(reader.finish())
+    let mut soup = reader.soup;
+    let [normals, texture, colours] = reader.found;
+    soup.raw.normals = normals.then_some(Normals::PerCorner(reader.normals));
+    soup.raw.texture = texture.then_some(reader.texture);
+    let depth = if reader.eight { ColourDepth::Eight } else { ColourDepth::Float };
+    soup.raw.colours = colours.then_some(Colours { values: reader.colours, depth });
+    Ok(soup)
 }
 
 /// JSON, and the binary part if there is one.
@@ -129,14 +127,9 @@ fn parts(bytes: &[u8]) -> Result<(&[u8], Option<&[u8]>), DataError> {
     let Some(rest) = bytes.strip_prefix(MAGIC) else {
         return Err(DataError::Header("it does not begin with \"glTF\"; name text .gltf".to_owned()));
     };
-    let short = || DataError::Truncated("it ends inside the header".to_owned());
-    let word = |rest: &mut &[u8]| -> Result<u32, DataError> {
-        let (word, after) = rest.split_first_chunk::<4>().ok_or_else(short)?;
-        *rest = after;
-        Ok(u32::from_le_bytes(*word))
-    };
-    let mut rest = rest;
-    let (version, length) = (word(&mut rest)?, word(&mut rest)? as usize);
+    let mut cursor = Cursor { encoding: Encoding::Binary(Order::Little), ..Cursor::new(rest) };
+    let word = |cursor: &mut Cursor<'_>| cursor.count(Kind::U32, "the header");
+    let (version, length) = (word(&mut cursor)?, word(&mut cursor)?);
     if version != 2 {
         return Err(DataError::Header(format!("version {version} of glTF is not read; export it as 2")));
     }
@@ -145,17 +138,16 @@ fn parts(bytes: &[u8]) -> Result<(&[u8], Option<&[u8]>), DataError> {
         return Err(DataError::Truncated(format!("{length} bytes are declared and {there} are there")));
     }
     let (mut json, mut binary) = (None, None);
-    while rest.len() >= 8 {
-        let (length, kind) = (word(&mut rest)? as usize, word(&mut rest)?);
-        let (chunk, after) = rest.split_at_checked(length).ok_or_else(short)?;
+    while cursor.rest.len() >= 8 {
+        let (length, kind) = (word(&mut cursor)?, word(&mut cursor)? as u32);
+        let chunk = cursor.take(length).ok_or_else(|| cut("the header"))?;
         match kind {
             JSON if json.is_none() => json = Some(chunk),
             BIN if binary.is_none() => binary = Some(chunk),
             _ => {}
         }
-        rest = after;
     }
-    Ok((json.ok_or_else(short)?, binary))
+    Ok((json.ok_or_else(|| cut("the header"))?, binary))
 }
 
 fn buffers<'a>(document: &Document<'_>, binary: Option<&'a [u8]>) -> Result<Vec<Cow<'a, [u8]>>, DataError> {
@@ -178,17 +170,17 @@ fn buffers<'a>(document: &Document<'_>, binary: Option<&'a [u8]>) -> Result<Vec<
 /// Ancestors of a node with further children to visit, at most. A place takes 128 bytes.
 const DEEPEST: usize = 10_000;
 
-/// All primitives of the scene of a file of so many bytes, in their places.
+/// All primitives of the scene, in their places; the file has `length` bytes.
 fn nodes(
     document: &Document<'_>,
     length: usize,
     mut visit: impl FnMut(&Primitive, DMat4) -> Result<(), DataError>,
 ) -> Result<(), DataError> {
-    // Of primitives without triangles too, which take time and no memory.
+    // Counts primitives without triangles too, which take time and no memory.
     let mut left = length.saturating_mul(8).saturating_add(1 << 20);
     let roots = document.roots();
     let mut open = vec![(roots.as_slice(), DMat4::IDENTITY)];
-    let mut seen = vec![false; document.nodes()];
+    let mut seen = vec![false; document.nodes.len()];
     while let Some((rest, parent)) = open.pop() {
         let Some((&index, rest)) = rest.split_first() else { continue };
         if !rest.is_empty() {
@@ -233,16 +225,15 @@ struct Reader<'a> {
     /// Whether there are normals, texture coordinates, colours at all.
     found: [bool; 3],
     /// Accessors that were left aside.
-    told: HashSet<usize>,
+    reported: HashSet<u32>,
 }
 
 impl Reader<'_> {
     fn primitive(&mut self, primitive: &Primitive, place: DMat4) -> Result<(), DataError> {
-        let mode = primitive.mode;
-        let (4..=6, Some(position)) = (mode, primitive.position()) else { return Ok(()) };
+        let Some((mode, position)) = primitive.triangles() else { return Ok(()) };
         let positions = self.numbers(position, 3)?;
         let count = positions.len() / 3;
-        let order: Option<Vec<u32>> = match primitive.indices() {
+        let order: Option<Vec<u32>> = match primitive.indices {
             Some(indices) => {
                 let corner = |x: f64| (0.0..count as f64).contains(&x).then_some(x as u32);
                 self.numbers(indices, 1)?.into_iter().map(corner).collect()
@@ -254,27 +245,24 @@ impl Reader<'_> {
         };
         let order = order.ok_or_else(|| DataError::Element {
             element: "accessor",
-            index: primitive.indices().unwrap_or(position),
+            index: primitive.indices.unwrap_or(position) as usize,
             message: format!("a vertex is named, but there are {count} vertices, counted from 0"),
         })?;
         let mirrored = place.determinant() < 0.0;
+        let in_strip = |(k, t): (usize, &[u32])| if k % 2 == 0 { [t[0], t[1], t[2]] } else { [t[1], t[0], t[2]] };
         let facets: Vec<[u32; 3]> = match mode {
             4 => order.as_chunks::<3>().0.to_vec(),
-            5 => order
-                .windows(3)
-                .enumerate()
-                .map(|(k, t)| if k % 2 == 0 { [t[0], t[1], t[2]] } else { [t[1], t[0], t[2]] })
-                .collect(),
+            5 => order.windows(3).enumerate().map(in_strip).collect(),
             _ => order.get(1..).unwrap_or_default().windows(2).map(|t| [order[0], t[0], t[1]]).collect(),
         };
-        // Of each facet three arrays of corners.
+        // Each facet has three arrays of corners.
         self.spend(facets.len().saturating_mul(36).saturating_add(count.saturating_mul(24)))?;
 
-        // Read even if nobody wants them: colours part vertices, and all count against the bound.
+        // Read even if they are not wanted: colours part vertices, and all count against the bound.
         let [normals, texture, colours] = [
-            self.carried(primitive.normal(), count, 3..=3),
-            self.carried(primitive.texture(), count, 2..=2),
-            self.carried(primitive.colour(), count, 3..=4),
+            self.carried(primitive.attributes.normal, count, 3..=3),
+            self.carried(primitive.attributes.texture, count, 2..=2),
+            self.carried(primitive.attributes.colour, count, 3..=4),
         ];
         let colour_of = |colours: &Option<(Vec<f64>, usize)>, i: usize| match colours {
             Some((values, n)) => {
@@ -288,7 +276,8 @@ impl Reader<'_> {
         let firsts = firsts(count, |i| {
             let mut key = [0; 7];
             let numbers = position(i).to_array().into_iter().chain(colour_of(&colours, i));
-            key.iter_mut().zip(numbers).for_each(|(k, x)| *k = bits(x));
+            // Adding 0 makes -0 the same as 0.
+            key.iter_mut().zip(numbers).for_each(|(k, x)| *k = (x + 0.0).to_bits());
             key
         });
         let soup = &mut self.soup;
@@ -304,7 +293,7 @@ impl Reader<'_> {
             return Ok(());
         }
         self.found[2] |= colours.is_some();
-        // What a primitive lacks is one value, of length 0 or in the corner of the texture.
+        // An attribute that a primitive lacks is one value: a normal of length 0, the corner of the texture.
         let map = place.inverse().transpose();
         let normal = |n: &[f64; 3]| {
             let n = DVec3::from_array(*n);
@@ -312,23 +301,23 @@ impl Reader<'_> {
         };
         let values = normals.as_ref().map(|(values, _)| values.as_chunks::<3>().0.iter().map(normal).collect());
         self.found[0] |= values.is_some();
-        add(&mut self.normals, values, &facets, turned);
+        add(&mut self.normals, values, &facets, turned, |n| n.to_array().map(f64::to_bits));
         let uv = |uv: &[f64; 2]| DVec2::new(uv[0], 1.0 - uv[1]);
         let values = texture.as_ref().map(|(values, _)| values.as_chunks::<2>().0.iter().map(uv).collect());
         self.found[1] |= values.is_some();
-        add(&mut self.texture, values, &facets, turned);
+        add(&mut self.texture, values, &facets, turned, |uv| uv.to_array().map(f64::to_bits));
         Ok(())
     }
 
-    /// Numbers of vertices that are carried, so many for each; what is wrong is left aside.
+    /// Numbers that vertices carry, and how many each has; what is wrong is left aside.
     fn carried(
         &mut self,
-        accessor: Option<usize>,
+        accessor: Option<u32>,
         count: usize,
         components: std::ops::RangeInclusive<usize>,
     ) -> Option<(Vec<f64>, usize)> {
         let index = accessor?;
-        let found = self.document.accessors.get(index);
+        let found = self.document.accessors.get(index as usize);
         let n = found.map_or(0, Accessor::components);
         let read = if components.contains(&n) { self.numbers(index, n).ok() } else { None };
         let right = read.filter(|values| values.len() == n * count);
@@ -341,7 +330,7 @@ impl Reader<'_> {
             }
             None => {
                 // Once, however often nodes name its mesh.
-                if self.told.insert(index) {
+                if self.reported.insert(index) {
                     let message = format!("it has not {} numbers for each of {count} vertices", components.end());
                     self.soup.raw.unreadable(&format!("accessor {index}"), message);
                 }
@@ -356,8 +345,9 @@ impl Reader<'_> {
         Ok(())
     }
 
-    /// The numbers of an accessor, so many for each element.
-    fn numbers(&mut self, index: usize, components: usize) -> Result<Vec<f64>, DataError> {
+    /// The numbers of an accessor with this number of components.
+    fn numbers(&mut self, index: u32, components: usize) -> Result<Vec<f64>, DataError> {
+        let index = index as usize;
         let wrong = |message: &str| DataError::Element { element: "accessor", index, message: message.to_owned() };
         let document = self.document;
         let accessor = document.accessors.get(index).ok_or_else(|| wrong("it is named, and there is none"))?;
@@ -410,24 +400,15 @@ impl Reader<'_> {
         }
         Ok(values)
     }
-
-    fn finish(self) -> Soup {
-        let mut soup = self.soup;
-        let [normals, texture, colours] = self.found;
-        soup.raw.normals = normals.then_some(Normals::PerCorner(self.normals));
-        soup.raw.texture = texture.then_some(self.texture);
-        let depth = if self.eight { ColourDepth::Eight } else { ColourDepth::Float };
-        soup.raw.colours = colours.then_some(Colours { values: self.colours, depth });
-        soup
-    }
 }
 
-/// Adds what vertices of a primitive have to the corners of its facets, each value once.
-fn add<T: Copy + Default + Bits + Sync>(
+/// Adds the values of a primitive's vertices to the corners of its facets, each value once.
+fn add<T: Copy + Default + Sync, K: Ord>(
     to: &mut PerCorner<T>,
     values: Option<Vec<T>>,
     facets: &[[u32; 3]],
     turned: impl Fn([u32; 3]) -> [u32; 3],
+    key: impl Fn(T) -> K + Sync,
 ) {
     let first = to.values.len();
     let Some(values) = values else {
@@ -435,11 +416,11 @@ fn add<T: Copy + Default + Bits + Sync>(
         to.corners.extend(facets.iter().map(|_| [first as u32; 3]));
         return;
     };
-    let index = numbered(firsts(values.len(), |i| values[i].bits()), first, |i| to.values.push(values[i]));
+    let index = numbered(firsts(values.len(), |i| key(values[i])), first, |i| to.values.push(values[i]));
     to.corners.extend(facets.iter().map(|&t| turned(t).map(|i| index[i as usize])));
 }
 
-/// Of each of so many elements the first with the same key.
+/// For each element the first with the same key.
 fn firsts<K: Ord>(count: usize, key: impl Fn(usize) -> K + Sync) -> Vec<u32> {
     let mut sorted: Vec<u32> = (0..count as u32).collect();
     sorted.par_sort_unstable_by(|&a, &b| key(a as usize).cmp(&key(b as usize)).then(a.cmp(&b)));
@@ -469,34 +450,8 @@ fn numbered(mut firsts: Vec<u32>, mut next: usize, mut new: impl FnMut(usize)) -
     firsts
 }
 
-/// Adding 0 makes -0 the same as 0.
-fn bits(x: f64) -> u64 {
-    (x + 0.0).to_bits()
-}
-
-trait Bits {
-    fn bits(self) -> [u64; 3];
-}
-
-impl Bits for DVec3 {
-    fn bits(self) -> [u64; 3] {
-        self.to_array().map(f64::to_bits)
-    }
-}
-
-impl Bits for DVec2 {
-    fn bits(self) -> [u64; 3] {
-        [self.x.to_bits(), self.y.to_bits(), 0]
-    }
-}
-
 /// JSON without its end, and the bytes that it names.
-struct Scenery {
-    json: String,
-    data: Vec<u8>,
-}
-
-fn scenery(mesh: &TriMesh, held: &Held<'_>) -> Result<Scenery, DataError> {
+fn scene(mesh: &TriMesh, held: &Held<'_>) -> Result<(String, Vec<u8>), DataError> {
     single::check(mesh)?;
     // A vertex for each normal and place in the texture that its corners have; the first of each keeps its number.
     let corner = |f: usize, k: usize| {
@@ -521,84 +476,73 @@ fn scenery(mesh: &TriMesh, held: &Held<'_>) -> Result<Scenery, DataError> {
         };
         indices.push(number);
     }
-    let mut out = Scenery { json: String::new(), data: Vec::new() };
-    let (mut views, mut accessors, mut names) = (Vec::new(), Vec::new(), Vec::new());
-    let mut add = |data: &mut Vec<u8>, start: usize, target: u32, accessor: String| {
-        views.push(format!(
-            "{{\"buffer\":0,\"byteOffset\":{start},\"byteLength\":{},\"target\":{target}}}",
-            data.len() - start
-        ));
-        accessors.push(format!("{{\"bufferView\":{},{accessor}}}", accessors.len()));
+    let mut data = Vec::new();
+    let (mut views, mut accessors) = (Vec::new(), Vec::new());
+    // Adds an array of elements, each written by `write`; returns its accessor.
+    let mut add = |target: u32, component: &str, count: usize, shape: &str, write: &dyn Fn(&mut Vec<u8>, usize)| {
+        let (start, number) = (data.len(), accessors.len());
+        (0..count).for_each(|i| write(&mut data, i));
+        let length = data.len() - start;
         data.resize(data.len().next_multiple_of(4), 0);
+        views.push(format!("{{\"buffer\":0,\"byteOffset\":{start},\"byteLength\":{length},\"target\":{target}}}"));
+        accessors.push(format!(
+            "{{\"bufferView\":{number},\"componentType\":{component},\"count\":{count},\"type\":{shape}}}"
+        ));
+        number
     };
     let total = vertices.len();
-    let data = &mut out.data;
-    let floats = |data: &mut Vec<u8>, numbers: &[f64]| {
-        numbers.iter().for_each(|&x| data.extend_from_slice(&(x as f32).to_le_bytes()));
+    let floats = |out: &mut Vec<u8>, numbers: &[f64]| {
+        numbers.iter().for_each(|&x| out.extend_from_slice(&(x as f32).to_le_bytes()));
     };
-    owners.iter().for_each(|&v| floats(data, &mesh.positions()[v as usize].to_array()));
     let (low, high) = mesh.bounds();
     let three = |p: DVec3| {
         let [x, y, z] = p.to_array().map(|x| f64::from(x as f32));
         format!("[{x:?},{y:?},{z:?}]")
     };
-    let (low, high) = (three(low), three(high));
-    let head = format!("\"componentType\":5126,\"count\":{total},\"type\":\"VEC3\",\"min\":{low},\"max\":{high}");
-    add(data, 0, 34962, head);
-    names.push("\"POSITION\":0".to_owned());
-    let float = |shape: &str| format!("\"componentType\":5126,\"count\":{total},\"type\":\"{shape}\"");
+    let shape = format!("\"VEC3\",\"min\":{},\"max\":{}", three(low), three(high));
+    let position = |out: &mut Vec<u8>, i: usize| floats(out, &mesh.positions()[owners[i] as usize].to_array());
+    let mut names = vec![format!("\"POSITION\":{}", add(34962, "5126", total, &shape, &position))];
     let at = |i: usize| vertices[i].unwrap_or_default();
     if held.normals.is_some() || held.corner_normals.is_some() {
-        let start = data.len();
-        for (i, &owner) in owners.iter().enumerate() {
-            let own = held.normals.as_ref().map(|n| n[owner as usize]);
+        let normal = |out: &mut Vec<u8>, i: usize| {
+            let own = held.normals.as_ref().map(|n| n[owners[i] as usize]);
             let normal = own.or_else(|| held.corner_normals.and_then(|n| n.values.get(at(i).0 as usize).copied()));
-            floats(data, &normal.unwrap_or_default().to_array());
-        }
-        names.push(format!("\"NORMAL\":{}", names.len()));
-        add(data, start, 34962, float("VEC3"));
+            floats(out, &normal.unwrap_or_default().to_array());
+        };
+        names.push(format!("\"NORMAL\":{}", add(34962, "5126", total, "\"VEC3\"", &normal)));
     }
     if let Some(texture) = held.corner_uv {
-        let start = data.len();
-        for i in 0..total {
+        let uv = |out: &mut Vec<u8>, i: usize| {
             let uv = texture.values.get(at(i).1 as usize).copied().unwrap_or_default();
-            floats(data, &[uv.x, 1.0 - uv.y]);
-        }
-        names.push(format!("\"TEXCOORD_0\":{}", names.len()));
-        add(data, start, 34962, float("VEC2"));
+            floats(out, &[uv.x, 1.0 - uv.y]);
+        };
+        names.push(format!("\"TEXCOORD_0\":{}", add(34962, "5126", total, "\"VEC2\"", &uv)));
     }
     if let Some(colours) = held.colours {
-        let (start, eight) = (data.len(), colours.depth == ColourDepth::Eight);
-        for &owner in &owners {
-            let colour = colours.values[owner as usize];
-            if eight {
-                data.extend(colour.map(eight_bit));
-            } else {
-                floats(data, &colour);
-            }
-        }
-        names.push(format!("\"COLOR_0\":{}", names.len()));
-        let bytes = format!("\"componentType\":5121,\"normalized\":true,\"count\":{total},\"type\":\"VEC4\"");
-        add(data, start, 34962, if eight { bytes } else { float("VEC4") });
+        let eight = colours.depth == ColourDepth::Eight;
+        let colour = |out: &mut Vec<u8>, i: usize| match colours.values[owners[i] as usize] {
+            colour if eight => out.extend(colour.map(eight_bit)),
+            colour => floats(out, &colour),
+        };
+        let component = if eight { "5121,\"normalized\":true" } else { "5126" };
+        names.push(format!("\"COLOR_0\":{}", add(34962, component, total, "\"VEC4\"", &colour)));
     }
-    let start = data.len();
-    indices.iter().for_each(|i| data.extend_from_slice(&i.to_le_bytes()));
-    let (number, n) = (names.len(), indices.len());
-    add(data, start, 34963, format!("\"componentType\":5125,\"count\":{n},\"type\":\"SCALAR\""));
-    out.json = format!(
+    let index = |out: &mut Vec<u8>, i: usize| out.extend_from_slice(&u32::to_le_bytes(indices[i]));
+    let number = add(34963, "5125", indices.len(), "\"SCALAR\"", &index);
+    let json = format!(
         "{{\"asset\":{{\"version\":\"2.0\",\"generator\":\"tessera\"}},\"scene\":0,\"scenes\":[{{\"nodes\":[0]}}],\
          \"nodes\":[{{\"mesh\":0}}],\"meshes\":[{{\"primitives\":[{{\"attributes\":{{{}}},\"indices\":{number},\
          \"mode\":4}}]}}],\"accessors\":[{}],\"bufferViews\":[{}],\"buffers\":[{{\"byteLength\":{}",
         names.join(","),
         accessors.join(","),
         views.join(","),
-        out.data.len()
+        data.len()
     );
-    Ok(out)
+    Ok((json, data))
 }
 
 fn encode_binary(mesh: &TriMesh, held: &Held<'_>) -> Result<Vec<u8>, DataError> {
-    let Scenery { mut json, data } = scenery(mesh, held)?;
+    let (mut json, data) = scene(mesh, held)?;
     json.push_str("}]}");
     while json.len() % 4 != 0 {
         json.push(' ');
@@ -619,7 +563,7 @@ fn encode_binary(mesh: &TriMesh, held: &Held<'_>) -> Result<Vec<u8>, DataError> 
 }
 
 fn encode_text(mesh: &TriMesh, held: &Held<'_>) -> Result<Vec<u8>, DataError> {
-    let Scenery { mut json, data } = scenery(mesh, held)?;
+    let (mut json, data) = scene(mesh, held)?;
     json.push_str(",\"uri\":\"data:application/octet-stream;base64,");
     STANDARD.encode_string(&data, &mut json);
     json.push_str("\"}]}");

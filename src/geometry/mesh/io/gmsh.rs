@@ -40,7 +40,6 @@ fn decode(bytes: &[u8], wanted: bool) -> Result<Soup, DataError> {
 fn read(bytes: &[u8], wanted: bool, counted: bool) -> Result<Reader<'_>, DataError> {
     let mut reader = Reader {
         cursor: Cursor::new(bytes),
-        encoding: Encoding::Text,
         size: Kind::U64,
         is_4: false,
         wanted,
@@ -81,53 +80,35 @@ fn read(bytes: &[u8], wanted: bool, counted: bool) -> Result<Reader<'_>, DataErr
     Ok(reader)
 }
 
+/// Nodes of the elements of the types 0 to 31.
+const NODES: [usize; 32] =
+    [0, 2, 3, 4, 4, 8, 6, 5, 3, 6, 9, 10, 27, 18, 14, 1, 8, 20, 15, 13, 9, 10, 12, 15, 15, 21, 4, 5, 6, 20, 35, 56];
+
 /// The nodes of an element, and of them the corners of a face; 0 corners are a point or a line, `None` a volume.
 fn element(kind: i64) -> Option<(usize, Option<usize>)> {
-    Some(match kind {
-        15 => (1, Some(0)),
-        1 => (2, Some(0)),
-        8 => (3, Some(0)),
-        26 => (4, Some(0)),
-        27 => (5, Some(0)),
-        28 => (6, Some(0)),
-        2 => (3, Some(3)),
-        9 => (6, Some(3)),
-        20 => (9, Some(3)),
-        21 => (10, Some(3)),
-        22 => (12, Some(3)),
-        23 | 24 => (15, Some(3)),
-        25 => (21, Some(3)),
-        3 => (4, Some(4)),
-        16 => (8, Some(4)),
-        10 => (9, Some(4)),
-        36 => (16, Some(4)),
-        37 => (25, Some(4)),
-        38 => (36, Some(4)),
-        4 => (4, None),
-        5 => (8, None),
-        6 => (6, None),
-        7 => (5, None),
-        11 => (10, None),
-        12 => (27, None),
-        13 => (18, None),
-        14 => (14, None),
-        17 => (20, None),
-        18 => (15, None),
-        19 => (13, None),
-        29 => (20, None),
-        30 => (35, None),
-        31 => (56, None),
-        92 => (64, None),
-        93 => (125, None),
+    let nodes = match kind {
+        1..=31 => NODES[kind as usize],
+        36 => 16,
+        37 => 25,
+        38 => 36,
+        92 => 64,
+        93 => 125,
         _ => return None,
-    })
+    };
+    let corners = match kind {
+        15 | 1 | 8 | 26..=28 => Some(0),
+        2 | 9 | 20..=25 => Some(3),
+        3 | 10 | 16 | 36..=38 => Some(4),
+        _ => None,
+    };
+    Some((nodes, corners))
 }
 
 /// Which vertex a node's tag names.
 #[derive(Default)]
 struct Tags {
     given: Vec<i64>,
-    /// By tag, where these are not one after the other.
+    /// Sorted by tag, if tags are not consecutive.
     sorted: Vec<(i64, u32)>,
 }
 
@@ -159,8 +140,7 @@ impl Tags {
 
 struct Reader<'a> {
     cursor: Cursor<'a>,
-    encoding: Encoding,
-    /// Of counts and tags in version 4.
+    /// Type of counts and tags in version 4.
     size: Kind,
     is_4: bool,
     wanted: bool,
@@ -188,8 +168,7 @@ impl Reader<'_> {
         if kind == 1 {
             self.cursor.end_line();
             let one = self.cursor.take(4).ok_or_else(|| cut("the header"))?;
-            let order = if one == [0, 0, 0, 1] { Order::Big } else { Order::Little };
-            self.encoding = Encoding::Binary(order);
+            self.cursor.encoding = Encoding::Binary(if one == [0, 0, 0, 1] { Order::Big } else { Order::Little });
         }
         self.end(b"$MeshFormat")
     }
@@ -209,90 +188,103 @@ impl Reader<'_> {
     /// A number of text in either encoding, at the end of its line.
     fn heading(&mut self, what: &str) -> Result<usize, DataError> {
         let count = self.cursor.parsed(what)?;
-        if self.encoding != Encoding::Text {
-            self.cursor.end_line();
-        }
+        self.begin();
         Ok(count)
     }
 
+    /// Binary data begin right after the line.
+    fn begin(&mut self) {
+        if self.cursor.encoding != Encoding::Text {
+            self.cursor.end_line();
+        }
+    }
+
+    /// Begins a section of version 4 in blocks: a number of these, and three others.
+    fn blocks(&mut self) -> Result<usize, DataError> {
+        self.begin();
+        let blocks = self.size("a number of blocks")?;
+        for _ in 0..3 {
+            self.size("a number of nodes or elements")?;
+        }
+        Ok(blocks)
+    }
+
     fn int(&mut self, what: &str) -> Result<i64, DataError> {
-        self.cursor.integer(Kind::I32, self.encoding, what)
+        self.cursor.integer(Kind::I32, what)
     }
 
     fn size(&mut self, what: &str) -> Result<usize, DataError> {
-        self.cursor.count(self.size, self.encoding, what)
+        self.cursor.count(self.size, what)
     }
 
     fn nodes_2(&mut self) -> Result<(), DataError> {
         let count = self.heading("a number of nodes")?;
-        let (encoding, left) = (self.encoding, self.cursor.rest.len());
-        let least = if encoding == Encoding::Text { 8 } else { NODE };
+        // A node is its number and three coordinates.
+        let (least, words, kind) =
+            if self.cursor.encoding == Encoding::Text { (8, 4, Kind::F64) } else { (NODE, NODE, Kind::U8) };
+        let left = self.cursor.rest.len();
         if count.saturating_mul(least) > left + 1 {
             return Err(DataError::Truncated(format!("{count} nodes are declared and {left} bytes follow")));
         }
-        match encoding {
-            _ if self.counted => {
-                self.counts.vertices += count as u64;
-                // A node is its number and three coordinates.
-                let (words, kind) = if encoding == Encoding::Text { (4, Kind::F64) } else { (NODE, Kind::U8) };
-                self.cursor.lenient(count.saturating_mul(words), kind, encoding, "nodes", false)?;
-            }
-            Encoding::Text => {
-                for _ in 0..count {
-                    self.tags.given.push(self.cursor.parsed("a node's number")?);
-                    let p = self.cursor.floats(3, Kind::F64, encoding, "a node")?;
-                    self.soup.positions.push(DVec3::from_slice(&p));
+        if self.counted {
+            self.counts.vertices += count as u64;
+            self.cursor.pass(count.saturating_mul(words), kind, "nodes")?;
+        } else {
+            for _ in 0..count {
+                self.tags.given.push(self.cursor.integer(Kind::I32, "a node's number")?);
+                let mut p = [0.0; 3];
+                for x in &mut p {
+                    *x = self.cursor.float(Kind::F64, "a number")?;
                 }
-            }
-            Encoding::Binary(order) => {
-                let records = self.cursor.take(count.saturating_mul(NODE)).ok_or_else(|| cut("nodes"))?;
-                for record in records.as_chunks::<NODE>().0 {
-                    self.tags.given.extend(Kind::I32.integers(&record[..4], order));
-                    self.soup.positions.push(DVec3::from_slice(&Kind::F64.floats(&record[4..], order)));
-                }
+                self.soup.positions.push(DVec3::from_array(p));
             }
         }
         self.tags.finish()
     }
 
     fn nodes_4(&mut self) -> Result<(), DataError> {
-        if self.encoding != Encoding::Text {
-            self.cursor.end_line();
-        }
-        let blocks = self.size("a number of blocks")?;
-        for _ in 0..3 {
-            self.size("a number of nodes")?;
-        }
-        for _ in 0..blocks {
+        for _ in 0..self.blocks()? {
             let dimension = self.int("a dimension")?;
             self.int("an entity")?;
             let parametric = self.int("0 or 1")?;
             let count = self.size("a number of nodes")?;
             let each = 3 + if parametric == 0 { 0 } else { usize::try_from(dimension).unwrap_or(0).min(3) };
             if self.counted {
-                self.cursor.lenient(count, self.size, self.encoding, "nodes", false)?;
-                self.cursor.lenient(count.saturating_mul(each), Kind::F64, self.encoding, "nodes", false)?;
+                self.cursor.pass(count, self.size, "nodes")?;
+                self.cursor.pass(count.saturating_mul(each), Kind::F64, "nodes")?;
                 self.counts.vertices += count as u64;
                 continue;
             }
-            let tags = self.cursor.integers(count, self.size, self.encoding, "nodes")?;
+            let tags = self.cursor.integers(count, self.size, "nodes")?;
             self.tags.given.extend(tags);
-            let numbers = self.cursor.floats(count.saturating_mul(each), Kind::F64, self.encoding, "nodes")?;
+            let numbers = self.cursor.floats(count.saturating_mul(each), Kind::F64, "nodes")?;
             self.soup.positions.extend(numbers.chunks_exact(each).map(|p| DVec3::from_slice(&p[..3])));
         }
         self.tags.finish()
     }
 
-    /// How many nodes elements of a type have.
-    fn element(&self, kind: i64) -> Result<(usize, Option<usize>), DataError> {
-        element(kind).ok_or_else(|| DataError::Header(format!("elements of type {kind} are not known")))
-    }
-
-    /// Counts elements, whose numbers these are, and passes over them.
-    fn count(&mut self, elements: usize, corners: Option<usize>, numbers: usize, kind: Kind) -> Result<(), DataError> {
-        self.cursor.lenient(numbers, kind, self.encoding, "elements", false)?;
-        self.counts.facets += elements as u64 * corners.map_or(0, |n| n.saturating_sub(2)) as u64;
-        Ok(())
+    /// Elements of one type, each with `head` numbers before its nodes. The first has the number `index`; returns the next one.
+    fn block(
+        &mut self,
+        index: usize,
+        elements: usize,
+        (kind, head): (i64, usize),
+        size: Kind,
+    ) -> Result<usize, DataError> {
+        let unknown = || DataError::Header(format!("elements of type {kind} are not known"));
+        let (nodes, corners) = element(kind).ok_or_else(unknown)?;
+        let each = head.saturating_add(nodes);
+        let all = elements.saturating_mul(each);
+        if self.counted {
+            self.cursor.pass(all, size, "elements")?;
+            self.counts.facets += elements as u64 * corners.map_or(0, |n| n.saturating_sub(2)) as u64;
+        } else {
+            let numbers = self.cursor.integers(all, size, "elements")?;
+            for (k, record) in numbers.chunks_exact(each).enumerate() {
+                self.push(index + k, corners, &record[head..])?;
+            }
+        }
+        Ok(index.saturating_add(elements))
     }
 
     fn push(&mut self, index: usize, corners: Option<usize>, nodes: &[i64]) -> Result<(), DataError> {
@@ -317,62 +309,33 @@ impl Reader<'_> {
         let mut index = 0;
         while index < count {
             // Text has a heading before each element.
-            let (kind, block, tags) = if self.encoding == Encoding::Text {
+            let is_text = self.cursor.encoding == Encoding::Text;
+            if is_text {
                 self.int("an element's number")?;
-                (self.int("an element's type")?, 1, self.int("a number of tags")?)
-            } else {
-                let kind = self.int("an element's type")?;
-                (kind, self.int("a number of elements")?, self.int("a number of tags")?)
-            };
-            let (nodes, corners) = self.element(kind)?;
+            }
+            let kind = self.int("an element's type")?;
+            let block = if is_text { 1 } else { self.int("a number of elements")? };
+            let tags = self.int("a number of tags")?;
             let (Ok(tags), Ok(block)) = (usize::try_from(tags), usize::try_from(block)) else {
                 return Err(self.cursor.syntax("a number of elements or tags is negative"));
             };
             if block == 0 {
                 return Err(self.cursor.syntax("a block of elements is empty"));
             }
-            let head = tags.saturating_add(usize::from(self.encoding != Encoding::Text));
-            let each = head.saturating_add(nodes);
-            let all = block.saturating_mul(each);
-            if self.counted {
-                self.count(block, corners, all, Kind::I32)?;
-                index = index.saturating_add(block);
-                continue;
-            }
-            let numbers = self.cursor.integers(all, Kind::I32, self.encoding, "elements")?;
-            for record in numbers.chunks_exact(each) {
-                self.push(index, corners, &record[head..])?;
-                index += 1;
-            }
+            let head = tags.saturating_add(usize::from(!is_text));
+            index = self.block(index, block, (kind, head), Kind::I32)?;
         }
         Ok(())
     }
 
     fn elements_4(&mut self) -> Result<(), DataError> {
-        if self.encoding != Encoding::Text {
-            self.cursor.end_line();
-        }
-        let blocks = self.size("a number of blocks")?;
-        for _ in 0..3 {
-            self.size("a number of elements")?;
-        }
         let mut index = 0;
-        for _ in 0..blocks {
+        for _ in 0..self.blocks()? {
             self.int("a dimension")?;
             self.int("an entity")?;
             let kind = self.int("an element's type")?;
             let count = self.size("a number of elements")?;
-            let (nodes, corners) = self.element(kind)?;
-            let all = count.saturating_mul(nodes + 1);
-            if self.counted {
-                self.count(count, corners, all, self.size)?;
-                continue;
-            }
-            let numbers = self.cursor.integers(all, self.size, self.encoding, "elements")?;
-            for record in numbers.chunks_exact(nodes + 1) {
-                self.push(index, corners, &record[1..])?;
-                index += 1;
-            }
+            index = self.block(index, count, (kind, 1), self.size)?;
         }
         Ok(())
     }
@@ -393,29 +356,30 @@ impl Reader<'_> {
         for _ in 0..self.cursor.parsed::<usize>("a number of times")? {
             self.cursor.word().ok_or_else(|| cut("$NodeData"))?;
         }
-        let mut told = [0usize; 3];
+        let mut given = [0usize; 3];
         for k in 0..self.cursor.parsed::<usize>("a number of whole numbers")? {
             let number = self.cursor.parsed("a whole number")?;
-            if let Some(told) = told.get_mut(k) {
-                *told = number;
+            if let Some(given) = given.get_mut(k) {
+                *given = number;
             }
         }
-        let [_, components, count] = told;
-        if self.encoding != Encoding::Text {
-            self.cursor.end_line();
-        }
+        let [_, components, count] = given;
+        self.begin();
         let keep = self.wanted && components == 1 && count == self.soup.positions.len();
         let mut values = vec![f64::NAN; if keep { count } else { 0 }];
-        let (encoding, left) = (self.encoding, self.cursor.rest.len());
+        let left = self.cursor.rest.len();
         // A row has a digit at least.
         if count > left {
             return Err(DataError::Truncated(format!("{count} nodes with data are declared and {left} bytes follow")));
         }
         for _ in 0..count {
-            let tag = self.cursor.integer(Kind::I32, encoding, "a node")?;
-            let row = self.cursor.lenient(components, Kind::F64, encoding, "$NodeData", keep)?;
-            let vertex = self.tags.vertex(tag).and_then(|v| values.get_mut(v as usize));
-            if let (Some(value), Some(&number)) = (vertex, row.first()) {
+            let tag = self.int("a node")?;
+            if components != 1 {
+                self.cursor.pass(components, Kind::F64, "$NodeData")?;
+                continue;
+            }
+            let number = self.cursor.any_float(Kind::F64, "$NodeData")?;
+            if let Some(value) = self.tags.vertex(tag).and_then(|v| values.get_mut(v as usize)) {
                 *value = number;
             }
         }

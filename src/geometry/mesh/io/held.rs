@@ -1,7 +1,7 @@
-//! What a file holds of attributes.
+//! Attributes in files.
 //!
-//! Purpose: [`Raw`] is what a reader finds, [`Held`] what a writer is given.
-//! Invariant: what a format cannot hold, and what cannot be used, is named. Must not know: how a format spells anything.
+//! Purpose: [`Raw`] has the attributes that a reader finds, [`Held`] those that a writer takes.
+//! Invariant: attributes that a format cannot hold, or that cannot be used, are named. Must not know: the syntax of a format.
 
 use glam::{DVec2, DVec3};
 
@@ -12,14 +12,14 @@ use crate::mesh::attributes::{AttributeError, Attributes, Colours, Normals, PerC
 /// The most scalars of a surface: each name is compared with all others.
 const MOST_SCALARS: usize = 4096;
 
-/// What a reader finds, not yet checked.
+/// Attributes of a file, not yet checked.
 #[derive(Debug, Default)]
 pub(super) struct Raw {
     pub(super) normals: Option<Normals>,
     pub(super) texture: Option<PerCorner<DVec2>>,
     pub(super) colours: Option<Colours>,
     pub(super) scalars: Vec<Scalar>,
-    /// What could not even be understood.
+    /// Attributes that could not be understood.
     pub(super) unreadable: Vec<AttributeError>,
 }
 
@@ -34,7 +34,7 @@ impl Raw {
         self.unreadable.iter().any(is_it)
     }
 
-    /// Cuts what corners have as the surface's polygons are.
+    /// Cuts values of corners as the surface's polygons were cut.
     pub(super) fn recut(&mut self, cuts: &[polygons::Cut]) {
         let corners = [
             self.texture.as_mut().map(|texture| &mut texture.corners),
@@ -69,7 +69,7 @@ impl Raw {
     }
 }
 
-/// What a format can hold of attributes.
+/// The attributes that a format can hold.
 pub(super) struct Holds {
     pub(super) normals: By,
     pub(super) texture: By,
@@ -78,7 +78,7 @@ pub(super) struct Holds {
     pub(super) scalars: bool,
 }
 
-/// What names values.
+/// The elements that values belong to.
 pub(super) enum By {
     None,
     Vertex,
@@ -87,7 +87,7 @@ pub(super) enum By {
     VertexOrCorner,
 }
 
-/// What a format can hold of some attributes, in the shape in which it holds them.
+/// Those of some attributes that a format can hold, in the shape in which it holds them.
 #[derive(Debug, Default)]
 pub(super) struct Held<'a> {
     pub(super) normals: Option<Vec<DVec3>>,
@@ -148,7 +148,7 @@ impl<'a> Held<'a> {
     }
 }
 
-/// The whole number of 0 to 255 that stands for a colour's component.
+/// A colour's component in eight bits.
 pub(super) fn eight_bit(component: f64) -> u8 {
     // The cast saturates.
     (component * 255.0).round() as u8

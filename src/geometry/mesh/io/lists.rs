@@ -1,27 +1,26 @@
 //! Lists beside a surface, as text: points, an edge length for each vertex, edges that are creases.
 //!
-//! Purpose: one element a line; empty lines and lines that begin with `#` are left out. What goes by the file's own vertices
-//! is brought to those of the surface that was read.
-//! Invariant: vertices keep their numbers, except of OBJ, STL and glTF. OBJ vertices are numbered by first use in a face, and the
-//! ones that no face uses are left out; their order comes from the reader of the surface. STL has no vertices to speak of, and glTF
-//! has them several times. A list takes no more memory than the surface has vertices or edges for, however long the text is.
-//! Must not know: what lists are for.
+//! Purpose: reads one element a line; empty lines and lines that begin with `#` are left out. Numbers of the file's vertices become
+//! those of the surface.
+//! Invariant: vertices keep their numbers, except in OBJ (numbered by first use in a face, unused ones left out), STL (no vertices)
+//! and glTF (a vertex several times). A list takes no more memory than the surface has vertices or edges for, however long the text.
+//! Must not know: the use of the lists.
 
 use std::str::FromStr;
 
 use glam::DVec3;
 
-use super::{DataError, Format, VertexNumbers, unpack, unpacked_limit, without_mark};
+use super::{DataError, Format, VertexNumbers, syntax, unpack, unpacked_limit, without_mark};
 use crate::mesh::TriMesh;
 use crate::token::Token;
 
-/// The lines that say something, numbered from 1. They end early once the token is stopped.
+/// Lines with an element, numbered from 1. They end early once the token is stopped.
 fn lines<'a>(text: &'a str, token: &'a Token) -> impl Iterator<Item = (usize, &'a str)> {
     let all = text.lines().enumerate().take_while(|(i, _)| token.check_at(*i).is_ok());
     all.map(|(i, line)| (i + 1, line.trim())).filter(|(_, line)| !line.is_empty() && !line.starts_with('#'))
 }
 
-/// The numbers of a line that has exactly so many.
+/// The numbers of a line that has exactly `N`.
 fn numbers<T: FromStr + Copy + Default, const N: usize>(line: &str) -> Option<[T; N]> {
     let (mut words, mut numbers) = (line.split_whitespace(), [T::default(); N]);
     for number in &mut numbers {
@@ -30,7 +29,7 @@ fn numbers<T: FromStr + Copy + Default, const N: usize>(line: &str) -> Option<[T
     words.next().is_none().then_some(numbers)
 }
 
-/// The beginning of a line, for who has to find it.
+/// The beginning of a line, for a message.
 fn shown(line: &str) -> String {
     const SHOWN: usize = 60;
     match line.char_indices().nth(SHOWN) {
@@ -57,13 +56,9 @@ pub fn points(text: &str, most: usize, token: &Token) -> Result<Vec<DVec3>, Data
     Ok(points)
 }
 
-fn syntax(line: usize, message: String) -> DataError {
-    DataError::Syntax { line, message }
-}
-
 /// How the vertices of a file are numbered in the surface that was read from it.
 pub struct FileVertices {
-    /// How many the file has.
+    /// Vertices of the file.
     count: usize,
     /// For each of the surface's vertices its number in the file; `None` if the numbers are the same.
     order: Option<Vec<u32>>,
@@ -80,10 +75,10 @@ impl FileVertices {
         matches!(format.codec().vertices, VertexNumbers::Reordered(_))
     }
 
-    /// Those of `mesh`, which was read from these bytes.
+    /// The vertices of `mesh`, which was read from these bytes.
     ///
     /// # Errors
-    /// `List` if they cannot be told.
+    /// `List` if their numbers are not known.
     pub fn of(format: Format, bytes: &[u8], mesh: &TriMesh) -> Result<Self, DataError> {
         let (count, order) = match format.codec().vertices {
             VertexNumbers::Kept => return Ok(Self::of_arrays(mesh)),
@@ -97,13 +92,13 @@ impl FileVertices {
         Ok(Self { count, order: Some(order) })
     }
 
-    /// Those of a surface that did not come in a file.
+    /// The vertices of a surface that did not come in a file.
     pub fn of_arrays(mesh: &TriMesh) -> Self {
         Self { count: mesh.positions().len(), order: None }
     }
 
-    /// One number above 0 a line for each of the file's vertices; gives one for each of the surface's. Reading ends early once
-    /// the token is stopped.
+    /// Reads one number above 0 a line for each of the file's vertices; returns one for each of the surface's. Reading ends early
+    /// once the token is stopped.
     ///
     /// # Errors
     /// `Syntax` with the line; `List` if there are too few or too many.
@@ -130,11 +125,11 @@ impl FileVertices {
         })
     }
 
-    /// Two of the file's vertices a line, numbered from 0; gives those of the surface, which has so many facets. Reading ends
-    /// early once the token is stopped.
+    /// Reads two of the file's vertices a line, numbered from 0; returns those of the surface, which has this number of facets.
+    /// Reading ends early once the token is stopped.
     ///
     /// # Errors
-    /// `Syntax` with the line, also of the first that is more than all facets have edges.
+    /// `Syntax` with the line, also of the first edge beyond [`most_edges`].
     pub fn edges(&self, text: &str, facets: usize, token: &Token) -> Result<Vec<[u32; 2]>, DataError> {
         // Where the file's vertices are in the surface.
         let place: Option<Vec<u32>> = self.order.as_ref().map(|order| {
@@ -165,12 +160,12 @@ impl FileVertices {
     }
 }
 
-/// Edges of so many facets, at most, each as often as facets have it.
+/// The most edges of this number of facets, each as often as facets have it.
 pub fn most_edges(facets: usize) -> usize {
     facets.saturating_mul(3)
 }
 
-/// Why a file of STL or glTF has no lists beside it.
+/// The error for lists beside STL or glTF.
 pub const NO_NUMBERS: &str = "STL and glTF have no numbered vertices; convert it to .ply, .obj or .off";
 
 #[cfg(test)]

@@ -10,7 +10,7 @@ use std::fmt::Write as _;
 use glam::DVec3;
 
 use super::held::{By, Held, Holds};
-use super::numbers::{Cursor, Encoding, Kind, Order, cut, parse, shown};
+use super::numbers::{Cursor, Encoding, Kind, Order, shown};
 use super::{Codec, Counts, DataError, Soup, VertexNumbers, volumes};
 use crate::mesh::TriMesh;
 
@@ -22,8 +22,8 @@ pub(super) const TEXT: Codec = Codec {
     media_types: &["application/x-medit", "model/medit", "model/x-medit"],
     // Half a vertex of three short numbers, and a face of three indices.
     facet_bytes: 30,
-    signature: super::recognition::Signature::Start(|head| head.word().eq_ignore_ascii_case(b"MeshVersionFormatted")),
-    decode: decode_text,
+    signature: super::recognition::Signature::Start(|head| head.word().eq_ignore_ascii_case(VERSION)),
+    decode: |bytes, _| surface(read_text(bytes, false)?),
     encode: encode_text,
     counts: |bytes| read_text(bytes, true).ok().map(|reader| reader.counts),
     holds: NOTHING,
@@ -37,7 +37,7 @@ pub(super) const BINARY: Codec = Codec {
     // Half a vertex of three floats, and a face of four numbers.
     facet_bytes: 22,
     signature: super::recognition::Signature::Start(is_binary),
-    decode: decode_binary,
+    decode: |bytes, _| surface(read_binary(bytes, false)?),
     encode: encode_binary,
     counts: |bytes| read_binary(bytes, true).ok().map(|reader| reader.counts),
     holds: NOTHING,
@@ -49,41 +49,84 @@ fn is_binary(head: &super::recognition::Head<'_>) -> bool {
     matches!(head.bytes.first_chunk(), Some([1, 0, 0, 0, 1..=4, 0, 0, 0] | [0, 0, 0, 1, 0, 0, 0, 1..=4]))
 }
 
-/// Numbers of keywords in binary files.
+const VERSION: &[u8] = b"MeshVersionFormatted";
+
+/// Numbers of keywords in binary files, and their names in text.
+const KEYWORDS: [(i64, &[u8]); 9] = [
+    (DIMENSION, b"dimension"),
+    (VERTICES, b"vertices"),
+    (TRIANGLES, b"triangles"),
+    (QUADRILATERALS, b"quadrilaterals"),
+    (8, b"tetrahedra"),
+    (9, b"prisms"),
+    (10, b"hexahedra"),
+    (49, b"pyramids"),
+    (END, b"end"),
+];
 const DIMENSION: i64 = 3;
 const VERTICES: i64 = 4;
 const TRIANGLES: i64 = 6;
 const QUADRILATERALS: i64 = 7;
-const TETRAHEDRA: i64 = 8;
-const PRISMS: i64 = 9;
-const HEXAHEDRA: i64 = 10;
-const PYRAMIDS: i64 = 49;
 const END: i64 = 54;
-
-fn decode_text(bytes: &[u8], _wanted: bool) -> Result<Soup, DataError> {
-    surface(read_text(bytes, false)?)
-}
-
-fn decode_binary(bytes: &[u8], _wanted: bool) -> Result<Soup, DataError> {
-    surface(read_binary(bytes, false)?)
-}
 
 /// Reads all lists, or their lengths alone if they are counted.
 fn read_text(bytes: &[u8], counted: bool) -> Result<Reader<'_>, DataError> {
-    let mut reader = Reader { cursor: Cursor::new(bytes), counted, ..Reader::default() };
-    reader.text()?;
+    let mut reader = Reader::new(bytes, counted);
+    reader.cursor.has_comments = true;
+    let cursor = &mut reader.cursor;
+    let word = cursor.word().ok_or(DataError::Empty)?;
+    if !word.eq_ignore_ascii_case(VERSION) {
+        let message = format!("\"{}\" is not MeshVersionFormatted; name a binary file .meshb", shown(word));
+        return Err(cursor.syntax(message));
+    }
+    cursor.integer(Kind::I32, "a version")?;
+    while let Some(word) = reader.cursor.word() {
+        // Other keywords and the numbers after them are passed over.
+        let Some(&(keyword, _)) = KEYWORDS.iter().find(|(_, name)| word.eq_ignore_ascii_case(name)) else { continue };
+        if keyword == END {
+            break;
+        }
+        reader.keyword(keyword)?;
+    }
     Ok(reader)
 }
 
-/// As [`read_text`].
+/// As [`read_text`]. Each keyword has the place of the next one; after the last one this is 0.
 fn read_binary(bytes: &[u8], counted: bool) -> Result<Reader<'_>, DataError> {
-    let mut reader = Reader { cursor: Cursor::new(bytes), counted, ..Reader::default() };
-    match bytes.first_chunk::<4>() {
-        Some([1, 0, 0, 0]) => reader.binary(Order::Little)?,
-        Some([0, 0, 0, 1]) => reader.binary(Order::Big)?,
+    let mut reader = Reader::new(bytes, counted);
+    reader.cursor.encoding = Encoding::Binary(match bytes.first_chunk::<4>() {
+        Some([1, 0, 0, 0]) => Order::Little,
+        Some([0, 0, 0, 1]) => Order::Big,
         _ => return Err(DataError::Header("it does not begin with a 1 of four bytes; name text .mesh".to_owned())),
+    });
+    reader.cursor.take(4);
+    let version = reader.cursor.integer(Kind::I32, "keywords")?;
+    let place = match version {
+        1 | 2 => Kind::I32,
+        3 | 4 => Kind::I64,
+        _ => return Err(DataError::Header(format!("version {version} is not 1, 2, 3 or 4"))),
+    };
+    reader.float = if version == 1 { Kind::F32 } else { Kind::F64 };
+    reader.int = if version == 4 { Kind::I64 } else { Kind::I32 };
+    loop {
+        let keyword = reader.cursor.integer(Kind::I32, "keywords")?;
+        let next = reader.cursor.integer(place, "keywords")?;
+        if keyword == END {
+            return Ok(reader);
+        }
+        reader.keyword(keyword)?;
+        // Places only grow, so that this ends, and no byte is read twice.
+        let next = usize::try_from(next).unwrap_or(0);
+        if next == 0 {
+            return Ok(reader);
+        }
+        if next < bytes.len() - reader.cursor.rest.len() {
+            return Err(DataError::Header(format!("keyword {keyword} leads back to byte {next}")));
+        }
+        reader.cursor.rest = bytes.get(next..).ok_or_else(|| {
+            DataError::Truncated(format!("keyword {keyword} leads to byte {next} of {}", bytes.len()))
+        })?;
     }
-    Ok(reader)
 }
 
 fn surface(reader: Reader<'_>) -> Result<Soup, DataError> {
@@ -108,7 +151,6 @@ fn surface(reader: Reader<'_>) -> Result<Soup, DataError> {
 
 struct Reader<'a> {
     cursor: Cursor<'a>,
-    encoding: Encoding,
     dimension: usize,
     float: Kind,
     int: Kind,
@@ -121,198 +163,71 @@ struct Reader<'a> {
     volumes: usize,
 }
 
-impl Default for Reader<'_> {
-    fn default() -> Self {
+impl<'a> Reader<'a> {
+    fn new(bytes: &'a [u8], counted: bool) -> Self {
         Self {
-            cursor: Cursor::new(&[]),
-            encoding: Encoding::Text,
+            cursor: Cursor::new(bytes),
             dimension: 3,
             float: Kind::F64,
             int: Kind::I32,
-            counted: false,
+            counted,
             counts: Counts::default(),
             soup: Soup::default(),
             lists: Vec::new(),
             volumes: 0,
         }
     }
-}
 
-impl<'a> Reader<'a> {
-    fn text(&mut self) -> Result<(), DataError> {
-        let mut first = true;
-        while let Some(word) = self.word() {
-            match word.to_ascii_lowercase().as_slice() {
-                b"meshversionformatted" => drop(self.number::<i64>("a version")?),
-                _ if first => {
-                    return Err(self.cursor.syntax(format!(
-                        "\"{}\" is not MeshVersionFormatted; name a binary file .meshb",
-                        shown(word)
-                    )));
-                }
-                b"dimension" => {
-                    self.dimension = self.number("a dimension")?;
-                    self.check_dimension()?;
-                }
-                b"vertices" => {
-                    let count = self.count(2 * self.dimension + 2)?;
-                    if self.counted {
-                        self.counts.vertices += count as u64;
-                        continue;
-                    }
-                    for _ in 0..count {
-                        let mut p = [0.0; 3];
-                        for x in &mut p[..self.dimension] {
-                            *x = self.number("a coordinate")?;
-                        }
-                        self.number::<i64>("the number of a part")?;
-                        self.soup.positions.push(DVec3::from_array(p));
-                    }
-                }
-                b"triangles" => self.faces(3)?,
-                b"quadrilaterals" => self.faces(4)?,
-                b"tetrahedra" | b"hexahedra" | b"prisms" | b"pyramids" => {
-                    self.volumes = self.volumes.saturating_add(self.number("a number of elements")?);
-                }
-                b"end" => return Ok(()),
-                // Of other keywords and the numbers after them.
-                _ => {}
-            }
-            first = false;
-        }
-        if first { Err(DataError::Empty) } else { Ok(()) }
-    }
-
-    /// A word that is no comment.
-    fn word(&mut self) -> Option<&'a [u8]> {
-        loop {
-            let word = self.cursor.word()?;
-            if !word.starts_with(b"#") {
-                return Some(word);
-            }
-            self.cursor.end_line();
-        }
-    }
-
-    fn number<T: std::str::FromStr>(&mut self, what: &str) -> Result<T, DataError> {
-        let word = self.word().ok_or_else(|| DataError::Truncated(format!("it ends where {what} should be")))?;
-        parse(word).ok_or_else(|| self.cursor.syntax(format!("\"{}\" is not {what}", shown(word))))
-    }
-
-    /// How many of so many bytes each follow.
-    fn count(&mut self, least: usize) -> Result<usize, DataError> {
-        let count: usize = self.number("a number of elements")?;
-        let left = self.cursor.rest.len();
-        if count.saturating_mul(least) > left + 1 {
-            return Err(DataError::Truncated(format!("{count} elements are declared and {left} bytes follow")));
-        }
-        Ok(count)
-    }
-
-    fn faces(&mut self, corners: usize) -> Result<(), DataError> {
-        let count = self.count(2 * corners + 2)?;
-        if self.counted {
-            self.counts.facets += count as u64 * (corners as u64 - 2);
-            return Ok(());
-        }
-        let list = (0..count * (corners + 1)).map(|_| self.number("a whole number"));
-        let list = list.collect::<Result<_, _>>()?;
-        self.lists.push((list, corners));
-        Ok(())
-    }
-
-    fn check_dimension(&self) -> Result<(), DataError> {
-        match self.dimension {
-            2 | 3 => Ok(()),
-            n => Err(DataError::Header(format!("the dimension is {n}, not 2 or 3"))),
-        }
-    }
-
-    /// Each keyword says where the next one is; after the last one this is 0.
-    fn binary(&mut self, order: Order) -> Result<(), DataError> {
-        let bytes = self.cursor.rest;
-        self.encoding = Encoding::Binary(order);
-        self.cursor.take(4);
-        let version = self.integer(Kind::I32)?;
-        let place = match version {
-            1 | 2 => Kind::I32,
-            3 | 4 => Kind::I64,
-            _ => return Err(DataError::Header(format!("version {version} is not 1, 2, 3 or 4"))),
-        };
-        self.float = if version == 1 { Kind::F32 } else { Kind::F64 };
-        self.int = if version == 4 { Kind::I64 } else { Kind::I32 };
-        loop {
-            let keyword = self.integer(Kind::I32)?;
-            if keyword == END {
-                return self.integer(place).map(|_| ());
-            }
-            let next = self.integer(place)?;
-            self.keyword(keyword)?;
-            // Places only grow, so that this ends, and no byte is read twice.
-            let next = usize::try_from(next).unwrap_or(0);
-            if next == 0 {
-                return Ok(());
-            }
-            let end = bytes.len() - self.cursor.rest.len();
-            if next < end {
-                return Err(DataError::Header(format!("keyword {keyword} leads back to byte {next}")));
-            }
-            let rest = bytes.get(next..).ok_or_else(|| {
-                DataError::Truncated(format!("keyword {keyword} leads to byte {next} of {}", bytes.len()))
-            })?;
-            self.cursor.rest = rest;
-        }
-    }
-
+    /// Reads the content of a keyword.
     fn keyword(&mut self, keyword: i64) -> Result<(), DataError> {
-        let (int, encoding) = (self.int, self.encoding);
+        let (float, int, n) = (self.float, self.int, self.dimension);
+        let cursor = &mut self.cursor;
         match keyword {
             DIMENSION => {
-                self.dimension = self.cursor.count(Kind::I32, encoding, "a dimension")?;
-                self.check_dimension()?;
+                self.dimension = cursor.count(Kind::I32, "a dimension")?;
+                if !(2..=3).contains(&self.dimension) {
+                    return Err(DataError::Header(format!("the dimension is {}, not 2 or 3", self.dimension)));
+                }
             }
             VERTICES => {
-                let count = self.cursor.count(int, encoding, "a number of vertices")?;
-                let (size, n) = (self.float.bytes(), self.dimension);
-                let each = n * size + int.bytes();
-                let Encoding::Binary(order) = encoding else { return Ok(()) };
-                let records = self.cursor.take(count.saturating_mul(each)).ok_or_else(|| cut("vertices"))?;
+                let count = cursor.count(int, "a number of vertices")?;
+                let is_text = cursor.encoding == Encoding::Text;
+                let (each, kind) =
+                    if is_text { (n + 1, Kind::F64) } else { (n * float.bytes() + int.bytes(), Kind::U8) };
+                let all = count.saturating_mul(each);
                 if self.counted {
                     self.counts.vertices += count as u64;
-                    return Ok(());
+                    return cursor.pass(all, kind, "vertices");
                 }
-                for record in records.chunks_exact(each) {
-                    let numbers = self.float.floats(&record[..n * size], order);
-                    self.soup.positions.push(DVec3::new(
-                        numbers[0],
-                        numbers[1],
-                        numbers.get(2).copied().unwrap_or(0.0),
-                    ));
+                cursor.check(all, kind, "vertices")?;
+                for _ in 0..count {
+                    let mut p = [0.0; 3];
+                    for x in &mut p[..n] {
+                        *x = cursor.float(float, "a coordinate")?;
+                    }
+                    cursor.integer(int, "the number of a part")?;
+                    self.soup.positions.push(DVec3::from_array(p));
                 }
             }
             TRIANGLES | QUADRILATERALS => {
                 let corners = if keyword == TRIANGLES { 3 } else { 4 };
-                let count = self.cursor.count(int, encoding, "a number of faces")?;
+                let count = cursor.count(int, "a number of faces")?;
                 let all = count.saturating_mul(corners + 1);
                 if self.counted {
-                    self.cursor.lenient(all, int, encoding, "faces", false)?;
+                    cursor.pass(all, int, "faces")?;
                     self.counts.facets += count as u64 * (corners as u64 - 2);
-                    return Ok(());
+                } else {
+                    self.lists.push((cursor.integers(all, int, "faces")?, corners));
                 }
-                let list = self.cursor.integers(all, int, encoding, "faces")?;
-                self.lists.push((list, corners));
             }
-            TETRAHEDRA | HEXAHEDRA | PRISMS | PYRAMIDS => {
-                let count = self.cursor.count(int, encoding, "a number of elements")?;
+            // Volumes.
+            8 | 9 | 10 | 49 => {
+                let count = cursor.count(int, "a number of elements")?;
                 self.volumes = self.volumes.saturating_add(count);
             }
             _ => {}
         }
         Ok(())
-    }
-
-    fn integer(&mut self, kind: Kind) -> Result<i64, DataError> {
-        self.cursor.integer(kind, self.encoding, "keywords")
     }
 }
 

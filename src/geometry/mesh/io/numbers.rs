@@ -4,9 +4,9 @@
 //! Invariant: a declared count is checked against the bytes that are left before room is made for it.
 //! Must not know: formats.
 
-use super::DataError;
+use super::{DataError, syntax};
 
-/// What a number is in a file.
+/// The type of a number in a file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Kind {
     I8,
@@ -35,31 +35,40 @@ pub(super) enum Encoding {
     Binary(Order),
 }
 
+/// Calls `read` with its arguments and a function that makes a number, as one of another type, of bytes, the lowest first.
 macro_rules! numbers {
-    ($kind:expr, $bytes:expr, $order:expr, $as:ty) => {
+    ($kind:expr, $as:ty, $read:ident($($argument:expr),*)) => {
         match $kind {
-            Kind::I8 => all($bytes, $order, |b| i8::from_le_bytes(b) as $as),
-            Kind::U8 => all($bytes, $order, |b| u8::from_le_bytes(b) as $as),
-            Kind::I16 => all($bytes, $order, |b| i16::from_le_bytes(b) as $as),
-            Kind::U16 => all($bytes, $order, |b| u16::from_le_bytes(b) as $as),
-            Kind::I32 => all($bytes, $order, |b| i32::from_le_bytes(b) as $as),
-            Kind::U32 => all($bytes, $order, |b| u32::from_le_bytes(b) as $as),
-            Kind::I64 => all($bytes, $order, |b| i64::from_le_bytes(b) as $as),
-            Kind::U64 => all($bytes, $order, |b| u64::from_le_bytes(b) as $as),
-            Kind::F32 => all($bytes, $order, |b| f32::from_le_bytes(b) as $as),
-            Kind::F64 => all($bytes, $order, |b| f64::from_le_bytes(b) as $as),
+            Kind::I8 => $read($($argument,)* |b| i8::from_le_bytes(b) as $as),
+            Kind::U8 => $read($($argument,)* |b| u8::from_le_bytes(b) as $as),
+            Kind::I16 => $read($($argument,)* |b| i16::from_le_bytes(b) as $as),
+            Kind::U16 => $read($($argument,)* |b| u16::from_le_bytes(b) as $as),
+            Kind::I32 => $read($($argument,)* |b| i32::from_le_bytes(b) as $as),
+            Kind::U32 => $read($($argument,)* |b| u32::from_le_bytes(b) as $as),
+            Kind::I64 => $read($($argument,)* |b| i64::from_le_bytes(b) as $as),
+            Kind::U64 => $read($($argument,)* |b| u64::from_le_bytes(b) as $as),
+            Kind::F32 => $read($($argument,)* |b| f32::from_le_bytes(b) as $as),
+            Kind::F64 => $read($($argument,)* |b| f64::from_le_bytes(b) as $as),
         }
     };
 }
+pub(super) use numbers;
 
 fn all<const N: usize, T>(bytes: &[u8], order: Order, number: impl Fn([u8; N]) -> T) -> Vec<T> {
-    let lowest_first = |mut b: [u8; N]| {
-        if order == Order::Big {
-            b.reverse();
-        }
-        b
-    };
-    bytes.as_chunks::<N>().0.iter().map(|&b| number(lowest_first(b))).collect()
+    bytes.as_chunks::<N>().0.iter().map(|&b| number(lowest_first(b, order))).collect()
+}
+
+fn next<const N: usize, T>(rest: &mut &[u8], order: Order, number: impl Fn([u8; N]) -> T) -> Option<T> {
+    let (bytes, after) = rest.split_first_chunk::<N>()?;
+    *rest = after;
+    Some(number(lowest_first(*bytes, order)))
+}
+
+fn lowest_first<const N: usize>(mut bytes: [u8; N], order: Order) -> [u8; N] {
+    if order == Order::Big {
+        bytes.reverse();
+    }
+    bytes
 }
 
 impl Kind {
@@ -72,14 +81,18 @@ impl Kind {
         }
     }
 
-    /// What does not fill a number is left out.
+    pub(super) fn is_float(self) -> bool {
+        matches!(self, Self::F32 | Self::F64)
+    }
+
+    /// Bytes that do not fill a number are left out.
     pub(super) fn floats(self, bytes: &[u8], order: Order) -> Vec<f64> {
-        numbers!(self, bytes, order, f64)
+        numbers!(self, f64, all(bytes, order))
     }
 
     /// Fractions are cut off. What 64 bits with a sign cannot hold becomes negative or the greatest.
     pub(super) fn integers(self, bytes: &[u8], order: Order) -> Vec<i64> {
-        numbers!(self, bytes, order, i64)
+        numbers!(self, i64, all(bytes, order))
     }
 }
 
@@ -88,37 +101,48 @@ pub(super) fn parse<T: std::str::FromStr>(word: &[u8]) -> Option<T> {
     std::str::from_utf8(word).ok()?.parse().ok()
 }
 
-/// The beginning of a word, for who has to find it.
+/// The beginning of a word, for a message.
 pub(super) fn shown(word: &[u8]) -> String {
-    let text = String::from_utf8_lossy(&word[..word.len().min(160)]);
-    text.chars().map(|c| if c.is_control() { ' ' } else { c }).take(40).collect()
+    plain(&String::from_utf8_lossy(&word[..word.len().min(160)]), 40)
+}
+
+/// The first characters of a text, without control characters, for a message.
+pub(super) fn plain(text: &str, most: usize) -> String {
+    text.chars().map(|c| if c.is_control() { ' ' } else { c }).take(most).collect()
 }
 
 /// See the module's head.
 #[derive(Clone)]
 pub(super) struct Cursor<'a> {
     pub(super) rest: &'a [u8],
-    /// Of the last word, from 1.
+    /// Line of the last word, from 1.
     pub(super) line: usize,
+    pub(super) encoding: Encoding,
+    /// Whether `#` begins a comment, up to the end of the line.
+    pub(super) has_comments: bool,
 }
 
 impl<'a> Cursor<'a> {
+    /// Over text, unless another encoding is set.
     pub(super) fn new(bytes: &'a [u8]) -> Self {
-        Self { rest: bytes, line: 1 }
+        Self { rest: bytes, line: 1, encoding: Encoding::Text, has_comments: false }
     }
 
     pub(super) fn syntax(&self, message: impl Into<String>) -> DataError {
-        DataError::Syntax { line: self.line, message: message.into() }
+        syntax(self.line, message)
     }
 
     /// The next word, over as many lines as need be.
     pub(super) fn word(&mut self) -> Option<&'a [u8]> {
-        let start = self.rest.iter().position(|b| !b.is_ascii_whitespace())?;
-        let (blank, rest) = self.rest.split_at(start);
-        self.line += blank.iter().filter(|&&b| b == b'\n').count();
-        let (word, rest) = rest.split_at(rest.iter().position(u8::is_ascii_whitespace).unwrap_or(rest.len()));
-        self.rest = rest;
-        Some(word)
+        loop {
+            self.pass_blank();
+            let end = self.rest.iter().position(u8::is_ascii_whitespace).unwrap_or(self.rest.len());
+            let word = self.take(end).filter(|word| !word.is_empty())?;
+            if !(self.has_comments && word[0] == b'#') {
+                return Some(word);
+            }
+            self.end_line();
+        }
     }
 
     /// The next word, which stays.
@@ -126,23 +150,19 @@ impl<'a> Cursor<'a> {
         self.clone().word()
     }
 
-    /// What is left of the line, without its break.
+    /// The rest of the line, without its break.
     pub(super) fn end_line(&mut self) -> &'a [u8] {
         let end = self.rest.iter().position(|&b| b == b'\n').unwrap_or(self.rest.len());
         let (line, rest) = self.rest.split_at(end);
-        if let Some(rest) = rest.get(1..) {
-            self.line += 1;
-            self.rest = rest;
-        } else {
-            self.rest = rest;
-        }
+        self.line += usize::from(!rest.is_empty());
+        self.rest = rest.get(1..).unwrap_or_default();
         line.trim_ascii()
     }
 
     /// Passes over blanks and line breaks.
     pub(super) fn pass_blank(&mut self) {
-        let blank = self.rest.len() - self.rest.trim_ascii_start().len();
-        let (blank, rest) = self.rest.split_at(blank);
+        let rest = self.rest.trim_ascii_start();
+        let blank = &self.rest[..self.rest.len() - rest.len()];
         self.line += blank.iter().filter(|&&b| b == b'\n').count();
         self.rest = rest;
     }
@@ -159,94 +179,86 @@ impl<'a> Cursor<'a> {
         Some(taken)
     }
 
-    /// Whether so many numbers can follow.
-    fn check(&self, count: usize, kind: Kind, encoding: Encoding, what: &str) -> Result<usize, DataError> {
+    /// Checks that `count` numbers can follow; returns their bytes, if they are binary.
+    pub(super) fn check(&self, count: usize, kind: Kind, what: &str) -> Result<usize, DataError> {
         // A number of text is a digit and what separates it from the next.
-        let least = if encoding == Encoding::Text { 2 } else { kind.bytes() };
-        let bytes = count.checked_mul(least);
-        if let Some(bytes) = bytes.filter(|&bytes| bytes <= self.rest.len().saturating_add(1)) {
-            return Ok(bytes);
-        }
+        let least = if self.encoding == Encoding::Text { 2 } else { kind.bytes() };
         let left = self.rest.len();
-        Err(DataError::Truncated(format!("{count} numbers of {what} are declared and {left} bytes follow")))
+        count.checked_mul(least).filter(|&bytes| bytes <= left.saturating_add(1)).ok_or_else(|| {
+            DataError::Truncated(format!("{count} numbers of {what} are declared and {left} bytes follow"))
+        })
     }
 
-    /// So many words that are numbers, which are known to fit.
-    fn words<T: std::str::FromStr>(&mut self, count: usize, what: &str) -> Result<Vec<T>, DataError> {
-        let mut numbers = Vec::with_capacity(count);
-        for _ in 0..count {
-            numbers.push(self.parsed(what)?);
-        }
-        Ok(numbers)
-    }
-
-    pub(super) fn floats(
+    /// Numbers, of words by `word` or of bytes by `binary`.
+    fn array<T>(
         &mut self,
-        count: usize,
-        kind: Kind,
-        encoding: Encoding,
-        what: &str,
-    ) -> Result<Vec<f64>, DataError> {
-        let bytes = self.check(count, kind, encoding, what)?;
-        match encoding {
-            Encoding::Text => self.words(count, "a number"),
-            Encoding::Binary(order) => self.take(bytes).map(|b| kind.floats(b, order)).ok_or_else(|| cut(what)),
-        }
-    }
-
-    /// Numbers that matter for no surface: a word that is none is NaN. Nothing is given if they are not to be kept.
-    pub(super) fn lenient(
-        &mut self,
-        count: usize,
-        kind: Kind,
-        encoding: Encoding,
-        what: &str,
-        keep: bool,
-    ) -> Result<Vec<f64>, DataError> {
-        let bytes = self.check(count, kind, encoding, what)?;
-        match encoding {
+        (count, kind, what): (usize, Kind, &str),
+        binary: impl Fn(Kind, &[u8], Order) -> Vec<T>,
+        mut word: impl FnMut(&mut Self) -> Result<T, DataError>,
+    ) -> Result<Vec<T>, DataError> {
+        let bytes = self.check(count, kind, what)?;
+        match self.encoding {
             Encoding::Text => {
-                let mut numbers = Vec::with_capacity(if keep { count } else { 0 });
+                let mut numbers = Vec::with_capacity(count);
                 for _ in 0..count {
-                    let word = self.word().ok_or_else(|| cut(what))?;
-                    if keep {
-                        numbers.push(parse(word).unwrap_or(f64::NAN));
-                    }
+                    numbers.push(word(self)?);
                 }
                 Ok(numbers)
             }
-            Encoding::Binary(order) => {
-                let taken = self.take(bytes).ok_or_else(|| cut(what))?;
-                Ok(if keep { kind.floats(taken, order) } else { Vec::new() })
-            }
+            Encoding::Binary(order) => self.take(bytes).map(|b| binary(kind, b, order)).ok_or_else(|| cut(what)),
         }
     }
 
-    pub(super) fn integers(
-        &mut self,
-        count: usize,
-        kind: Kind,
-        encoding: Encoding,
-        what: &str,
-    ) -> Result<Vec<i64>, DataError> {
-        let bytes = self.check(count, kind, encoding, what)?;
-        match encoding {
-            Encoding::Text => self.words(count, "a whole number"),
-            Encoding::Binary(order) => self.take(bytes).map(|b| kind.integers(b, order)).ok_or_else(|| cut(what)),
+    pub(super) fn floats(&mut self, count: usize, kind: Kind, what: &str) -> Result<Vec<f64>, DataError> {
+        self.array((count, kind, what), Kind::floats, |cursor| cursor.parsed("a number"))
+    }
+
+    pub(super) fn integers(&mut self, count: usize, kind: Kind, what: &str) -> Result<Vec<i64>, DataError> {
+        self.array((count, kind, what), Kind::integers, |cursor| cursor.parsed("a whole number"))
+    }
+
+    /// Numbers that matter for no surface: a word that is none is NaN.
+    pub(super) fn lenient(&mut self, count: usize, kind: Kind, what: &str) -> Result<Vec<f64>, DataError> {
+        self.array((count, kind, what), Kind::floats, |cursor| cursor.any_float(kind, what))
+    }
+
+    /// Passes over numbers.
+    pub(super) fn pass(&mut self, count: usize, kind: Kind, what: &str) -> Result<(), DataError> {
+        let bytes = self.check(count, kind, what)?;
+        let passed = match self.encoding {
+            Encoding::Text => (0..count).try_for_each(|_| self.word().map(|_| ())),
+            Encoding::Binary(_) => self.take(bytes).map(|_| ()),
+        };
+        passed.ok_or_else(|| cut(what))
+    }
+
+    /// One number.
+    pub(super) fn float(&mut self, kind: Kind, what: &str) -> Result<f64, DataError> {
+        match self.encoding {
+            Encoding::Text => self.parsed(what),
+            Encoding::Binary(order) => numbers!(kind, f64, next(&mut self.rest, order)).ok_or_else(|| cut(what)),
+        }
+    }
+
+    /// One number, as in [`Self::lenient`].
+    pub(super) fn any_float(&mut self, kind: Kind, what: &str) -> Result<f64, DataError> {
+        match self.encoding {
+            Encoding::Text => self.word().map(|word| parse(word).unwrap_or(f64::NAN)).ok_or_else(|| cut(what)),
+            Encoding::Binary(_) => self.float(kind, what),
         }
     }
 
     /// One whole number.
-    pub(super) fn integer(&mut self, kind: Kind, encoding: Encoding, what: &str) -> Result<i64, DataError> {
-        match encoding {
+    pub(super) fn integer(&mut self, kind: Kind, what: &str) -> Result<i64, DataError> {
+        match self.encoding {
             Encoding::Text => self.parsed(what),
-            Encoding::Binary(_) => self.integers(1, kind, encoding, what)?.first().copied().ok_or_else(|| cut(what)),
+            Encoding::Binary(order) => numbers!(kind, i64, next(&mut self.rest, order)).ok_or_else(|| cut(what)),
         }
     }
 
     /// One whole number that counts something.
-    pub(super) fn count(&mut self, kind: Kind, encoding: Encoding, what: &str) -> Result<usize, DataError> {
-        let count = self.integer(kind, encoding, what)?;
+    pub(super) fn count(&mut self, kind: Kind, what: &str) -> Result<usize, DataError> {
+        let count = self.integer(kind, what)?;
         usize::try_from(count).map_err(|_| self.syntax(format!("{count} is not {what}")))
     }
 }

@@ -10,7 +10,8 @@ use std::fmt::Write as _;
 use glam::{DVec2, DVec3};
 
 use super::held::{By, Held, Holds, Raw, eight_bit};
-use super::{Codec, Counts, DataError, Soup, VertexNumbers};
+use super::numbers::plain;
+use super::{Codec, Counts, DataError, Soup, VertexNumbers, syntax};
 use crate::mesh::TriMesh;
 use crate::mesh::attributes::{ColourDepth, Colours, Normals, PerCorner};
 
@@ -28,7 +29,7 @@ pub(super) const CODEC: Codec = Codec {
     vertices: VertexNumbers::Kept,
 };
 
-/// Reads a surface; what it carries only if it is `wanted`.
+/// Reads a surface; its attributes only if they are `wanted`.
 fn decode(bytes: &[u8], wanted: bool) -> Result<Soup, DataError> {
     let mut lines = Lines { rest: bytes, line: 0 };
     let Header { kinds, vertices, faces } = header(&mut lines)?;
@@ -45,7 +46,7 @@ fn decode(bytes: &[u8], wanted: bool) -> Result<Soup, DataError> {
             if lines.rest.is_empty() && text.split_ascii_whitespace().count() < 3 {
                 return Err(cut("vertices", index, vertices));
             }
-            return Err(DataError::Syntax { line, message: "a vertex needs three numbers, x y z".to_owned() });
+            return Err(syntax(line, "a vertex needs three numbers, x y z"));
         };
         soup.positions.push(DVec3::new(x, y, z));
         if let Some(carried) = &mut carried {
@@ -56,28 +57,28 @@ fn decode(bytes: &[u8], wanted: bool) -> Result<Soup, DataError> {
     for index in 0..faces {
         let (line, text) = lines.next()?.ok_or_else(|| cut("faces", index, faces))?;
         let mut words = text.split_ascii_whitespace().map(|w| w.parse::<i64>().ok());
-        let syntax = |message: String| DataError::Syntax { line, message };
+        let syntax = |message: &str| syntax(line, message);
         let Some(count) = words.next().flatten().and_then(|n| usize::try_from(n).ok()) else {
-            return Err(syntax("a face begins with the number of its corners".to_owned()));
+            return Err(syntax("a face begins with the number of its corners"));
         };
         corners.clear();
         for word in words.by_ref().take(count) {
-            corners.push(word.ok_or_else(|| syntax("a corner is a whole number, the vertex from 0".to_owned()))?);
+            corners.push(word.ok_or_else(|| syntax("a corner is a whole number, the vertex from 0"))?);
         }
         if corners.len() < count {
             return Err(if lines.rest.is_empty() {
                 cut("faces", index, faces)
             } else {
-                syntax(format!("{count} corners are announced and {} are there", corners.len()))
+                syntax(&format!("{count} corners are announced and {} are there", corners.len()))
             });
         }
-        soup.push_polygon(&corners).map_err(syntax)?;
+        soup.push_polygon(&corners).map_err(|message| syntax(&message))?;
     }
     soup.raw = carried.map(|carried| carried.finish(&soup.facets)).unwrap_or_default();
     Ok(soup)
 }
 
-/// What vertices carry, so far.
+/// Attributes of vertices, so far.
 #[derive(Default)]
 struct Carried {
     normals: Option<Vec<DVec3>>,
@@ -90,7 +91,7 @@ struct Carried {
 }
 
 impl Carried {
-    /// What the letters before the keyword announce.
+    /// The attributes that the letters before the keyword announce.
     fn of(kinds: &str) -> Self {
         Self {
             normals: kinds.contains('N').then(Vec::new),
@@ -207,8 +208,7 @@ fn header<'a>(lines: &mut Lines<'a>) -> Result<Header<'a>, DataError> {
     let first = text.split_ascii_whitespace().next().unwrap_or_default();
     if !first.starts_with(|c: char| c.is_ascii_digit()) || first.ends_with("OFF") {
         if !matches!(first, "OFF" | "COFF" | "NOFF" | "CNOFF" | "STOFF" | "STCOFF" | "STNOFF" | "STCNOFF") {
-            let message = format!("\"{}\" is not one of OFF, COFF, NOFF", first.chars().take(16).collect::<String>());
-            return Err(DataError::Syntax { line, message });
+            return Err(syntax(line, format!("\"{}\" is not one of OFF, COFF, NOFF", plain(first, 16))));
         }
         kinds = first.strip_suffix("OFF").unwrap_or_default();
         text = text.trim_start()[first.len()..].trim();
@@ -224,10 +224,7 @@ fn header<'a>(lines: &mut Lines<'a>) -> Result<Header<'a>, DataError> {
         if lines.rest.is_empty() {
             return Err(short());
         }
-        return Err(DataError::Syntax {
-            line,
-            message: "expected the numbers of vertices, faces and edges".to_owned(),
-        });
+        return Err(syntax(line, "expected the numbers of vertices, faces and edges"));
     };
     Ok(Header { kinds, vertices, faces })
 }
@@ -251,8 +248,8 @@ impl<'a> Lines<'a> {
             self.rest = &self.rest[(end + 1).min(self.rest.len())..];
             let text = text[..text.iter().position(|&b| b == b'#').unwrap_or(end)].trim_ascii();
             if !text.is_empty() {
-                let message = || DataError::Syntax { line: self.line, message: "this is not text".to_owned() };
-                return std::str::from_utf8(text).map(|text| Some((self.line, text))).map_err(|_| message());
+                let text = std::str::from_utf8(text).map_err(|_| syntax(self.line, "this is not text"))?;
+                return Ok(Some((self.line, text)));
             }
         }
         Ok(None)

@@ -1,7 +1,6 @@
-//! Files that are packed with gzip, of any format: `.obj.gz` and so on.
+//! Files that are packed with gzip, of any format: `.obj.gz` and so on. Packed files are known by their first three bytes.
 //!
-//! Purpose: [`unpack`] and [`pack_for`]; [`Measure`] says how much is packed in bytes that come one after the other, and keeps
-//! none of it. Which bytes are packed, their first three say.
+//! Purpose: [`unpack`] and [`pack_for`]; [`Measure`] finds the unpacked length of a stream, and keeps none of it.
 //! Invariant: no more is unpacked than a limit. Must not know: formats.
 
 use std::borrow::Cow;
@@ -15,17 +14,17 @@ use flate2::write::GzEncoder;
 
 use super::DataError;
 
-/// What is packed in a file may be so many times as long as the file, and a MiB longer: meshes pack to a third or a twentieth, and
-/// what is made to fill the memory to a thousandth.
+/// Largest unpacked length, as a multiple of the file's, beyond the first MiB. Meshes pack to a third or a twentieth, files that are
+/// made to fill the memory to a thousandth.
 pub const UNPACKED_RATIO: usize = 64;
 
-/// How long all may be that is unpacked from so many bytes, by default.
+/// The default limit on the unpacked length of a file of `bytes`.
 pub fn limit(bytes: usize) -> usize {
     bytes.saturating_mul(UNPACKED_RATIO).saturating_add(1 << 20)
 }
 
-/// The bytes of a file, unpacked if gzip packed them. What reads files does so with [`UNPACKED_RATIO`]; who trusts a file that
-/// packs better unpacks it first.
+/// The bytes of a file, unpacked if gzip packed them. Readers limit the length by [`UNPACKED_RATIO`]; a caller that trusts a file
+/// that packs better unpacks it first.
 ///
 /// # Errors
 /// [`DataError::TooLong`] if more than `limit` bytes come out; [`DataError::Truncated`] and [`DataError::Header`] for what gzip
@@ -54,20 +53,20 @@ pub fn are_packed(bytes: &[u8]) -> bool {
     bytes.starts_with(&[0x1f, 0x8b, 8])
 }
 
-/// At most this many of the first bytes of what is packed; fewer where it is damaged.
+/// The first unpacked bytes, at most `most`; fewer where the file is damaged.
 pub(super) fn unpack_head(bytes: &[u8], most: usize) -> Vec<u8> {
     let mut head = Vec::new();
-    // What came before an error is kept.
+    // Bytes before an error are kept.
     let _ = MultiGzDecoder::new(bytes).take(most as u64).read_to_end(&mut head);
     head
 }
 
-/// Writes what is packed in the bytes that it is given to `to`. Its `try_finish` says whether they were all.
+/// Writes unpacked bytes to `to`. Its `try_finish` fails if the packed bytes are not whole.
 pub fn unpacker<W: Write>(to: W) -> write::MultiGzDecoder<W> {
     write::MultiGzDecoder::new(to)
 }
 
-/// What an error of unpacking says; [`io::ErrorKind::FileTooLarge`] is that of a limit.
+/// The error for one of an [`unpacker`]; [`io::ErrorKind::FileTooLarge`] is that of a limit.
 pub fn unpacked_wrong(error: &io::Error, limit: usize) -> DataError {
     match error.kind() {
         io::ErrorKind::UnexpectedEof => DataError::Truncated("gzip has more to come".to_owned()),
@@ -76,13 +75,13 @@ pub fn unpacked_wrong(error: &io::Error, limit: usize) -> DataError {
     }
 }
 
-/// How many bytes are packed in others, at most so many.
+/// Measures the unpacked length of a stream, up to a limit.
 pub struct Measure {
     decoder: write::MultiGzDecoder<Counted>,
     limit: usize,
 }
 
-/// Bytes that nobody keeps.
+/// Counts bytes and drops them.
 struct Counted {
     bytes: usize,
     limit: usize,
@@ -98,12 +97,12 @@ impl Write for Counted {
     }
 }
 impl Measure {
-    /// Stops at `limit` bytes.
+    /// Fails at more than `limit` bytes.
     pub fn new(limit: usize) -> Self {
         Self { decoder: unpacker(Counted { bytes: 0, limit }), limit }
     }
 
-    /// The next bytes.
+    /// Takes the next packed bytes.
     ///
     /// # Errors
     /// [`DataError::TooLong`] and [`DataError::Header`], as [`unpack`].
@@ -111,22 +110,19 @@ impl Measure {
         self.decoder.write_all(bytes).map_err(|error| unpacked_wrong(&error, self.limit))
     }
 
-    /// How many there are.
-    ///
-    /// # Errors
-    /// As [`unpack`].
+    /// The unpacked length.
     pub fn finish(mut self) -> Result<usize, DataError> {
         self.decoder.try_finish().map_err(|error| unpacked_wrong(&error, self.limit))?;
         Ok(self.decoder.get_ref().bytes)
     }
 }
 
-/// Whether a file's name says that it is packed.
+/// Whether a file's name is that of a packed file.
 pub(super) fn is_packed(path: &Path) -> bool {
     path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("gz"))
 }
 
-/// Packs what is to be written to a path, if its name says so.
+/// Packs bytes for a path whose name ends in `.gz`.
 pub fn pack_for(path: &Path, bytes: Vec<u8>) -> io::Result<Vec<u8>> {
     if !is_packed(path) {
         return Ok(bytes);

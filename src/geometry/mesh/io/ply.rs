@@ -14,11 +14,12 @@ mod records;
 mod rows;
 
 use super::held::{By, Held, Holds, eight_bit};
+use super::numbers::Encoding;
 use super::{Codec, Counts, DataError, Soup, VertexNumbers};
 use crate::mesh::TriMesh;
-use crate::mesh::attributes::ColourDepth;
+use crate::mesh::attributes::{ColourDepth, Colours};
 use carried::{Carried, PREFIX, TAKEN};
-use header::{Encoding, Header, Parted};
+use header::{Header, Parted};
 
 /// See [`Codec`].
 pub(super) const CODEC: Codec = Codec {
@@ -36,7 +37,7 @@ pub(super) const CODEC: Codec = Codec {
     vertices: VertexNumbers::Kept,
 };
 
-/// Reads a surface; what it carries only if it is `wanted`.
+/// Reads a surface; its attributes only if they are `wanted`.
 fn decode(bytes: &[u8], wanted: bool) -> Result<Soup, DataError> {
     let Parted { header, data, line } = header::read(bytes)?;
     check_header(&header, data.len())?;
@@ -78,7 +79,7 @@ fn check_header(header: &Header, remaining: usize) -> Result<(), DataError> {
     for element in &header.elements {
         // An ascii number is a digit and what separates it from the next. Of a list its length is there.
         let least = |p: &header::Property| {
-            if header.encoding == Encoding::Ascii { 2 } else { p.length.unwrap_or(p.item).bytes() }
+            if header.encoding == Encoding::Text { 2 } else { p.length.unwrap_or(p.item).bytes() }
         };
         let each: usize = element.properties.iter().map(least).sum();
         // A binary element without properties would be nothing at all, and any number of them would fit.
@@ -95,28 +96,50 @@ fn check_header(header: &Header, remaining: usize) -> Result<(), DataError> {
     Ok(())
 }
 
+/// Properties of the vertices: their names, their type, and a function that writes them.
+type Column<'a> = (&'a str, &'a str, Box<dyn Fn(&mut Vec<u8>, usize) + 'a>);
+
 fn encode(mesh: &TriMesh, held: &Held<'_>) -> Result<Vec<u8>, DataError> {
     let (vertices, faces) = (mesh.positions().len(), mesh.facets().len());
-    let opaque = held.colours.is_none_or(|c| c.values.iter().all(|c| c[3] == 1.0));
-    let mut out = head(mesh, held, opaque).into_bytes();
-    out.reserve((24 + 8 * held.scalars.len()) * vertices + 13 * faces);
-    let number = |out: &mut Vec<u8>, x: f64| out.extend_from_slice(&x.to_le_bytes());
-    for (vertex, p) in mesh.positions().iter().enumerate() {
-        p.to_array().into_iter().for_each(|x| number(&mut out, x));
-        if let Some(normals) = &held.normals {
-            normals[vertex].to_array().into_iter().for_each(|x| number(&mut out, x));
-        }
-        if let Some(colours) = held.colours {
-            let colour = &colours.values[vertex][..if opaque { 3 } else { 4 }];
-            match colours.depth {
-                ColourDepth::Eight => out.extend(colour.iter().map(|&x| eight_bit(x))),
-                ColourDepth::Float => colour.iter().for_each(|&x| number(&mut out, x)),
+    fn doubles(out: &mut Vec<u8>, numbers: &[f64]) {
+        numbers.iter().for_each(|x| out.extend_from_slice(&x.to_le_bytes()));
+    }
+    let plain = |name: &str| format!("{}{name}", if TAKEN.contains(&name) { PREFIX } else { "" });
+    let names: Vec<String> = held.scalars.iter().map(|scalar| plain(&scalar.name)).collect();
+    let positions = |out: &mut Vec<u8>, v: usize| doubles(out, &mesh.positions()[v].to_array());
+    let mut columns: Vec<Column<'_>> = vec![("x y z", "double", Box::new(positions))];
+    if let Some(normals) = &held.normals {
+        columns.push(("nx ny nz", "double", Box::new(|out, v| doubles(out, &normals[v].to_array()))));
+    }
+    if let Some(Colours { values, depth }) = held.colours {
+        let opaque = values.iter().all(|c| c[3] == 1.0);
+        let (names, n) = if opaque { ("red green blue", 3) } else { ("red green blue alpha", 4) };
+        columns.push(match depth {
+            ColourDepth::Eight => {
+                (names, "uchar", Box::new(move |out, v| out.extend(values[v][..n].iter().map(|&x| eight_bit(x)))))
             }
-        }
-        if let Some(uv) = &held.uv {
-            uv[vertex].to_array().into_iter().for_each(|x| number(&mut out, x));
-        }
-        held.scalars.iter().for_each(|s| number(&mut out, s.values[vertex]));
+            ColourDepth::Float => (names, "double", Box::new(move |out, v| doubles(out, &values[v][..n]))),
+        });
+    }
+    if let Some(uv) = &held.uv {
+        columns.push(("s t", "double", Box::new(|out, v| doubles(out, &uv[v].to_array()))));
+    }
+    for (name, scalar) in names.iter().zip(held.scalars) {
+        columns.push((name, "double", Box::new(|out, v| doubles(out, &[scalar.values[v]]))));
+    }
+    let mut head = format!("ply\nformat binary_little_endian 1.0\nelement vertex {vertices}\n");
+    for (names, kind, _) in &columns {
+        names.split(' ').for_each(|name| head.push_str(&format!("property {kind} {name}\n")));
+    }
+    head.push_str(&format!("element face {faces}\nproperty list uchar int vertex_indices\n"));
+    if held.corner_uv.is_some() {
+        head.push_str("property list uchar double texcoord\n");
+    }
+    head.push_str("end_header\n");
+    let mut out = head.into_bytes();
+    out.reserve((24 + 8 * held.scalars.len()) * vertices + 13 * faces);
+    for vertex in 0..vertices {
+        columns.iter().for_each(|(.., write)| write(&mut out, vertex));
     }
     for (index, facet) in mesh.facets().iter().enumerate() {
         out.push(3);
@@ -124,38 +147,9 @@ fn encode(mesh: &TriMesh, held: &Held<'_>) -> Result<Vec<u8>, DataError> {
         if let Some(texture) = held.corner_uv {
             out.push(6);
             for corner in texture.corners[index] {
-                texture.values[corner as usize].to_array().into_iter().for_each(|x| number(&mut out, x));
+                doubles(&mut out, &texture.values[corner as usize].to_array());
             }
         }
     }
     Ok(out)
-}
-
-fn head(mesh: &TriMesh, held: &Held<'_>, opaque: bool) -> String {
-    let (vertices, faces) = (mesh.positions().len(), mesh.facets().len());
-    let mut text = format!("ply\nformat binary_little_endian 1.0\nelement vertex {vertices}\n");
-    let mut properties = |names: &[&str], kind: &str| {
-        names.iter().for_each(|name| text.push_str(&format!("property {kind} {name}\n")));
-    };
-    properties(&["x", "y", "z"], "double");
-    if held.normals.is_some() {
-        properties(&["nx", "ny", "nz"], "double");
-    }
-    if let Some(colours) = held.colours {
-        let kind = if colours.depth == ColourDepth::Eight { "uchar" } else { "double" };
-        properties(&["red", "green", "blue", "alpha"][..if opaque { 3 } else { 4 }], kind);
-    }
-    if held.uv.is_some() {
-        properties(&["s", "t"], "double");
-    }
-    for scalar in held.scalars {
-        let taken = TAKEN.contains(&scalar.name.as_str());
-        properties(&[&format!("{}{}", if taken { PREFIX } else { "" }, scalar.name)], "double");
-    }
-    text.push_str(&format!("element face {faces}\nproperty list uchar int vertex_indices\n"));
-    if held.corner_uv.is_some() {
-        text.push_str("property list uchar double texcoord\n");
-    }
-    text.push_str("end_header\n");
-    text
 }

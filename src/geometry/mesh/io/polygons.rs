@@ -23,7 +23,7 @@ const TURNED: f64 = 1e-9;
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Cut {
     first: u32,
-    /// By the polygon's corners, from 0.
+    /// Numbers of the polygon's corners, from 0.
     triangles: Vec<[u32; 3]>,
 }
 
@@ -66,7 +66,7 @@ fn is_right(fan: &[[u32; 3]], place: impl Fn(u32) -> DVec3) -> bool {
     };
     let whole: DVec3 = fan.iter().map(twice).sum();
     let least = -TURNED * whole.length_squared();
-    // What is not finite is for others to refuse.
+    // Positions that are not finite are refused later.
     !fan.iter().any(|t| twice(t).dot(whole) < least)
 }
 
@@ -79,7 +79,7 @@ struct Scratch {
 }
 
 impl Scratch {
-    /// Nothing if it cannot be cut, or if that makes it no better.
+    /// `None` if the polygon cannot be cut, or if the cut is no better than the fan.
     fn cut(&mut self, ring: &[u32], place: impl Fn(u32) -> DVec3) -> Option<Vec<[u32; 3]>> {
         let corners: Vec<DVec3> = ring.iter().map(|&v| place(v)).collect();
         let low = corners.iter().copied().fold(DVec3::INFINITY, DVec3::min);

@@ -7,33 +7,24 @@ use super::{Format, packed, without_mark};
 
 /// How the files of a format begin.
 pub(super) enum Signature {
-    /// As the function finds.
+    /// The function recognizes the start.
     Start(fn(&Head<'_>) -> bool),
-    /// With one of these words, after empty lines and lines that begin with `#`.
+    /// The first word is one of these, after empty lines and lines that begin with `#`.
     Words(&'static [&'static str]),
 }
 
 /// The first bytes of a file, and its length.
 pub(super) struct Head<'a> {
     pub(super) bytes: &'a [u8],
-    length: Length,
-}
-
-/// Length of a file.
-enum Length {
-    /// Known.
-    Whole(u64),
-    /// Its lower 32 bits, as gzip keeps it.
-    Low(u32),
+    length: u64,
+    /// The bits of the length that are known: of a packed file the lower 32.
+    known: u64,
 }
 
 impl<'a> Head<'a> {
     /// Whether the file is of this length, in bytes.
     pub(super) fn has_length(&self, expected: u64) -> bool {
-        match self.length {
-            Length::Whole(length) => length == expected,
-            Length::Low(length) => length == expected as u32,
-        }
+        (self.length ^ expected) & self.known == 0
     }
 
     /// The bytes without a byte order mark.
@@ -55,7 +46,7 @@ impl<'a> Head<'a> {
     }
 }
 
-/// As much of a file as says what it is.
+/// Bytes of a file that are looked at.
 const HEAD_BYTES: usize = 64 << 10;
 
 /// The format of a file; of a packed one, by the file inside.
@@ -64,9 +55,9 @@ pub(super) fn recognize(bytes: &[u8]) -> Option<Format> {
     let head = match (packed::are_packed(bytes), bytes.last_chunk()) {
         (true, Some(length)) => {
             unpacked = packed::unpack_head(bytes, HEAD_BYTES);
-            Head { bytes: &unpacked, length: Length::Low(u32::from_le_bytes(*length)) }
+            Head { bytes: &unpacked, length: u32::from_le_bytes(*length).into(), known: u32::MAX.into() }
         }
-        _ => Head { bytes: &bytes[..bytes.len().min(HEAD_BYTES)], length: Length::Whole(bytes.len() as u64) },
+        _ => Head { bytes: &bytes[..bytes.len().min(HEAD_BYTES)], length: bytes.len() as u64, known: u64::MAX },
     };
     let starts = |format: &Format| matches!(format.codec().signature, Signature::Start(fits) if fits(&head));
     let word = head.word();
@@ -115,7 +106,7 @@ mod tests {
         }
     }
 
-    /// What the library writes needs no word.
+    /// Files that the library writes are recognized.
     #[test]
     fn our_own_files_say_what_they_are() {
         let mesh = crate::mesh::shapes::Shape::Torus.build(200);

@@ -11,14 +11,14 @@ use super::DataError;
 const RATIO: usize = 4;
 
 /// See the module's head.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Room {
     all: usize,
     left: usize,
 }
 
 impl Room {
-    /// For lists of a file of so many bytes.
+    /// For lists of a file of `bytes`.
     pub(super) fn of(bytes: usize) -> Self {
         let all = bytes.saturating_mul(RATIO).saturating_add(1 << 20);
         Self { all, left: all }
@@ -41,9 +41,6 @@ impl Room {
     }
 
     /// Adds to a list, which grows by half if it is full.
-    ///
-    /// # Errors
-    /// As [`Self::take`].
     pub(super) fn push<T>(&mut self, list: &mut Vec<T>, value: T) -> Result<(), DataError> {
         if list.len() == list.capacity() {
             let more = (list.len() / 2).max(4);

@@ -15,8 +15,7 @@ const LOSS: f64 = 1e-3;
 pub(super) fn check(mesh: &TriMesh) -> Result<(), DataError> {
     let limit = f64::from(f32::MAX);
     if let Some(vertex) = mesh.positions().iter().position(|p| p.abs().max_element() > limit) {
-        let [x, y, z] = mesh.positions()[vertex].to_array();
-        return Err(DataError::SinglePrecision { vertex, x, y, z });
+        return Err(DataError::SinglePrecision { vertex, position: mesh.positions()[vertex] });
     }
     let joined = |p: DVec3, q: DVec3| p != q && p.as_vec3() == q.as_vec3();
     let collapses = |&facet: &usize| {

@@ -11,7 +11,7 @@ pub(super) mod xml;
 use glam::{DVec2, DVec3};
 
 use super::held::{Held, Raw, eight_bit};
-use super::numbers::Kind;
+use super::numbers::{Kind, plain};
 use super::{DataError, Soup};
 use crate::mesh::attributes::{ColourDepth, Colours, Normals, PerCorner, Scalar};
 
@@ -29,15 +29,15 @@ const KINDS: [(&str, &str, Kind); 10] = [
     ("double", "Float64", Kind::F64),
 ];
 
-/// What an array of points is said to be.
+/// What an array of points holds.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Role {
     Normals,
     Texture,
     Colours,
-    /// To be told by its name and its numbers.
+    /// Its name and its numbers decide.
     Any,
-    /// Nothing that a surface carries.
+    /// Not an attribute.
     None,
 }
 
@@ -66,7 +66,7 @@ impl Array {
     }
 }
 
-/// What arrays are, for a surface of these facets. The first of a role has it.
+/// Makes attributes of arrays, for a surface of these facets. The first array of a role has it.
 fn carried(arrays: Vec<Array>, facets: &[[u32; 3]]) -> Raw {
     let mut raw = Raw::default();
     for array in arrays {
@@ -95,7 +95,7 @@ fn carried(arrays: Vec<Array>, facets: &[[u32; 3]]) -> Raw {
             Role::None => {}
             _ if n == 1 => raw.scalars.push(Scalar { name: array.name, values: array.values }),
             _ => {
-                let name: String = array.name.chars().filter(|c| !c.is_control()).take(60).collect();
+                let name = plain(&array.name, 60);
                 raw.unreadable(&format!("array {name:?}"), format!("a surface carries none of {n} numbers a point"));
             }
         }
@@ -116,7 +116,7 @@ enum Numbers {
     Doubles(Vec<f64>),
 }
 
-/// What is held, as arrays.
+/// Attributes as arrays.
 fn written(held: &Held<'_>) -> Vec<Written> {
     let mut arrays = Vec::new();
     let mut add = |name: &str, role, components, values| {
@@ -144,10 +144,10 @@ fn written(held: &Held<'_>) -> Vec<Written> {
     arrays
 }
 
-/// What a cell of some type is.
+/// The shape of a cell.
 enum Cell {
     Polygon,
-    /// By so many of its points, the others lie on its edges.
+    /// A polygon of its first points; the others lie on its edges.
     Corners(usize),
     Strip,
     Pixel,
@@ -169,7 +169,7 @@ impl Cell {
         }
     }
 
-    /// How many facets it has, with so many points.
+    /// How many facets a cell with `points` points has.
     fn facets(&self, points: usize) -> usize {
         match self {
             Self::Polygon | Self::Pixel | Self::Strip => points.saturating_sub(2),
@@ -178,7 +178,7 @@ impl Cell {
         }
     }
 
-    /// Adds its facets. Gives whether it is a volume, of which there are none.
+    /// Adds its facets. Returns whether it is a volume, which has none.
     fn push(&self, soup: &mut Soup, points: &[i64], scratch: &mut Vec<i64>) -> Result<bool, String> {
         match self {
             Self::Polygon => soup.push_polygon(points)?,
@@ -204,12 +204,12 @@ impl Cell {
     }
 }
 
-/// Says of cells that are volumes that they are left aside; an error if there is nothing else.
+/// Reports cells that are volumes as left aside; an error if there is nothing else.
 fn volumes(soup: &mut Soup, cells: usize) -> Result<(), DataError> {
     super::volumes(soup, cells, "extract the surface first, as ParaView's filter \"Extract Surface\" does")
 }
 
-/// Adds cells, each from the end of the one before to its own end in `points`. Gives how many are volumes.
+/// Adds cells, each from the end of the one before to its own end in `points`. Returns how many are volumes.
 fn push_cells(soup: &mut Soup, cell: impl Fn(usize) -> Cell, ends: &[i64], points: &[i64]) -> Result<usize, DataError> {
     let (mut start, mut aside, mut scratch) = (0usize, 0, Vec::new());
     for (index, &end) in ends.iter().enumerate() {

@@ -14,7 +14,7 @@ use crate::mesh::morton;
 
 /// Least number of times that a facet with weights is quartered: within the parts the weight counts as constant.
 const LEVELS: i32 = 3;
-/// And any facet until a part holds a fourth of a point, but no more often than this.
+/// Most times that a facet is quartered; it is until a part holds a fourth of a point.
 const MOST_LEVELS: i32 = 20;
 const FINER: f64 = 4.0;
 
@@ -132,7 +132,7 @@ impl<'a> Curve<'a> {
     }
 }
 
-/// Of a facet: its area times the mean root of its weight, about.
+/// Mass of a facet: its area times the mean root of its weight, about.
 fn mass(masses: &Masses<'_>, facet: usize) -> f64 {
     let Some(weights) = masses.weights(facet) else { return masses.most(facet) };
     let top = weights[0].max(weights[1]).max(weights[2]).sqrt();

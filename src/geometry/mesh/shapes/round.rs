@@ -12,52 +12,25 @@ use crate::mesh::TriMesh;
 /// much nearer to the target, 8 n² or 4 n² facets.
 pub(super) fn sphere(facets: usize) -> TriMesh {
     let phi = (1.0 + 5f64.sqrt()) / 2.0;
-    let solids: [(Vec<DVec3>, Vec<[u32; 3]>); 3] = [
+    // Coordinates of the corners, and the corners of the faces.
+    let solids: [(&[f64], &[u32]); 3] = [
         (
-            [(-1., phi, 0.), (1., phi, 0.), (-1., -phi, 0.), (1., -phi, 0.), (0., -1., phi), (0., 1., phi)]
-                .into_iter()
-                .chain([
-                    (0., -1., -phi),
-                    (0., 1., -phi),
-                    (phi, 0., -1.),
-                    (phi, 0., 1.),
-                    (-phi, 0., -1.),
-                    (-phi, 0., 1.),
-                ])
-                .map(|(x, y, z)| dvec3(x, y, z))
-                .collect(),
-            vec![
-                [0, 11, 5],
-                [0, 5, 1],
-                [0, 1, 7],
-                [0, 7, 10],
-                [0, 10, 11],
-                [1, 5, 9],
-                [5, 11, 4],
-                [11, 10, 2],
-                [10, 7, 6],
-                [7, 1, 8],
-                [3, 9, 4],
-                [3, 4, 2],
-                [3, 2, 6],
-                [3, 6, 8],
-                [3, 8, 9],
-                [4, 9, 5],
-                [2, 4, 11],
-                [6, 2, 10],
-                [8, 6, 7],
-                [9, 8, 1],
+            &[
+                -1., phi, 0., 1., phi, 0., -1., -phi, 0., 1., -phi, 0., 0., -1., phi, 0., 1., phi, 0., -1., -phi, 0.,
+                1., -phi, phi, 0., -1., phi, 0., 1., -phi, 0., -1., -phi, 0., 1.,
+            ],
+            &[
+                0, 11, 5, 0, 5, 1, 0, 1, 7, 0, 7, 10, 0, 10, 11, 1, 5, 9, 5, 11, 4, 11, 10, 2, 10, 7, 6, 7, 1, 8, 3, 9,
+                4, 3, 4, 2, 3, 2, 6, 3, 6, 8, 3, 8, 9, 4, 9, 5, 2, 4, 11, 6, 2, 10, 8, 6, 7, 9, 8, 1,
             ],
         ),
         (
-            vec![DVec3::X, DVec3::Y, DVec3::NEG_X, DVec3::NEG_Y, DVec3::Z, DVec3::NEG_Z],
-            vec![[0, 1, 4], [1, 2, 4], [2, 3, 4], [3, 0, 4], [1, 0, 5], [2, 1, 5], [3, 2, 5], [0, 3, 5]],
+            &[1., 0., 0., 0., 1., 0., -1., 0., 0., 0., -1., 0., 0., 0., 1., 0., 0., -1.],
+            &[0, 1, 4, 1, 2, 4, 2, 3, 4, 3, 0, 4, 1, 0, 5, 2, 1, 5, 3, 2, 5, 0, 3, 5],
         ),
-        (
-            vec![dvec3(1., 1., 1.), dvec3(1., -1., -1.), dvec3(-1., 1., -1.), dvec3(-1., -1., 1.)],
-            vec![[0, 1, 2], [0, 3, 1], [0, 2, 3], [1, 3, 2]],
-        ),
+        (&[1., 1., 1., 1., -1., -1., -1., 1., -1., -1., -1., 1.], &[0, 1, 2, 0, 3, 1, 0, 2, 3, 1, 3, 2]),
     ];
+    let solids = solids.map(|(corners, faces)| (corners.as_chunks().0, faces.as_chunks().0));
     let target = facets as f64;
     let mut best = (f64::INFINITY, 0, 1);
     for (solid, (_, faces)) in solids.iter().enumerate() {
@@ -68,13 +41,13 @@ pub(super) fn sphere(facets: usize) -> TriMesh {
             best = (off, solid, n as u32);
         }
     }
-    let (corners, faces) = &solids[best.1];
+    let (corners, faces) = solids[best.1];
     divide(corners, faces, best.2)
 }
 
 /// Divides each face into n² triangles. A lattice point is known by the corners that weigh in
 /// it, so that faces share the points of their edges.
-fn divide(corners: &[DVec3], faces: &[[u32; 3]], n: u32) -> TriMesh {
+fn divide(corners: &[[f64; 3]], faces: &[[u32; 3]], n: u32) -> TriMesh {
     let mut draft = Draft::default();
     let mut numbers: HashMap<[(u32, u32); 3], u32> = HashMap::new();
     for face in faces {
@@ -83,7 +56,11 @@ fn divide(corners: &[DVec3], faces: &[[u32; 3]], n: u32) -> TriMesh {
             key.iter_mut().filter(|(_, weight)| *weight == 0).for_each(|entry| *entry = (u32::MAX, 0));
             key.sort_unstable();
             *numbers.entry(key).or_insert_with(|| {
-                let sum: DVec3 = key.iter().filter(|e| e.1 > 0).map(|&(v, w)| corners[v as usize] * f64::from(w)).sum();
+                let sum: DVec3 = key
+                    .iter()
+                    .filter(|e| e.1 > 0)
+                    .map(|&(v, w)| DVec3::from_array(corners[v as usize]) * f64::from(w))
+                    .sum();
                 draft.positions.push(sum.normalize());
                 (draft.positions.len() - 1) as u32
             })

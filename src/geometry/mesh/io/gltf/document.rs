@@ -11,19 +11,20 @@ use glam::{DMat4, DQuat, DVec3};
 use serde::Deserialize;
 use serde::de::{DeserializeSeed, Deserializer, Error, IgnoredAny, MapAccess, SeqAccess, Visitor};
 
-use crate::mesh::io::DataError;
+use crate::mesh::io::numbers::plain;
 use crate::mesh::io::room::Room;
+use crate::mesh::io::{DataError, syntax};
 
 /// No element.
 const NONE: u32 = u32::MAX;
 
 /// See the module's head.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub(super) struct Document<'a> {
     scene: u32,
     scenes: Vec<u32>,
     scene_ends: Vec<u32>,
-    nodes: Vec<Node>,
+    pub(super) nodes: Vec<Node>,
     children: Vec<u32>,
     /// Numbers of matrices, or of translations, rotations and scales.
     numbers: Vec<f64>,
@@ -38,7 +39,7 @@ pub(super) struct Document<'a> {
 }
 
 #[derive(Clone, Copy, Debug)]
-struct Node {
+pub(super) struct Node {
     mesh: u32,
     /// The end of its children.
     end: u32,
@@ -50,36 +51,31 @@ struct Node {
 }
 
 /// Triangles and the accessors of their vertices.
-#[derive(Clone, Copy, Debug)]
+#[derive(Debug, Default, Deserialize)]
+#[serde(default)]
 pub(super) struct Primitive {
-    pub(super) mode: u32,
-    indices: u32,
-    position: u32,
-    normal: u32,
-    texture: u32,
-    colour: u32,
+    pub(super) attributes: Names,
+    pub(super) indices: Option<u32>,
+    mode: Option<u32>,
+}
+
+/// Accessors of a primitive's vertices.
+#[derive(Debug, Default, Deserialize)]
+#[serde(default, rename_all = "SCREAMING_SNAKE_CASE")]
+pub(super) struct Names {
+    pub(super) position: Option<u32>,
+    pub(super) normal: Option<u32>,
+    #[serde(rename = "TEXCOORD_0")]
+    pub(super) texture: Option<u32>,
+    #[serde(rename = "COLOR_0")]
+    pub(super) colour: Option<u32>,
 }
 
 impl Primitive {
-    pub(super) fn indices(&self) -> Option<usize> {
-        some(self.indices)
+    /// The kind of its triangles, from 4 to 6, and the accessor of its positions.
+    pub(super) fn triangles(&self) -> Option<(u32, u32)> {
+        Some((self.mode.unwrap_or(4), self.attributes.position?)).filter(|(mode, _)| (4..=6).contains(mode))
     }
-    pub(super) fn position(&self) -> Option<usize> {
-        some(self.position)
-    }
-    pub(super) fn normal(&self) -> Option<usize> {
-        some(self.normal)
-    }
-    pub(super) fn texture(&self) -> Option<usize> {
-        some(self.texture)
-    }
-    pub(super) fn colour(&self) -> Option<usize> {
-        some(self.colour)
-    }
-}
-
-fn some(index: u32) -> Option<usize> {
-    (index != NONE).then_some(index as usize)
 }
 
 #[derive(Debug, Deserialize)]
@@ -141,71 +137,18 @@ pub(super) struct Buffer<'a> {
 #[serde(transparent)]
 pub(super) struct Text<'a>(#[serde(borrow)] pub(super) Cow<'a, str>);
 
-/// A primitive as it is written.
-#[derive(Deserialize, Default)]
-#[serde(default)]
-struct Drawn {
-    attributes: Names,
-    indices: Option<u32>,
-    mode: Option<u32>,
-}
-
-/// Accessors of a primitive's vertices.
-#[derive(Deserialize, Default)]
-#[serde(default, rename_all = "SCREAMING_SNAKE_CASE")]
-struct Names {
-    position: Option<u32>,
-    normal: Option<u32>,
-    #[serde(rename = "TEXCOORD_0")]
-    texture: Option<u32>,
-    #[serde(rename = "COLOR_0")]
-    colour: Option<u32>,
-}
-
-impl From<Drawn> for Primitive {
-    fn from(Drawn { attributes, indices, mode }: Drawn) -> Self {
-        let of = |index: Option<u32>| index.unwrap_or(NONE);
-        let Names { position, normal, texture, colour } = attributes;
-        Self {
-            mode: mode.unwrap_or(4),
-            indices: of(indices),
-            position: of(position),
-            normal: of(normal),
-            texture: of(texture),
-            colour: of(colour),
-        }
-    }
-}
-
 impl<'a> Document<'a> {
     /// Reads the JSON.
     ///
     /// # Errors
     /// `Truncated`, `Syntax`; `Header` if the data are packed.
     pub(super) fn read(json: &'a [u8]) -> Result<Self, DataError> {
-        let mut document = Self {
-            scene: 0,
-            scenes: Vec::new(),
-            scene_ends: Vec::new(),
-            nodes: Vec::new(),
-            children: Vec::new(),
-            numbers: Vec::new(),
-            primitives: Vec::new(),
-            mesh_ends: Vec::new(),
-            accessors: Vec::new(),
-            views: Vec::new(),
-            buffers: Vec::new(),
-            packing: None,
-            room: Room::of(json.len()),
-        };
+        let mut document = Self { room: Room::of(json.len()), ..Self::default() };
         let mut reader = serde_json::Deserializer::from_slice(json);
         let read = document.part(At::Root).deserialize(&mut reader).and_then(|()| reader.end());
         read.map_err(|error| match error.is_eof() {
             true => DataError::Truncated("its JSON is not whole".to_owned()),
-            false => {
-                let message: String = error.to_string().chars().filter(|c| !c.is_control()).take(200).collect();
-                DataError::Syntax { line: error.line().max(1), message }
-            }
+            false => syntax(error.line().max(1), plain(&error.to_string(), 200)),
         })?;
         match document.packing {
             Some(name) => {
@@ -234,11 +177,6 @@ impl<'a> Document<'a> {
         }
     }
 
-    /// How many nodes there are.
-    pub(super) fn nodes(&self) -> usize {
-        self.nodes.len()
-    }
-
     /// Children of a node, which is there.
     pub(super) fn children(&self, node: usize) -> &[u32] {
         let begin = node.checked_sub(1).map_or(0, |before| self.nodes[before].end);
@@ -247,7 +185,7 @@ impl<'a> Document<'a> {
 
     /// The mesh of a node, which is there.
     pub(super) fn mesh(&self, node: usize) -> Option<usize> {
-        some(self.nodes[node].mesh)
+        Some(self.nodes[node].mesh).filter(|&mesh| mesh != NONE).map(|mesh| mesh as usize)
     }
 
     /// The primitives of a mesh.
@@ -444,14 +382,13 @@ impl<'a> Visitor<'a> for Part<'_, 'a> {
                 At::Meshes => seq.next_element_seed(document.part(At::Mesh))?.map(Ok),
                 At::SceneNodes => element!(scenes),
                 At::Children => element!(children),
-                At::Primitives => seq.next_element::<Drawn>()?.map(|drawn| room.push(primitives, drawn.into())),
+                At::Primitives => element!(primitives),
                 At::Accessors => element!(accessors),
                 At::Views => element!(views),
                 At::Buffers => element!(buffers),
                 _ => seq.next_element::<Text<'_>>()?.map(|Text(name)| {
                     if name.contains("compression") {
-                        let name = name.chars().filter(|c| !c.is_control()).take(60).collect();
-                        packing.get_or_insert(name);
+                        packing.get_or_insert_with(|| plain(&name, 60));
                     }
                     Ok(())
                 }),

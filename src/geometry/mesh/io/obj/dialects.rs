@@ -215,7 +215,7 @@ fn locate(bytes: &[u8]) -> Option<DataError> {
                 }
                 let p = DVec3::new(*x, *y, *z) / w;
                 if !p.is_finite() {
-                    return Some(MeshError::NonFinitePosition { vertex: vertices, x: p.x, y: p.y, z: p.z }.into());
+                    return Some(MeshError::NonFinitePosition { vertex: vertices, position: p }.into());
                 }
                 vertices += 1;
             }

@@ -1,4 +1,4 @@
-//! What a PLY file carries: normals, texture coordinates, colours and all other scalar properties of its vertices, and
+//! Attributes of a PLY file: normals, texture coordinates, colours and all other scalar properties of its vertices, and
 //! `texcoord` of its faces.
 //!
 //! Purpose: [`Carried`] takes numbers as they are read, and makes attributes of them at the end.
@@ -6,16 +6,17 @@
 
 use glam::{DVec2, DVec3};
 
-use super::header::{Element, Header, Number, Property};
+use super::header::{Element, Header, Property};
 use crate::mesh::attributes::{ColourDepth, Colours, Normals, PerCorner, Scalar};
 use crate::mesh::io::held::Raw;
+use crate::mesh::io::numbers::Kind;
 
 /// Names of what is no scalar; a scalar of such a name is written with [`PREFIX`].
 pub(super) const TAKEN: [&str; 16] =
     ["x", "y", "z", "nx", "ny", "nz", "red", "green", "blue", "alpha", "s", "t", "u", "v", "texture_u", "texture_v"];
 pub(super) const PREFIX: &str = "scalar_";
 
-/// What becomes of a property.
+/// The use of a property.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Role {
     /// A coordinate of a vertex.
@@ -37,11 +38,11 @@ pub(super) enum Carry {
 /// One scalar property of the vertices.
 struct Column {
     name: String,
-    number: Number,
+    kind: Kind,
     values: Vec<f64>,
 }
 
-/// What is carried, so far. By default nothing is wanted.
+/// Attributes read so far. The default wants none.
 #[derive(Default)]
 pub(super) struct Carried {
     /// All scalar properties but the position.
@@ -50,9 +51,9 @@ pub(super) struct Carried {
 }
 
 impl Carried {
-    /// All that a header declares.
+    /// All attributes that a header declares.
     pub(super) fn of(header: &Header) -> Self {
-        let column = |p: &Property| Column { name: p.name.clone(), number: p.item, values: Vec::new() };
+        let column = |p: &Property| Column { name: p.name.clone(), kind: p.item, values: Vec::new() };
         let is_column = |p: &&Property| p.length.is_none() && !matches!(p.name.as_str(), "x" | "y" | "z");
         let columns = header.element("vertex").map(|vertex| vertex.properties.iter().filter(is_column).map(column));
         let has_wedges = header.element("face").is_some_and(|face| face.properties.iter().any(is_wedges));
@@ -80,7 +81,7 @@ impl Carried {
         }
     }
 
-    /// After all numbers of a face with so many corners.
+    /// Ends a face with this number of corners.
     pub(super) fn end_face(&mut self, corners: usize) {
         if let Some(wedges) = &mut self.wedges {
             wedges.push_face(corners);
@@ -106,11 +107,11 @@ impl Carried {
         if !names.iter().all(|name| self.find(name).is_some()) {
             return None;
         }
-        let empty = || Column { name: String::new(), number: Number::F64, values: Vec::new() };
+        let empty = || Column { name: String::new(), kind: Kind::F64, values: Vec::new() };
         Some(names.map(|name| self.find(name).map_or_else(empty, |i| self.columns.remove(i))))
     }
 
-    /// What each column is, for a surface of these facets.
+    /// Makes attributes of the columns, for a surface of these facets.
     pub(super) fn finish(mut self, facets: &[[u32; 3]]) -> Raw {
         let mut raw = Raw::default();
         if let Some([x, y, z]) = self.take(["nx", "ny", "nz"]) {
@@ -142,9 +143,9 @@ fn is_wedges(property: &Property) -> bool {
 
 fn colours(rgb: &[Column; 3], alpha: Option<&Column>) -> Colours {
     // Whole numbers are 255ths, two bytes of them 65535ths.
-    let most = |column: &Column| match column.number {
-        Number::F32 | Number::F64 => 1.0,
-        Number::U16 | Number::I16 => 65535.0,
+    let most = |column: &Column| match column.kind {
+        Kind::F32 | Kind::F64 => 1.0,
+        Kind::U16 | Kind::I16 => 65535.0,
         _ => 255.0,
     };
     let [r, g, b] = rgb;
@@ -153,14 +154,14 @@ fn colours(rgb: &[Column; 3], alpha: Option<&Column>) -> Colours {
         let opacity = alpha.map_or(1.0, |a| value(a, i));
         [value(r, i), value(g, i), value(b, i), opacity]
     });
-    let eight = rgb.iter().chain(alpha).all(|column| column.number == Number::U8);
+    let eight = rgb.iter().chain(alpha).all(|column| column.kind == Kind::U8);
     Colours { values: values.collect(), depth: if eight { ColourDepth::Eight } else { ColourDepth::Float } }
 }
 
 /// Texture coordinates of the faces' corners.
 #[derive(Default)]
 struct Wedges {
-    /// Of the face at hand.
+    /// Numbers of the current face.
     face: Vec<f64>,
     values: Vec<DVec2>,
     corners: Vec<[u32; 3]>,

@@ -6,71 +6,36 @@
 
 use std::collections::HashMap;
 
-use super::DataError;
+use crate::mesh::io::numbers::{Encoding, Kind, Order, shown};
+use crate::mesh::io::{DataError, syntax};
 
 /// A line that is longer is none of a header, and is read so far.
 const LONGEST: usize = 4096;
 /// Elements and properties of one header, together. Files in use have dozens.
 const MOST_NAMES: usize = 4096;
 
-/// How numbers are written.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Encoding {
-    Ascii,
-    Little,
-    Big,
-}
-
 /// The type of a number.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Number {
-    I8,
-    U8,
-    I16,
-    U16,
-    I32,
-    U32,
-    F32,
-    F64,
-}
-
-impl Number {
-    fn named(name: &str) -> Option<Self> {
-        Some(match name {
-            "char" | "int8" => Self::I8,
-            "uchar" | "uint8" => Self::U8,
-            "short" | "int16" => Self::I16,
-            "ushort" | "uint16" => Self::U16,
-            "int" | "int32" => Self::I32,
-            "uint" | "uint32" => Self::U32,
-            "float" | "float32" => Self::F32,
-            "double" | "float64" => Self::F64,
-            _ => return None,
-        })
-    }
-
-    /// How many bytes one has, unless it is text.
-    pub(super) fn bytes(self) -> usize {
-        match self {
-            Self::I8 | Self::U8 => 1,
-            Self::I16 | Self::U16 => 2,
-            Self::I32 | Self::U32 | Self::F32 => 4,
-            Self::F64 => 8,
-        }
-    }
-
-    pub(super) fn is_float(self) -> bool {
-        matches!(self, Self::F32 | Self::F64)
-    }
+fn kind(name: &str) -> Option<Kind> {
+    Some(match name {
+        "char" | "int8" => Kind::I8,
+        "uchar" | "uint8" => Kind::U8,
+        "short" | "int16" => Kind::I16,
+        "ushort" | "uint16" => Kind::U16,
+        "int" | "int32" => Kind::I32,
+        "uint" | "uint32" => Kind::U32,
+        "float" | "float32" => Kind::F32,
+        "double" | "float64" => Kind::F64,
+        _ => return None,
+    })
 }
 
 /// A number of an element, or a list of them.
 #[derive(Debug)]
 pub(super) struct Property {
     pub(super) name: String,
-    /// Of a list, the type of its length.
-    pub(super) length: Option<Number>,
-    pub(super) item: Number,
+    /// Type of the length of a list.
+    pub(super) length: Option<Kind>,
+    pub(super) item: Kind,
 }
 
 impl Property {
@@ -90,7 +55,7 @@ pub(super) struct Element {
     pub(super) properties: Vec<Property>,
 }
 
-/// What is declared.
+/// The declarations of a header.
 #[derive(Debug)]
 pub(super) struct Header {
     pub(super) encoding: Encoding,
@@ -115,40 +80,41 @@ pub(super) struct Parted<'a> {
 pub(super) fn read(bytes: &[u8]) -> Result<Parted<'_>, DataError> {
     let mut lines = Lines { rest: bytes, line_break: line_break(bytes) };
     let (mut encoding, mut elements) = (None, Vec::new());
-    // Of the element at hand, with how often each came.
+    // Names of the current element, with how often each came.
     let mut names = HashMap::new();
     let mut declared = 0;
     for line in 1.. {
         let Some(text) = lines.next() else {
             return Err(DataError::Truncated("it ends inside the header".to_owned()));
         };
-        let syntax = |message: String| DataError::Syntax { line, message };
+        let syntax = |message: &str| syntax(line, message);
+        let wrong = |word: &str, text: &str| syntax(&format!("\"{}\" {text}", shown(word.trim().as_bytes())));
         let words: Vec<&str> = text.split_ascii_whitespace().collect();
         declared += usize::from(matches!(words[..], ["element" | "property", ..]));
         if declared > MOST_NAMES {
-            return Err(syntax(format!("the header has more than {MOST_NAMES} elements and properties")));
+            return Err(syntax(&format!("the header has more than {MOST_NAMES} elements and properties")));
         }
         match words[..] {
             ["ply" | "PLY"] if line == 1 => {}
-            _ if line == 1 => return Err(syntax("a PLY file begins with a line \"ply\"".to_owned())),
+            _ if line == 1 => return Err(syntax("a PLY file begins with a line \"ply\"")),
             [] | ["comment" | "obj_info", ..] => {}
             ["format", name, version] if is_version(version) => {
                 let found = match name {
-                    "ascii" => Encoding::Ascii,
-                    "binary_little_endian" => Encoding::Little,
-                    "binary_big_endian" => Encoding::Big,
-                    _ => return Err(syntax(format!("\"{}\" is no format of PLY", shown(name)))),
+                    "ascii" => Encoding::Text,
+                    "binary_little_endian" => Encoding::Binary(Order::Little),
+                    "binary_big_endian" => Encoding::Binary(Order::Big),
+                    _ => return Err(wrong(name, "is no format of PLY")),
                 };
                 if encoding.replace(found).is_some_and(|before| before != found) {
-                    return Err(syntax("the format is declared a second time, as another one".to_owned()));
+                    return Err(syntax("the format is declared a second time, as another one"));
                 }
             }
             ["element", name, count] => {
                 let Ok(count) = count.parse() else {
-                    return Err(syntax(format!("\"{}\" is not how many there are of an element", shown(count))));
+                    return Err(wrong(count, "is not the number of an element's rows"));
                 };
                 if elements.iter().any(|element: &Element| element.name == name) {
-                    return Err(syntax(format!("element \"{}\" is declared a second time", shown(name))));
+                    return Err(syntax(&format!("element \"{}\" is declared a second time", shown(name.as_bytes()))));
                 }
                 names.clear();
                 elements.push(Element { name: name.to_owned(), count, properties: Vec::new() });
@@ -157,14 +123,12 @@ pub(super) fn read(bytes: &[u8]) -> Result<Parted<'_>, DataError> {
                 let (length, item, name) = match *rest {
                     ["list", length, item, ref name @ ..] => (Some(length), item, name),
                     [item, ref name @ ..] => (None, item, name),
-                    [] => return Err(syntax("a property has a type and a name".to_owned())),
+                    [] => return Err(syntax("a property has a type and a name")),
                 };
-                let known = |name: &str| {
-                    Number::named(name).ok_or_else(|| syntax(format!("\"{}\" is no type of a property", shown(name))))
-                };
+                let known = |name: &str| kind(name).ok_or_else(|| wrong(name, "is no type of a property"));
                 let (length, item) = (length.map(known).transpose()?, known(item)?);
                 let Some(element) = elements.last_mut().filter(|_| !name.is_empty()) else {
-                    return Err(syntax("a property has a name, and an element before it".to_owned()));
+                    return Err(syntax("a property has a name, and an element before it"));
                 };
                 element.properties.push(Property { name: unlike(&mut names, name.join("_")), length, item });
             }
@@ -174,7 +138,7 @@ pub(super) fn read(bytes: &[u8]) -> Result<Parted<'_>, DataError> {
                 };
                 return Ok(Parted { header: Header { encoding, elements }, data: lines.rest, line: line + 1 });
             }
-            _ => return Err(syntax(format!("\"{}\" is no line of a header", shown(&text)))),
+            _ => return Err(wrong(&text, "is no line of a header")),
         }
     }
     Err(DataError::Truncated("it ends inside the header".to_owned()))
@@ -196,11 +160,6 @@ fn unlike(names: &mut HashMap<String, usize>, name: String) -> String {
     }
     names.insert(other.clone(), 0);
     other
-}
-
-/// The beginning of a line, for a message.
-fn shown(text: &str) -> String {
-    text.trim().chars().map(|c| if c.is_control() { ' ' } else { c }).take(40).collect()
 }
 
 /// The first character that ends a line ends all of them; a line feed may have a carriage return before it.

@@ -10,11 +10,12 @@ use rayon::prelude::*;
 
 use super::Soup;
 use super::carried::Carried;
-use super::header::{Element, Encoding, Header, Number};
+use super::header::{Element, Header};
+use crate::mesh::io::numbers::{Encoding, Kind, Order, numbers};
 
 /// The surface, if `data` are such; what it carries is put into `carried`.
 pub(super) fn read(data: &[u8], header: &Header, carried: &mut Carried) -> Option<Soup> {
-    if header.encoding != Encoding::Little {
+    if header.encoding != Encoding::Binary(Order::Little) {
         return None;
     }
     let vertices = header.element("vertex")?.count;
@@ -43,13 +44,13 @@ pub(super) fn read(data: &[u8], header: &Header, carried: &mut Carried) -> Optio
 struct Layout<'a> {
     /// Bytes of a record, more than 0.
     stride: usize,
-    scalars: Vec<(&'a str, usize, Number)>,
-    /// Of a list of three corners: the count's place. The corners follow it.
+    scalars: Vec<(&'a str, usize, Kind)>,
+    /// Place of the count of a list of three corners. The corners follow it.
     list: Option<usize>,
 }
 
 impl<'a> Layout<'a> {
-    /// Nothing if a record has a list, but for that of a face's corners.
+    /// `None` if a record has a list other than a face's corners.
     fn of(element: &'a Element) -> Option<Self> {
         let mut layout = Self { stride: 0, scalars: Vec::new(), list: None };
         for property in &element.properties {
@@ -58,7 +59,7 @@ impl<'a> Layout<'a> {
                     layout.scalars.push((&property.name, layout.stride, number));
                     layout.stride += number.bytes();
                 }
-                (Some(Number::U8), Number::I32 | Number::U32)
+                (Some(Kind::U8), Kind::I32 | Kind::U32)
                     if element.name == "face" && property.is_corners() && layout.list.is_none() =>
                 {
                     layout.list = Some(layout.stride);
@@ -70,24 +71,15 @@ impl<'a> Layout<'a> {
         (layout.stride > 0).then_some(layout)
     }
 
-    fn scalar(&self, name: &str) -> Option<(usize, Number)> {
+    fn scalar(&self, name: &str) -> Option<(usize, Kind)> {
         self.scalars.iter().find(|(n, ..)| *n == name).map(|&(_, at, number)| (at, number))
     }
 
+    /// `None` if coordinates differ in type.
     fn positions(&self, records: &[u8]) -> Option<Vec<DVec3>> {
         let [x, y, z] = [self.scalar("x")?, self.scalar("y")?, self.scalar("z")?];
-        let all = |number: Number| [x, y, z].iter().all(|(_, n)| *n == number);
-        let (x, y, z) = (x.0, y.0, z.0);
-        let records = records.par_chunks_exact(self.stride);
-        if all(Number::F64) {
-            let number = |r: &[u8], at| f64::from_le_bytes(bytes(r, at));
-            Some(records.map(|r| DVec3::new(number(r, x), number(r, y), number(r, z))).collect())
-        } else if all(Number::F32) {
-            let number = |r: &[u8], at| f64::from(f32::from_le_bytes(bytes(r, at)));
-            Some(records.map(|r| DVec3::new(number(r, x), number(r, y), number(r, z))).collect())
-        } else {
-            None
-        }
+        let places = [x.0, y.0, z.0];
+        (x.1 == y.1 && y.1 == z.1).then(|| numbers!(x.1, f64, vectors(records, self.stride, places)))
     }
 
     fn facets(&self, records: &[u8], vertices: usize) -> Option<Vec<[u32; 3]>> {
@@ -102,19 +94,28 @@ impl<'a> Layout<'a> {
         facets.par_iter().all(|facet| facet.iter().all(|&v| v < most)).then_some(facets)
     }
 
-    fn column(&self, records: &[u8], (at, number): (usize, Number)) -> Vec<f64> {
-        let records = records.par_chunks_exact(self.stride);
-        match number {
-            Number::I8 => records.map(|r| f64::from(i8::from_le_bytes(bytes(r, at)))).collect(),
-            Number::U8 => records.map(|r| f64::from(u8::from_le_bytes(bytes(r, at)))).collect(),
-            Number::I16 => records.map(|r| f64::from(i16::from_le_bytes(bytes(r, at)))).collect(),
-            Number::U16 => records.map(|r| f64::from(u16::from_le_bytes(bytes(r, at)))).collect(),
-            Number::I32 => records.map(|r| f64::from(i32::from_le_bytes(bytes(r, at)))).collect(),
-            Number::U32 => records.map(|r| f64::from(u32::from_le_bytes(bytes(r, at)))).collect(),
-            Number::F32 => records.map(|r| f64::from(f32::from_le_bytes(bytes(r, at)))).collect(),
-            Number::F64 => records.map(|r| f64::from_le_bytes(bytes(r, at))).collect(),
-        }
+    fn column(&self, records: &[u8], (at, kind): (usize, Kind)) -> Vec<f64> {
+        numbers!(kind, f64, column(records, self.stride, at))
     }
+}
+
+fn vectors<const N: usize>(
+    records: &[u8],
+    stride: usize,
+    at: [usize; 3],
+    number: impl Fn([u8; N]) -> f64 + Sync,
+) -> Vec<DVec3> {
+    let vector = |r: &[u8]| DVec3::from_array(at.map(|at| number(bytes(r, at))));
+    records.par_chunks_exact(stride).map(vector).collect()
+}
+
+fn column<const N: usize>(
+    records: &[u8],
+    stride: usize,
+    at: usize,
+    number: impl Fn([u8; N]) -> f64 + Sync,
+) -> Vec<f64> {
+    records.par_chunks_exact(stride).map(|r| number(bytes(r, at))).collect()
 }
 
 /// Bytes of one number; a record has them all, by how the layout was made.

@@ -19,16 +19,12 @@ pub(in crate::mesh::io) const CODEC: Codec = Codec {
     // Half a vertex of three floats, and a face of four numbers.
     facet_bytes: 22,
     signature: crate::mesh::io::recognition::Signature::Start(|head| head.text().starts_with(b"# vtk DataFile")),
-    decode,
+    decode: |bytes, wanted| read(bytes, wanted, false).map(|(soup, _)| soup),
     encode,
     counts: |bytes| read(bytes, false, true).ok().map(|(_, counts)| counts),
     holds: Holds { normals: By::Vertex, texture: By::Vertex, colours: true, opacity: true, scalars: true },
     vertices: VertexNumbers::Kept,
 };
-
-fn decode(bytes: &[u8], wanted: bool) -> Result<Soup, DataError> {
-    read(bytes, wanted, false).map(|(soup, _)| soup)
-}
 
 /// Reads all sections; if they are counted, how much is in them alone.
 fn read(bytes: &[u8], wanted: bool, counted: bool) -> Result<(Soup, Counts), DataError> {
@@ -38,22 +34,13 @@ fn read(bytes: &[u8], wanted: bool, counted: bool) -> Result<(Soup, Counts), Dat
     }
     // The title.
     cursor.end_line();
-    let encoding = match cursor.word() {
-        Some(word) if word.eq_ignore_ascii_case(b"ASCII") => Encoding::Text,
-        Some(word) if word.eq_ignore_ascii_case(b"BINARY") => Encoding::Binary(Order::Big),
-        Some(word) => return Err(cursor.syntax(format!("\"{}\" is not ASCII or BINARY", shown(word)))),
-        None => return Err(cut("the header")),
+    cursor.encoding = match cursor.word().ok_or_else(|| cut("the header"))? {
+        word if word.eq_ignore_ascii_case(b"ASCII") => Encoding::Text,
+        word if word.eq_ignore_ascii_case(b"BINARY") => Encoding::Binary(Order::Big),
+        word => return Err(cursor.syntax(format!("\"{}\" is not ASCII or BINARY", shown(word)))),
     };
-    let mut reader = Reader {
-        cursor,
-        encoding,
-        wanted,
-        counted,
-        soup: Soup::default(),
-        arrays: Vec::new(),
-        left: Raw::default(),
-        numbers: 0,
-    };
+    let mut reader =
+        Reader { cursor, wanted, counted, soup: Soup::default(), arrays: Vec::new(), left: Raw::default(), numbers: 0 };
     let mut counts = Counts::default();
     let mut cells = None;
     let mut kinds = Vec::new();
@@ -119,7 +106,6 @@ fn grid(soup: &mut Soup, ends: &[i64], points: &[i64], kinds: &[i64]) -> Result<
 
 struct Reader<'a> {
     cursor: Cursor<'a>,
-    encoding: Encoding,
     wanted: bool,
     /// Whether points are passed over.
     counted: bool,
@@ -162,9 +148,8 @@ impl Reader<'_> {
 
     /// Binary data begin right after the line.
     fn begin(&mut self) {
-        match self.encoding {
-            Encoding::Text => {}
-            Encoding::Binary(_) => drop(self.cursor.end_line()),
+        if self.cursor.encoding != Encoding::Text {
+            self.cursor.end_line();
         }
     }
 
@@ -177,10 +162,10 @@ impl Reader<'_> {
         self.begin();
         let all = count.saturating_mul(3);
         if self.counted {
-            self.cursor.lenient(all, kind, self.encoding, "points", false)?;
+            self.cursor.pass(all, kind, "points")?;
             return Ok(count as u64);
         }
-        let numbers = self.cursor.floats(all, kind, self.encoding, "points")?;
+        let numbers = self.cursor.floats(all, kind, "points")?;
         self.soup.positions = numbers.as_chunks::<3>().0.iter().map(|&p| DVec3::from_array(p)).collect();
         Ok(count as u64)
     }
@@ -195,14 +180,13 @@ impl Reader<'_> {
             if self.counted {
                 return Ok((self.ends(count, size)?, Vec::new()));
             }
-            let numbers = self.cursor.integers(size, Kind::I32, self.encoding, "cells")?;
+            let numbers = self.cursor.integers(size, Kind::I32, "cells")?;
             let (mut ends, mut points, mut rest) = (Vec::new(), Vec::with_capacity(numbers.len()), numbers.as_slice());
             for index in 0..count {
                 let list = rest.split_first().and_then(|(&n, rest)| rest.split_at_checked(usize::try_from(n).ok()?));
-                let Some((list, after)) = list else {
-                    let message = format!("it does not fit the {size} numbers that are declared for all cells");
-                    return Err(DataError::Element { element: "cell", index, message });
-                };
+                let message = || format!("it does not fit the {size} numbers that are declared for all cells");
+                let (list, after) =
+                    list.ok_or_else(|| DataError::Element { element: "cell", index, message: message() })?;
                 points.extend_from_slice(list);
                 ends.push(points.len() as i64);
                 rest = after;
@@ -211,21 +195,17 @@ impl Reader<'_> {
         }
         let counted = self.counted;
         let mut part = |name: &[u8], count: usize, is_kept: bool| -> Result<Vec<i64>, DataError> {
-            match self.cursor.word() {
-                Some(word) if word.eq_ignore_ascii_case(name) => {}
-                Some(word) => {
-                    let text = format!("\"{}\" is not {}", shown(word), String::from_utf8_lossy(name));
-                    return Err(self.cursor.syntax(text));
-                }
-                None => return Err(cut("cells")),
+            let word = self.cursor.word().ok_or_else(|| cut("cells"))?;
+            if !word.eq_ignore_ascii_case(name) {
+                return Err(self.cursor.syntax(format!("\"{}\" is not {}", shown(word), shown(name))));
             }
             let Type::Numbers(kind) = self.kind()? else {
                 return Err(self.cursor.syntax("points of cells are whole numbers"));
             };
             self.begin();
             match is_kept {
-                true => self.cursor.integers(count, kind, self.encoding, "cells"),
-                false => self.cursor.lenient(count, kind, self.encoding, "cells", false).map(|_| Vec::new()),
+                true => self.cursor.integers(count, kind, "cells"),
+                false => self.cursor.pass(count, kind, "cells").map(|()| Vec::new()),
             }
         };
         let mut offsets = part(b"OFFSETS", count, true)?;
@@ -235,28 +215,28 @@ impl Reader<'_> {
         Ok((offsets, points))
     }
 
-    /// Where lists end that have their lengths before them, so many of so many numbers in all.
+    /// Where lists end that have their lengths before them: `count` lists, `size` numbers in all.
     fn ends(&mut self, count: usize, size: usize) -> Result<Vec<i64>, DataError> {
         // A list has two bytes at least.
         let mut ends = Vec::with_capacity(count.min(self.cursor.rest.len() / 2 + 1));
         let (mut end, mut left) = (0i64, size);
         for _ in 0..count {
-            let length = self.cursor.count(Kind::I32, self.encoding, "a number of points")?;
+            let length = self.cursor.count(Kind::I32, "a number of points")?;
             let rest = left.checked_sub(1).and_then(|left| left.checked_sub(length));
             left = rest.ok_or_else(|| cut("cells"))?;
-            self.cursor.lenient(length, Kind::I32, self.encoding, "cells", false)?;
+            self.cursor.pass(length, Kind::I32, "cells")?;
             end += length as i64;
             ends.push(end);
         }
         // Numbers that belong to no list.
-        self.cursor.lenient(left, Kind::I32, self.encoding, "cells", false)?;
+        self.cursor.pass(left, Kind::I32, "cells")?;
         Ok(ends)
     }
 
     fn kinds(&mut self) -> Result<Vec<i64>, DataError> {
         let count = self.count("a number of cells")?;
         self.begin();
-        self.cursor.integers(count, Kind::I32, self.encoding, "types of cells")
+        self.cursor.integers(count, Kind::I32, "types of cells")
     }
 
     /// Passes over lines to an empty one.
@@ -265,66 +245,65 @@ impl Reader<'_> {
         while !self.cursor.end_line().is_empty() {}
     }
 
-    /// All that follows the word `POINT_DATA` or `CELL_DATA`, which is given. What is unknown ends it.
+    /// Reads the data after the word `POINT_DATA` or `CELL_DATA`, which is given. An unknown word ends them.
     fn data(&mut self, first: &[u8]) -> Result<(), DataError> {
         let mut keyword = first.to_vec();
-        let (mut count, mut keep) = (0, false);
+        let (mut tuples, mut keep) = (0, false);
         loop {
             match keyword.as_slice() {
                 b"POINT_DATA" | b"CELL_DATA" => {
-                    count = self.count("a number of points or cells")?;
+                    tuples = self.count("a number of points or cells")?;
                     keep = keyword == b"POINT_DATA";
                 }
                 b"METADATA" => self.metadata(),
                 b"FIELD" => self.field(keep)?,
-                b"SCALARS" => {
-                    let (name, kind) = (self.name()?, self.kind()?);
-                    let components = parse(self.cursor.end_line()).unwrap_or(1);
-                    if self.cursor.peek().is_some_and(|word| word.eq_ignore_ascii_case(b"LOOKUP_TABLE")) {
-                        self.cursor.word();
-                        self.cursor.end_line();
-                    }
-                    self.array(Header { name, role: Role::Any, components, tuples: count, kind, keep })?;
-                }
-                b"COLOR_SCALARS" => {
-                    let (name, components) = (self.name()?, self.count("a number of components")?);
-                    self.cursor.end_line();
-                    let kind = self.byte_or_fraction();
-                    self.array(Header { name, role: Role::Colours, components, tuples: count, kind, keep })?;
-                }
                 b"LOOKUP_TABLE" => {
                     let (name, tuples) = (self.name()?, self.count("a size")?);
                     self.cursor.end_line();
                     let kind = self.byte_or_fraction();
                     self.array(Header { name, role: Role::None, components: 4, tuples, kind, keep: false })?;
                 }
-                b"TEXTURE_COORDINATES" => {
-                    let (name, components) = (self.name()?, self.count("a number of components")?);
-                    let kind = self.kind()?;
-                    self.cursor.end_line();
-                    self.array(Header { name, role: Role::Texture, components, tuples: count, kind, keep })?;
-                }
-                b"NORMALS" | b"VECTORS" | b"TENSORS" | b"TENSORS6" | b"GLOBAL_IDS" | b"PEDIGREE_IDS" => {
-                    let (role, components) = match keyword.as_slice() {
-                        b"NORMALS" => (Role::Normals, 3),
-                        b"VECTORS" => (Role::Any, 3),
-                        b"TENSORS" => (Role::Any, 9),
-                        b"TENSORS6" => (Role::Any, 6),
-                        _ => (Role::None, 1),
+                _ => {
+                    let Some(header) = self.header(&keyword, tuples, keep)? else {
+                        let text = format!("\"{}\" in line {} is not known", shown(&keyword), self.cursor.line);
+                        self.left.unreadable("data of points", text);
+                        return Ok(());
                     };
-                    let (name, kind) = (self.name()?, self.kind()?);
-                    self.cursor.end_line();
-                    self.array(Header { name, role, components, tuples: count, kind, keep })?;
-                }
-                other => {
-                    let text = format!("\"{}\" in line {} is not known", shown(other), self.cursor.line);
-                    self.left.unreadable("data of points", text);
-                    return Ok(());
+                    self.array(header)?;
                 }
             }
             let Some(word) = self.cursor.word() else { return Ok(()) };
             keyword = word.to_ascii_uppercase();
         }
+    }
+
+    /// The attributes of an array of points or cells, after its keyword; nothing if that is unknown.
+    fn header(&mut self, keyword: &[u8], tuples: usize, keep: bool) -> Result<Option<Header>, DataError> {
+        let (role, mut components) = match keyword {
+            b"SCALARS" => (Role::Any, 1),
+            b"COLOR_SCALARS" => (Role::Colours, 0),
+            b"TEXTURE_COORDINATES" => (Role::Texture, 0),
+            b"NORMALS" => (Role::Normals, 3),
+            b"VECTORS" => (Role::Any, 3),
+            b"TENSORS" => (Role::Any, 9),
+            b"TENSORS6" => (Role::Any, 6),
+            b"GLOBAL_IDS" | b"PEDIGREE_IDS" => (Role::None, 1),
+            _ => return Ok(None),
+        };
+        let name = self.name()?;
+        if components == 0 {
+            components = self.count("a number of components")?;
+        }
+        let kind = if role == Role::Colours { self.byte_or_fraction() } else { self.kind()? };
+        let rest = self.cursor.end_line();
+        if keyword == b"SCALARS" {
+            components = parse(rest).unwrap_or(1);
+            if self.cursor.peek().is_some_and(|word| word.eq_ignore_ascii_case(b"LOOKUP_TABLE")) {
+                self.cursor.word();
+                self.cursor.end_line();
+            }
+        }
+        Ok(Some(Header { name, role, components, tuples, kind, keep }))
     }
 
     fn name(&mut self) -> Result<String, DataError> {
@@ -334,14 +313,14 @@ impl Reader<'_> {
 
     /// Colours are bytes in binary files, and fractions in text.
     fn byte_or_fraction(&self) -> Type {
-        Type::Numbers(if self.encoding == Encoding::Text { Kind::F32 } else { Kind::U8 })
+        Type::Numbers(if self.cursor.encoding == Encoding::Text { Kind::F32 } else { Kind::U8 })
     }
 
     fn field(&mut self, keep: bool) -> Result<(), DataError> {
         self.name()?;
         for _ in 0..self.count("a number of arrays")? {
             let mut name = self.name()?;
-            // What was written with the array before. An array may have this name.
+            // Metadata of the array before. An array may have this name.
             while name == "METADATA" && self.cursor.clone().end_line().is_empty() {
                 self.metadata();
                 name = self.name()?;
@@ -358,36 +337,29 @@ impl Reader<'_> {
         let Header { name, role, components, tuples, kind, keep } = header;
         let total = components.saturating_mul(tuples);
         let what = || format!("the array {:?}", shown(name.as_bytes()));
-        match (kind, self.encoding) {
-            (Type::Numbers(kind), encoding) => {
-                let keep = keep && self.wanted;
-                let values = self.cursor.lenient(total, kind, encoding, &what(), keep)?;
-                if keep {
-                    self.arrays.push(Array { name, role, components, eight: kind == Kind::U8, values });
-                }
+        let is_text = self.cursor.encoding == Encoding::Text;
+        match kind {
+            Type::Numbers(kind) if keep && self.wanted => {
+                let values = self.cursor.lenient(total, kind, &what())?;
+                self.arrays.push(Array { name, role, components, eight: kind == Kind::U8, values });
             }
-            (Type::Bits, Encoding::Text) => {
-                drop(self.cursor.lenient(total, Kind::U8, Encoding::Text, &what(), false)?)
-            }
-            (Type::Bits, _) => drop(self.cursor.take(total.div_ceil(8)).ok_or_else(|| cut(&what()))?),
-            (Type::Strings, Encoding::Text) => {
+            Type::Numbers(kind) => self.cursor.pass(total, kind, &what())?,
+            Type::Bits if is_text => self.cursor.pass(total, Kind::U8, &what())?,
+            Type::Bits => drop(self.cursor.take(total.div_ceil(8)).ok_or_else(|| cut(&what()))?),
+            Type::Strings => {
                 for _ in 0..total {
-                    if self.cursor.rest.is_empty() {
-                        return Err(cut(&what()));
-                    }
-                    self.cursor.end_line();
-                }
-            }
-            (Type::Strings, _) => {
-                for _ in 0..total {
-                    self.string().ok_or_else(|| cut(&what()))?;
+                    let passed = match is_text {
+                        true => (!self.cursor.rest.is_empty()).then(|| _ = self.cursor.end_line()),
+                        false => self.string(),
+                    };
+                    passed.ok_or_else(|| cut(&what()))?;
                 }
             }
         }
         Ok(())
     }
 
-    /// Passes over a string of a binary file, whose first two bits tell how long its length is.
+    /// Passes over a string of a binary file. Its first two bits give the size of its length.
     fn string(&mut self) -> Option<()> {
         let bytes = 1usize << (3 - (self.cursor.rest.first()? >> 6));
         let length = self.cursor.take(bytes)?.iter().fold(0u64, |sum, &b| sum << 8 | u64::from(b));
@@ -396,7 +368,7 @@ impl Reader<'_> {
     }
 }
 
-/// What is said of an array before its values.
+/// The attributes of an array, which stand before its values.
 struct Header {
     name: String,
     role: Role,

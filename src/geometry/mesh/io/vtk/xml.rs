@@ -1,8 +1,8 @@
 //! VTK's XML for polygonal data, `.vtp`: text, base64, and data appended raw or in base64, plain or packed by zlib. Writes
 //! base64 in place, with doubles.
 //!
-//! Purpose: the elements are walked first (`quick-xml`), which finds arrays; those that matter are read then, since appended data
-//! come last. Several pieces are one surface.
+//! Purpose: finds the arrays first (`quick-xml`) and reads those that matter then, since appended data come last. Several pieces
+//! are one surface.
 //! Invariant: arrays together are no longer than the file, or, where they are packed, than [`super::super::UNPACKED_RATIO`] times
 //! the file: any number of arrays may name the same bytes. Records of pieces and arrays are bounded by the file too ([`Room`]).
 //! Must not know: legacy files.
@@ -20,9 +20,9 @@ use quick_xml::events::{BytesStart, Event};
 use super::{Array, Cell, KINDS, Numbers, Role, carried, push_cells, written};
 use crate::mesh::TriMesh;
 use crate::mesh::io::held::{By, Held, Holds};
-use crate::mesh::io::numbers::{Cursor, Encoding, Kind, Order, shown};
+use crate::mesh::io::numbers::{Cursor, Encoding, Kind, Order, plain};
 use crate::mesh::io::room::Room;
-use crate::mesh::io::{Codec, Counts, DataError, Soup, VertexNumbers, unpacked_limit};
+use crate::mesh::io::{Codec, Counts, DataError, Soup, VertexNumbers, syntax, unpacked_limit};
 
 /// See [`Codec`].
 pub(in crate::mesh::io) const CODEC: Codec = Codec {
@@ -49,8 +49,7 @@ fn decode(bytes: &[u8], wanted: bool) -> Result<Soup, DataError> {
             continue;
         }
         let points = piece.coordinates.as_ref().ok_or_else(|| missing("Points"))?;
-        let numbers =
-            file.values(points, piece.points.checked_mul(3), Kind::floats, |c, n, k, e| c.floats(n, k, e, "points"))?;
+        let numbers = file.values(points, piece.points.checked_mul(3), |c, n, k| c.floats(n, k, "points"))?;
         soup.positions.extend(numbers.as_chunks::<3>().0.iter().map(|&p| DVec3::from_array(p)));
         for (cells, is_strip) in [(&piece.polygons, false), (&piece.strips, true)] {
             if cells.count == 0 {
@@ -75,7 +74,7 @@ fn decode(bytes: &[u8], wanted: bool) -> Result<Soup, DataError> {
     Ok(soup)
 }
 
-/// By the lengths before arrays: nothing is unpacked.
+/// Counts by the lengths before arrays: nothing is unpacked.
 fn counts(bytes: &[u8]) -> Option<Counts> {
     let mut file = File::walk(bytes).ok()?;
     let mut counts = Counts::default();
@@ -107,7 +106,7 @@ fn counts(bytes: &[u8]) -> Option<Counts> {
     Some(counts)
 }
 
-/// What is said of an array, and where it is.
+/// An array's attributes and place.
 struct DataArray<'a> {
     name: String,
     role: Role,
@@ -143,7 +142,7 @@ struct Piece<'a> {
 
 struct File<'a> {
     order: Order,
-    /// Of the lengths before data.
+    /// Type of the lengths before data.
     length: Kind,
     packed: bool,
     pieces: Vec<Piece<'a>>,
@@ -192,11 +191,7 @@ impl<'a> File<'a> {
         loop {
             let event = reader.read_event();
             let line = lines.at(reader.buffer_position());
-            let event = event.map_err(|error| {
-                let message: String =
-                    error.to_string().chars().map(|c| if c.is_control() { ' ' } else { c }).take(200).collect();
-                DataError::Syntax { line, message }
-            })?;
+            let event = event.map_err(|error| syntax(line, plain(&error.to_string(), 200)))?;
             match &event {
                 Event::Start(tag) | Event::Empty(tag) => {
                     let name = tag.name().as_ref().to_vec();
@@ -234,8 +229,7 @@ impl<'a> File<'a> {
                     }
                     if !empty {
                         if section.len() == DEEPEST {
-                            let message = format!("more than {DEEPEST} elements are open");
-                            return Err(DataError::Syntax { line, message });
+                            return Err(syntax(line, format!("more than {DEEPEST} elements are open")));
                         }
                         section.push(name);
                     }
@@ -252,7 +246,7 @@ impl<'a> File<'a> {
                         && let Place::Text(content) | Place::Base64(content) = &mut found.place
                         && content.trim_ascii().is_empty()
                     {
-                        // By its place, for the life of the bytes.
+                        // A slice of the file, which outlives the event.
                         let end = usize::try_from(reader.buffer_position()).unwrap_or(0).min(bytes.len());
                         let start = end.saturating_sub(text.len());
                         *content = &bytes[start..end];
@@ -275,11 +269,9 @@ impl<'a> File<'a> {
     fn head(&mut self, tag: &BytesStart<'_>) -> Result<(), DataError> {
         let is = |name: &str, value: &str| attribute(tag, name).is_some_and(|text| text == value);
         if !is("type", "PolyData") {
-            let kind = attribute(tag, "type").unwrap_or_default();
-            let kind = shown(kind.as_bytes());
-            return Err(DataError::Header(format!(
-                "VTKFile is of type \"{kind}\", not PolyData; extract the surface first"
-            )));
+            let kind = plain(&attribute(tag, "type").unwrap_or_default(), 40);
+            let message = format!("VTKFile is of type \"{kind}\", not PolyData; extract the surface first");
+            return Err(DataError::Header(message));
         }
         if is("byte_order", "BigEndian") {
             self.order = Order::Big;
@@ -294,10 +286,9 @@ impl<'a> File<'a> {
                 self.left = unpacked_limit(self.left);
             }
             Some(other) => {
-                let other = shown(other.as_bytes());
-                return Err(DataError::Header(format!(
-                    "the compressor {other} is not known; write it with zlib or without"
-                )));
+                let message =
+                    format!("the compressor {} is not known; write it with zlib or without", plain(other, 40));
+                return Err(DataError::Header(message));
             }
         }
         Ok(())
@@ -344,7 +335,7 @@ impl<'a> File<'a> {
         Ok(())
     }
 
-    /// How many numbers an array says that it has, at most as many as a file of this size can hold; whether they are binary.
+    /// How many numbers an array declares, at most as many as a file of this size can hold; whether they are binary.
     fn numbers(&self, array: &DataArray<'_>) -> Option<(usize, bool)> {
         let kind = array.kind?;
         let source = match self.source(array) {
@@ -375,7 +366,7 @@ impl<'a> File<'a> {
         all.into_iter().map(|n| usize::try_from(n).unwrap_or(usize::MAX)).collect()
     }
 
-    /// How many bytes an array says that it has.
+    /// How many bytes an array declares.
     fn length_of(&self, source: &Source<'_>) -> Result<usize, String> {
         let size = self.length.bytes();
         match (self.packed, self.lengths(&source.first(if self.packed { 3 * size } else { size })?).as_slice()) {
@@ -386,31 +377,29 @@ impl<'a> File<'a> {
     }
 
     fn integers(&mut self, array: &DataArray<'_>, count: Option<usize>) -> Result<Vec<i64>, DataError> {
-        self.values(array, count, Kind::integers, |c, n, k, e| c.integers(n, k, e, "cells"))
+        self.values(array, count, |c, n, k| c.integers(n, k, "cells"))
     }
 
-    /// All numbers of an array, of which there should be so many.
+    /// All numbers of an array that should have `count`.
     fn values<T>(
         &mut self,
         array: &DataArray<'_>,
         count: Option<usize>,
-        binary: impl Fn(Kind, &[u8], Order) -> Vec<T>,
-        text: impl Fn(&mut Cursor<'_>, usize, Kind, Encoding) -> Result<Vec<T>, DataError>,
+        read: impl Fn(&mut Cursor<'_>, usize, Kind) -> Result<Vec<T>, DataError>,
     ) -> Result<Vec<T>, DataError> {
-        let wrong = |message: String| DataError::Syntax { line: array.line, message };
-        let Some(kind) = array.kind else { return Err(wrong("a DataArray has no known type of numbers".to_owned())) };
+        let wrong = |message: String| syntax(array.line, message);
+        let kind = array.kind.ok_or_else(|| wrong("a DataArray has no known type of numbers".to_owned()))?;
         let count = count.ok_or_else(|| wrong("there are too many numbers".to_owned()))?;
         let whole = match self.source(array) {
             Ok(source) => source,
             Err(content) => {
-                let mut cursor = Cursor { rest: content, line: array.line };
-                return text(&mut cursor, count, kind, Encoding::Text);
+                return read(&mut Cursor { line: array.line, ..Cursor::new(content) }, count, kind);
             }
         };
         let bytes = count.saturating_mul(kind.bytes());
         self.spend(bytes).map_err(wrong)?;
         let data = self.data_of(whole, bytes).map_err(wrong)?;
-        Ok(binary(kind, &data, self.order))
+        read(&mut Cursor { encoding: Encoding::Binary(self.order), ..Cursor::new(&data) }, count, kind)
     }
 
     /// Counts bytes that are made of the file's.
@@ -420,7 +409,7 @@ impl<'a> File<'a> {
         Ok(())
     }
 
-    /// So many bytes of an array, without the length before them.
+    /// The data of an array that should have `bytes`, without the length before them.
     fn data_of(&mut self, source: Source<'_>, bytes: usize) -> Result<Vec<u8>, String> {
         let size = self.length.bytes();
         let differs = |n: usize| format!("an array has {n} bytes and should have {bytes}; write the file again");
@@ -465,8 +454,8 @@ impl<'a> File<'a> {
         Ok(out)
     }
 
-    /// Reads what the points of a piece carry, before which there are so many points. What is wrong is left aside. Arrays of the
-    /// pieces that follow are those of the same name.
+    /// Reads what the points of a piece carry; `first` points come before it. What is wrong is left aside. Arrays of the pieces that
+    /// follow are those of the same name.
     fn data(
         &mut self,
         arrays: &mut Vec<Array>,
@@ -484,7 +473,7 @@ impl<'a> File<'a> {
                 continue;
             }
             let count = piece.points.checked_mul(components);
-            let values = self.values(array, count, Kind::floats, |c, n, k, e| c.lenient(n, k, e, "an array", true));
+            let values = self.values(array, count, |c, n, k| c.lenient(n, k, "an array"));
             match (values, known.filter(|_| first > 0)) {
                 (Ok(values), Some(known)) => known.values.extend(values),
                 (Err(_), Some(_)) => {}
@@ -494,15 +483,14 @@ impl<'a> File<'a> {
                     arrays.push(Array { name: array.name.clone(), role: array.role, components, eight, values });
                 }
                 (Err(error), None) => {
-                    let name = shown(array.name.as_bytes());
-                    soup.raw.unreadable(&format!("array {name:?}"), error.to_string());
+                    soup.raw.unreadable(&format!("array {:?}", plain(&array.name, 40)), error.to_string());
                 }
             }
         }
     }
 }
 
-/// What stands before packed data: the number of blocks, the size of each but the last, the last one's.
+/// The header of packed data: the number of blocks, the size of each but the last, and of the last.
 struct Blocks {
     blocks: usize,
     block: usize,
@@ -536,7 +524,7 @@ impl<'a> Source<'a> {
         Self::Base64(text.iter().copied().filter(|b| !b.is_ascii_whitespace()).collect::<Vec<_>>().into())
     }
 
-    /// As many bytes, or less where it ends.
+    /// The first bytes, fewer where the source ends.
     fn first(&self, wanted: usize) -> Result<Vec<u8>, String> {
         self.after(0, wanted)
     }
@@ -590,8 +578,7 @@ fn data_array<'a>(tag: &BytesStart<'_>, line: usize) -> Result<DataArray<'a>, Da
         Some("binary") => Place::Base64(&[]),
         Some("appended") => Place::Appended(number(tag, "offset")),
         Some(other) => {
-            let message = format!("the format \"{}\" of an array is not known", shown(other.as_bytes()));
-            return Err(DataError::Syntax { line, message });
+            return Err(syntax(line, format!("the format \"{}\" of an array is not known", plain(other, 40))));
         }
     };
     Ok(DataArray {
@@ -616,10 +603,11 @@ fn encode(mesh: &TriMesh, held: &Held<'_>) -> Result<Vec<u8>, DataError> {
         STANDARD.encode_string(data, out);
         out.push_str("</DataArray>\n");
     };
-    out.push_str("<?xml version=\"1.0\"?>\n<VTKFile type=\"PolyData\" version=\"1.0\" byte_order=\"LittleEndian\" ");
-    out.push_str("header_type=\"UInt64\">\n<PolyData>\n");
-    out.push_str(&format!("<Piece NumberOfPoints=\"{vertices}\" NumberOfVerts=\"0\" NumberOfLines=\"0\" "));
-    out.push_str(&format!("NumberOfStrips=\"0\" NumberOfPolys=\"{facets}\">\n<PointData"));
+    out.push_str(&format!(
+        "<?xml version=\"1.0\"?>\n<VTKFile type=\"PolyData\" version=\"1.0\" byte_order=\"LittleEndian\" \
+         header_type=\"UInt64\">\n<PolyData>\n<Piece NumberOfPoints=\"{vertices}\" NumberOfVerts=\"0\" \
+         NumberOfLines=\"0\" NumberOfStrips=\"0\" NumberOfPolys=\"{facets}\">\n<PointData"
+    ));
     for (key, role) in [("Normals", Role::Normals), ("TCoords", Role::Texture)] {
         if let Some(array) = arrays.iter().find(|array| array.role == role) {
             out.push_str(&format!(" {key}=\"{}\"", array.name));
