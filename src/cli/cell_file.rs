@@ -44,7 +44,7 @@ impl CellFile {
         let Self { path, writer } = self;
         let finish = || {
             let file = writer.finish()?.into_inner().map_err(io::IntoInnerError::into_error)?;
-            files::keep(file, &path)
+            files::keep(file.into_temp_path(), &path)
         };
         Ok(finish().map_err(|e| unwritten(&path, &e))?)
     }

@@ -42,9 +42,9 @@ pub(crate) const HELP: &str = "Exit codes:
   79   a threshold of `load --fail-if` was crossed; the report was written all the same
   130  interrupted";
 
-/// Errors that are a sentence, each kind with its exit code.
+/// Errors that are a sentence, each kind with its exit code. Before them other errors with theirs.
 macro_rules! kinds {
-    ($($(#[$doc:meta])* $name:ident: $code:ident;)*) => {
+    (others { $($other:ty: $its_code:ident;)* } $($(#[$doc:meta])* $name:ident: $code:ident;)*) => {
         $(
             $(#[$doc])*
             #[derive(Debug, thiserror::Error)]
@@ -56,12 +56,23 @@ macro_rules! kinds {
             $(if cause.is::<$name>() {
                 return Some($code);
             })*
+            $(if cause.is::<$other>() {
+                return Some($its_code);
+            })*
             None
         }
     };
 }
 
 kinds! {
+    others {
+        ConfigError: USAGE;
+        config::FileError: USAGE;
+        TelemetryError: USAGE;
+        NoInput: NO_INPUT;
+        NoFolder: NO_FOLDER;
+        MeshError: DATA;
+    }
     /// Options that do not go together, or ask for something that does not exist.
     Usage: USAGE;
     /// TLS files that a server cannot use.
@@ -110,18 +121,6 @@ pub(crate) fn code(error: &anyhow::Error) -> u8 {
 }
 
 fn known(cause: &(dyn std::error::Error + 'static)) -> Option<u8> {
-    if cause.is::<ConfigError>() || cause.is::<config::FileError>() || cause.is::<TelemetryError>() {
-        return Some(USAGE);
-    }
-    if cause.is::<NoInput>() {
-        return Some(NO_INPUT);
-    }
-    if cause.is::<NoFolder>() {
-        return Some(NO_FOLDER);
-    }
-    if cause.is::<MeshError>() {
-        return Some(DATA);
-    }
     let of_file = |error: &FileError| match error {
         FileError::UnknownFormat { .. } => USAGE,
         FileError::Data { .. } => DATA,

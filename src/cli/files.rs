@@ -11,7 +11,7 @@ use std::path::{Path, PathBuf};
 use anyhow::Result;
 use clap::builder::{PossibleValuesParser, TypedValueParser};
 use glam::DVec3;
-use tempfile::NamedTempFile;
+use tempfile::{NamedTempFile, TempPath};
 
 use super::exit::{BadInput, NoFolder, NoInput, NotWritten, Usage};
 use geometry::mesh::attributes::Attributes;
@@ -23,7 +23,7 @@ use geometry::token::Token;
 #[derive(Clone, Debug)]
 pub(crate) struct Surface {
     path: PathBuf,
-    /// What was said of the format; else the name says it.
+    /// The given format; without, the name has it.
     format: Option<Format>,
 }
 
@@ -41,10 +41,7 @@ impl Surface {
         &self.path
     }
 
-    /// The format; `option` says it where the name does not.
-    ///
-    /// # Errors
-    /// [`Usage`].
+    /// The format; `option` gives it where the name does not.
     pub(crate) fn format(&self, option: &str) -> Result<Format> {
         match self.format {
             Some(format) => Ok(format),
@@ -123,9 +120,9 @@ impl fmt::Display for Surface {
     }
 }
 
-/// What says the format of a surface that is read.
+/// The option with the format of a surface that is read.
 pub(crate) const INPUT_FORMAT: &str = "--input-format";
-/// What says the format of a surface that is written.
+/// The option with the format of a surface that is written.
 pub(crate) const OUTPUT_FORMAT: &str = "--format";
 
 /// Help for the file of a surface, with the extensions.
@@ -253,66 +250,43 @@ pub(crate) fn write_json(path: &Path, report: &impl serde::Serialize) -> Result<
 /// Writes a file. What has its name is replaced once the new one is whole.
 fn write(path: &Path, body: impl FnOnce(&mut dyn Write) -> std::io::Result<()>) -> Result<()> {
     let mut out = Output::begin(path)?;
-    body(&mut out.body).map_err(|error| out.unwritten(&error))?;
+    body(&mut out.body).map_err(|error| unwritten(path, &error))?;
     out.finish()
 }
 
 /// A file that is being written. It gets its name at the end; one that is dropped before leaves nothing behind.
 pub(crate) struct Output {
     path: PathBuf,
-    body: Body,
-}
-
-enum Body {
-    File(BufWriter<NamedTempFile>),
-    /// A device or a pipe.
-    Stream(BufWriter<File>),
-}
-
-impl Write for Body {
-    fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
-        match self {
-            Self::File(out) => out.write(bytes),
-            Self::Stream(out) => out.write(bytes),
-        }
-    }
-
-    fn flush(&mut self) -> std::io::Result<()> {
-        match self {
-            Self::File(out) => out.flush(),
-            Self::Stream(out) => out.flush(),
-        }
-    }
+    body: BufWriter<File>,
+    /// The name until then; none of a device or a pipe.
+    temporary: Option<TempPath>,
 }
 
 impl Output {
     /// What will be `path`.
     pub(crate) fn begin(path: &Path) -> Result<Self> {
         let open = || match is_stream(path) {
-            true => Ok(Body::Stream(BufWriter::new(OpenOptions::new().write(true).open(path)?))),
-            false => Ok(Body::File(BufWriter::new(begin(path)?))),
+            true => Ok((OpenOptions::new().write(true).open(path)?, None)),
+            false => begin(path).map(NamedTempFile::into_parts).map(|(file, name)| (file, Some(name))),
         };
-        let body = open().map_err(|error| unwritten(path, &error))?;
-        Ok(Self { path: path.to_owned(), body })
+        let (file, temporary) = open().map_err(|error| unwritten(path, &error))?;
+        Ok(Self { path: path.to_owned(), body: BufWriter::new(file), temporary })
     }
 
     /// The next bytes.
     pub(crate) fn add(&mut self, bytes: &[u8]) -> Result<()> {
-        Ok(self.body.write_all(bytes).map_err(|error| self.unwritten(&error))?)
+        Ok(self.body.write_all(bytes).map_err(|error| unwritten(&self.path, &error))?)
     }
 
     /// It is whole.
     pub(crate) fn finish(self) -> Result<()> {
-        let Self { path, body } = self;
-        let end = || match body {
-            Body::Stream(mut out) => out.flush(),
-            Body::File(out) => keep(out.into_inner().map_err(std::io::IntoInnerError::into_error)?, &path),
+        let Self { path, mut body, temporary } = self;
+        let end = || {
+            body.flush()?;
+            drop(body);
+            temporary.map_or(Ok(()), |name| keep(name, &path))
         };
-        Ok(end().map_err(|error| unwritten(&path, &error))?)
-    }
-
-    fn unwritten(&self, error: &std::io::Error) -> NotWritten {
-        unwritten(&self.path, error)
+        Ok(end().map_err(|error: std::io::Error| unwritten(&path, &error))?)
     }
 }
 
@@ -335,10 +309,8 @@ pub(crate) fn begin(path: &Path) -> std::io::Result<NamedTempFile> {
 }
 
 /// Gives what was begun its name; a link goes on to point there.
-pub(crate) fn keep(file: NamedTempFile, path: &Path) -> std::io::Result<()> {
-    let path = path.canonicalize().unwrap_or_else(|_| path.to_owned());
-    file.persist(path)?;
-    Ok(())
+pub(crate) fn keep(temporary: TempPath, path: &Path) -> std::io::Result<()> {
+    Ok(temporary.persist(path.canonicalize().unwrap_or_else(|_| path.to_owned()))?)
 }
 
 #[cfg(test)]

@@ -100,11 +100,11 @@ pub(crate) fn run(args: &KeysArgs) -> Result<()> {
                 }
                 false => say::try_line(format_args!("{}", secret.reveal())),
             };
-            // Nobody has it, and nobody can be shown it again.
+            // It was not printed, and cannot be shown again.
             if !matches!(shown, Ok(true)) {
                 file.change(|keys| keys.revoke(&key.id)).map_err(told)?;
                 shown?;
-                return Err(NotWritten("nobody read the key; it was not made".to_owned()).into());
+                return Err(NotWritten("the key could not be printed; it was not made".to_owned()).into());
             }
             if !args.json {
                 let name = &key.name;
@@ -112,23 +112,19 @@ pub(crate) fn run(args: &KeysArgs) -> Result<()> {
             }
         }
         KeysCommand::List => {
-            let set = file.read().map_err(told)?;
-            if args.json {
-                return Ok(say::json(&Value::Array(set.keys().iter().map(json_of).collect()))?);
-            }
-            for key in set.keys() {
-                outln!("{}", line(key))?;
-            }
+            return show(args, file.read().map_err(told)?.keys());
         }
         KeysCommand::Revoke { name } => {
-            let gone = file.change(|keys| keys.revoke(name)).map_err(told)?;
-            if args.json {
-                return Ok(say::json(&Value::Array(gone.iter().map(json_of).collect()))?);
-            }
-            for key in gone {
-                outln!("{}", line(&key))?;
-            }
+            return show(args, &file.change(|keys| keys.revoke(name)).map_err(told)?);
         }
+    }
+    Ok(())
+}
+
+fn show(args: &KeysArgs, keys: &[Key]) -> Result<()> {
+    match args.json {
+        true => say::json(&Value::Array(keys.iter().map(json_of).collect()))?,
+        false => keys.iter().try_for_each(|key| outln!("{}", line(key)))?,
     }
     Ok(())
 }
@@ -150,7 +146,7 @@ fn moment(seconds: u64) -> String {
     i64::try_from(seconds).map_or_else(|_| "never".to_owned(), |seconds| Timestamp { seconds, nanos: 0 }.to_string())
 }
 
-/// A key as a line: id, name, role, when it was made, and what is said of it besides.
+/// A key as a line: id, name, role, times and limits.
 fn line(key: &Key) -> String {
     let KeyLimits { rate, in_flight, bytes, weight } = key.limits;
     let mut line = format!("{}  {:16} {:6}  made {}", key.id, key.name, key.role.name(), moment(key.created));

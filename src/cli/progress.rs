@@ -7,7 +7,7 @@ mod track;
 
 use std::path::Path;
 use std::sync::mpsc::{self, RecvTimeoutError};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
@@ -18,6 +18,7 @@ use track::Track;
 
 use geometry::cvt::Iteration;
 use geometry::remesh::Observer;
+use jobs::lock;
 
 /// Parts of the bar.
 const PARTS: u64 = 1000;
@@ -67,7 +68,7 @@ impl Progress {
 
     /// Of the next of several files, whose part of the whole is `span`; it begins with reading it.
     pub(crate) fn next(&self, name: &str, span: (f64, f64)) {
-        let mut state = self.lock();
+        let mut state = lock(&self.shared);
         (state.track, state.span) = (Track::new(Instant::now()), span);
         name.clone_into(&mut state.name);
         "read".clone_into(&mut state.stage);
@@ -77,28 +78,27 @@ impl Progress {
 
     /// What there is to do.
     pub(crate) fn plan(&self, plan: Plan) {
-        self.lock().track.plan(plan, Instant::now());
+        lock(&self.shared).track.plan(plan, Instant::now());
     }
 
     /// A stage, or how far it is: `done` of `total`, which is 0 if not known.
     pub(crate) fn stage(&self, name: &str, done: u64, total: u64) {
-        self.lock().stage(name, done, total);
+        lock(&self.shared).stage(name, done, total);
     }
 
-    /// Steps of a stage that somebody else counts, `total` of them.
+    /// A counter of the `total` steps of a stage.
     pub(crate) fn counter(&self, name: &'static str, total: u64) -> impl FnMut() + Send + 'static {
         let shared = Arc::clone(&self.shared);
         let mut done = 0;
         move || {
             done += 1;
-            let mut state = shared.lock().unwrap_or_else(PoisonError::into_inner);
-            state.stage(name, done, total);
+            lock(&shared).stage(name, done, total);
         }
     }
 
     /// An iteration.
     pub(crate) fn iteration(&self, index: u64, total: u64, energy_ratio: f64) {
-        let mut state = self.lock();
+        let mut state = lock(&self.shared);
         let done = index.saturating_add(1);
         let total = total.max(done);
         state.track.enter("iterations", done, total, Instant::now());
@@ -109,14 +109,14 @@ impl Progress {
 
     /// A word on the stage that is at work.
     pub(crate) fn detail(&self, text: &str) {
-        let mut state = self.lock();
+        let mut state = lock(&self.shared);
         text.clone_into(&mut state.detail);
         state.draw();
     }
 
     /// A warning, above the bar.
     pub(crate) fn note(&self, text: &str) {
-        match &self.lock().bar {
+        match &lock(&self.shared).bar {
             Some(bar) => bar.suspend(|| errln!("{text}")),
             None => errln!("{text}"),
         }
@@ -124,14 +124,10 @@ impl Progress {
 
     /// Writes to the standard output, above the bar.
     pub(crate) fn aside<R>(&self, write: impl FnOnce() -> R) -> R {
-        match &self.lock().bar {
+        match &lock(&self.shared).bar {
             Some(bar) => bar.suspend(write),
             None => write(),
         }
-    }
-
-    fn lock(&self) -> MutexGuard<'_, State> {
-        self.shared.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
@@ -180,7 +176,7 @@ impl Drop for Progress {
             drop(stop);
             let _ = thread.join();
         }
-        if let Some(bar) = self.lock().bar.take() {
+        if let Some(bar) = lock(&self.shared).bar.take() {
             bar.finish_and_clear();
         }
     }
@@ -191,7 +187,7 @@ fn ticker(shared: Arc<Mutex<State>>, between: Duration) -> Option<(mpsc::Sender<
     let (stop, stopped) = mpsc::channel();
     let tick = move || {
         while stopped.recv_timeout(between) == Err(RecvTimeoutError::Timeout) {
-            let mut state = shared.lock().unwrap_or_else(PoisonError::into_inner);
+            let mut state = lock(&shared);
             match &state.bar {
                 Some(bar) => {
                     bar.tick();

@@ -1,8 +1,8 @@
-//! What is said at the shell: lines on the standard output and the standard error stream.
+//! Lines on the standard output and the standard error stream.
 //!
-//! Invariant: whoever stops listening ends nothing. A closed pipe is passed over in silence, so that work which
-//! writes files still ends and writes them; any other failure of the standard output is an error, since the
-//! output was the result. Nothing else in the program prints. Must not know: what is said.
+//! Invariant: a closed pipe is no error, so that work which writes files still ends and writes them; any other failure of
+//! the standard output is one, since the output was the result. Nothing else in the program prints. Must not know: what is
+//! printed.
 
 use std::fmt;
 use std::io::{self, ErrorKind, Write};
@@ -40,14 +40,11 @@ macro_rules! errln {
 }
 
 /// Writes a line to the standard output.
-///
-/// # Errors
-/// [`NotWritten`], but for a pipe that nobody reads any more.
 pub(crate) fn line(text: fmt::Arguments<'_>) -> Result<(), NotWritten> {
     try_line(text).map(|_| ())
 }
 
-/// Writes a line to the standard output; false if nobody reads any more.
+/// Writes a line to the standard output; false if the pipe is closed.
 pub(crate) fn try_line(text: fmt::Arguments<'_>) -> Result<bool, NotWritten> {
     let mut out = io::stdout().lock();
     let written = out.write_fmt(text).and_then(|()| out.write_all(b"\n")).and_then(|()| out.flush());
@@ -55,7 +52,7 @@ pub(crate) fn try_line(text: fmt::Arguments<'_>) -> Result<bool, NotWritten> {
     heard(written).map(|()| !closed)
 }
 
-/// Writes a line to the standard error stream. There is nobody to tell if that fails.
+/// Writes a line to the standard error stream. A failure of that has no other place to go.
 pub(crate) fn note(text: fmt::Arguments<'_>) {
     // As one piece, so that lines of several writers do not mix.
     let _ = io::stderr().write_all(format!("{text}\n").as_bytes());

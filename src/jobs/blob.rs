@@ -3,17 +3,15 @@
 //! Purpose: [`BlobStore`] keeps blobs between requests. [`ObjectBlobs`] implements it on a folder, in memory, or on
 //! any store that speaks S3.
 //! Invariant: a blob is visible only when all of its bytes are stored and their digest is right. The bytes of blobs
-//! and uploads together stay within the quota. A pinned blob is never evicted. Refused work leaves no byte behind. Bytes are stored once,
-//! and a blob is there for those alone who uploaded it or got it as a result.
+//! and uploads together stay within the quota. A pinned blob is never evicted. A refused call leaves no byte behind. Bytes
+//! are stored once, and visible only to the tenants that uploaded them or got them as a result.
 //! Must not know: what the bytes mean, jobs, or the wire.
 
 mod chunk;
 mod digest;
 mod error;
-mod facts;
 mod objects;
 mod options;
-mod owner;
 mod owners;
 mod place;
 mod quota;
@@ -27,9 +25,7 @@ mod upload;
 pub use chunk::{Chunk, MAX_CHUNK_BYTES, UploadId, UploadStatus};
 pub use digest::{Digest, DigestError};
 pub use error::BlobError;
-pub use facts::{BlobInfo, Usage};
 pub use objects::ObjectBlobs;
 pub use options::BlobOptions;
-pub use owner::Owner;
-pub use store::put_of;
-pub use store::{BlobRead, BlobStore, ByteStream, READ_BYTES, put};
+pub use owners::Owner;
+pub use store::{BlobInfo, BlobRead, BlobStore, ByteStream, READ_BYTES, Usage, put, put_of};

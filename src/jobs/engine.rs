@@ -26,18 +26,16 @@ use crate::record::JobId;
 use geometry::rvd::{BackendChoice, DeviceFacts};
 use geometry::token::Token;
 use watchdog::WatchGuard;
-use worker::{ActivityState, Call, Shared, run};
+use worker::{ActivityState, Call, Reply, Shared, run};
 
 pub use crate::record::Bytes;
 pub(crate) use gate::{Gate, Gated};
 pub use loss::LossPolicy;
 pub use queue::Admission;
 pub use schedule::AdmissionRequest;
-pub use watchdog::Ceilings;
-pub use watchdog::Work;
+pub use watchdog::{Ceilings, Work};
 pub use weights::Weights;
-pub use worker::{Device, Timed, WorkContext};
-pub use worker::{EngineOptions, Retry};
+pub use worker::{Device, EngineOptions, Retry, Timed, WorkContext};
 
 /// Work that was submitted. Dropping it cancels the work.
 #[derive(Debug)]
@@ -96,8 +94,8 @@ pub struct Engine {
 }
 
 impl Engine {
-    /// Starts the host threads. `factory` makes their backends, now and after a loss. Returns once they are there; what is
-    /// returned beside the handle ends when all threads have.
+    /// Starts the host threads. `factory` makes their backends, now and after a loss. Returns once they run, with the handle
+    /// of a thread that ends after all others.
     ///
     /// # Errors
     /// The factory's, or `Panicked`.
@@ -108,10 +106,10 @@ impl Engine {
         Self::start_observed(factory, options, Arc::new(()))
     }
 
-    /// The same, with somebody who counts what is done.
+    /// As [`Self::start`], with an observer of all work.
     ///
     /// # Errors
-    /// The factory's, or `Panicked`.
+    /// As [`Self::start`].
     pub fn start_observed(
         factory: impl FnMut() -> Result<Backends, JobError> + Send + 'static,
         options: EngineOptions,
@@ -126,7 +124,7 @@ impl Engine {
         Ok((Self { shared }, thread))
     }
 
-    /// Who will do the work for a choice.
+    /// The backend for a choice.
     ///
     /// # Errors
     /// `BackendUnavailable`.
@@ -141,7 +139,7 @@ impl Engine {
 
     /// Memory that jobs at work together may need.
     pub fn memory(&self) -> Bytes {
-        self.shared.infos.slots.memory
+        self.shared.slots.memory
     }
 
     /// Reserves a place for a job that is yet to be uploaded, so that it is refused now or not at all.
@@ -168,20 +166,20 @@ impl Engine {
         self.shared.watchdog.watch(token)
     }
 
-    /// Bytes that the process holds outside of jobs, such as uploads: whoever holds them keeps this up to date. A job's
+    /// Bytes that the process holds outside of jobs, such as uploads: their holders keep this number up to date. A job's
     /// ceiling on memory does not count them.
     pub fn memory_outside_jobs(&self) -> Arc<AtomicI64> {
         self.shared.watchdog.memory_outside_jobs()
     }
 
-    /// How work is that was told to stop.
+    /// State of the work that was asked to stop.
     pub fn watch_work(&self) -> watch::Receiver<Work> {
         self.shared.watchdog.work()
     }
 
     /// Does work on the engine's threads, so that their number bounds what is done beside the jobs too.
     pub fn on_threads<R: Send>(&self, work: impl FnOnce() -> R + Send) -> R {
-        match &self.shared.infos.pool {
+        match &self.shared.pool {
             Some(pool) => pool.install(work),
             None => work(),
         }
@@ -213,15 +211,26 @@ impl Engine {
         work: impl FnMut(&Backends, &WorkContext) -> Result<R, JobError> + Send + 'static,
     ) -> Result<Pending<R>, JobError> {
         let (sender, reply) = oneshot::channel();
+        let position = self.push(token.clone(), admission, retry, work, Some(sender))?;
+        Ok(Pending { position, reply, token, answered: false })
+    }
+
+    fn push<R: Send + 'static>(
+        &self,
+        token: Token,
+        admission: Admission,
+        retry: Retry,
+        work: impl FnMut(&Backends, &WorkContext) -> Result<R, JobError> + Send + 'static,
+        reply: Option<Reply<R>>,
+    ) -> Result<usize, JobError> {
         let (has_continuations, origin) = match &admission {
             Admission::New(ask) | Admission::Reserved(ask) => (ask.has_continuations, ask.origin),
             Admission::Session | Admission::Continuation => (true, None),
         };
         let activity = ActivityState::Queued(QueuedActivity::new(&self.shared.observer, origin));
-        let (work, reply_to, queued) = (Some(work), Some(sender), Instant::now());
-        let call = Call { work, has_continuations, reply: reply_to, token: token.clone(), queued, retry, activity };
-        let position = self.shared.queue.push(admission, Box::new(call))?;
-        Ok(Pending { position, reply, token, answered: false })
+        let queued = Instant::now();
+        let call = Call { work: Some(work), has_continuations, reply, token, queued, retry, activity };
+        self.shared.queue.push(admission, Box::new(call))
     }
 
     /// Queues a job that a store keeps. Its work records how it ends.
@@ -234,10 +243,7 @@ impl Engine {
         request: AdmissionRequest,
         work: impl FnMut(&Backends, &WorkContext) -> Result<(), JobError> + Send + 'static,
     ) -> Result<(), JobError> {
-        let activity = ActivityState::Queued(QueuedActivity::new(&self.shared.observer, request.origin));
-        let (has_continuations, queued, retry) = (false, Instant::now(), Retry::Restart);
-        let call = Call { work: Some(work), has_continuations, reply: None, token, queued, retry, activity };
-        self.shared.queue.push(Admission::Reserved(request), Box::new(call)).map(drop)
+        self.push(token, Admission::Reserved(request), Retry::Restart, work, None).map(drop)
     }
 
     /// Jobs of the store that wait or are at work: a tenant's, or all.
@@ -258,22 +264,12 @@ impl Engine {
     /// Drops `value` on a host thread: freeing much takes time.
     pub fn dispose(&self, value: impl Send + 'static) {
         let mut value = Some(value);
-        let (sender, _) = oneshot::channel();
         let work = move |_: &Backends, _: &WorkContext| {
             drop(value.take());
             Ok(())
         };
-        let call = Call {
-            work: Some(work),
-            has_continuations: true,
-            reply: Some(sender),
-            token: Token::default(),
-            queued: Instant::now(),
-            retry: Retry::Never,
-            activity: ActivityState::Queued(QueuedActivity::new(&self.shared.observer, None)),
-        };
-        // Nobody waits for it; popping drops it on a host thread, and so does its end.
-        let _ = self.shared.queue.push(Admission::Continuation, Box::new(call));
+        // Without a waiting caller, a host thread drops it when it takes it from the queue, or at its end.
+        drop(self.submit(Admission::Continuation, Retry::Never, work));
     }
 
     /// How much each tenant counts beside others.
@@ -351,6 +347,26 @@ mod tests {
         assert_eq!(*health.borrow(), Device::Gone);
         let late = engine.submit(Admission::Session, Retry::Never, |_, _| Ok(()));
         assert!(matches!(late, Err(JobError::Draining)), "nobody would answer");
+    }
+
+    #[tokio::test]
+    async fn a_panic_in_a_destructor_ends_the_engine_with_nothing_at_work() {
+        struct Bomb;
+        impl Drop for Bomb {
+            fn drop(&mut self) {
+                panic!("in a destructor");
+            }
+        }
+        let (engine, thread) = Engine::start(backends, EngineOptions::default()).unwrap();
+        let bomb = Bomb;
+        let work = move |_: &Backends, _: &WorkContext| {
+            let _bomb = &bomb;
+            Ok(())
+        };
+        let error = engine.submit(new(), Retry::Never, work).unwrap().wait().await.unwrap_err();
+        assert!(matches!(error, JobError::WorkerGone));
+        assert!(thread.join().is_err());
+        assert_eq!(engine.load(), (0, false));
     }
 
     #[tokio::test]

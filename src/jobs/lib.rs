@@ -21,7 +21,7 @@ pub mod observe;
 pub mod record;
 pub mod store;
 
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
 use geometry::mesh::MeshError;
@@ -33,7 +33,12 @@ pub use engine::{Admission, AdmissionRequest, Bytes, Ceilings, Engine, EngineOpt
 pub use engine::{Device, Pending, Reservation, Timed, Work, WorkContext};
 pub use executor::{BlobRoom, Executor, ExecutorOptions, JobBounds, Stores};
 
-/// Makes a CPU backend with so many threads of its own.
+/// Locks a mutex whose content is never left half changed, so that it is good even after a panic.
+pub fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// Makes a CPU backend with this many threads of its own.
 pub type PoolFactory = fn(usize) -> Result<Arc<dyn Backend>, RvdError>;
 
 /// The backends of this process.

@@ -2,7 +2,7 @@
 //!
 //! Purpose: [`serve`] answers `/metrics`, `/healthz`, `/readyz` and `/version` until it is dropped.
 //! Invariant: whatever is sent to it, it holds few connections, each for a short time, and takes nothing but a request's
-//! head. It answers while the server drains. Must not know: gRPC, jobs, who finds faults.
+//! head. It answers while the server drains. Must not know: gRPC, jobs, how faults are found.
 
 use std::collections::VecDeque;
 use std::convert::Infallible;
@@ -26,8 +26,8 @@ use tokio::task::JoinSet;
 use crate::metrics::{Format, Metrics};
 use crate::readiness::{Readiness, Reason};
 
-/// Connections at once: some scrapers and probes, each with one or two. One more ends the oldest, so that nobody who holds
-/// connections keeps a probe out.
+/// Connections at once: some scrapers and probes, each with one or two. One more ends the oldest, so that idle connections
+/// keep no probe out.
 const CONNECTIONS: usize = 32;
 
 /// For the head of a request, counted from the connection's beginning or the last answer.
@@ -42,16 +42,16 @@ const HEAD_BYTES: usize = 16 << 10;
 /// Between two tries to accept after one failed.
 const PAUSE: Duration = Duration::from_millis(100);
 
-/// What the port tells.
+/// Sources of the answers.
 #[derive(Clone)]
 pub struct Admin {
-    /// What is counted.
+    /// The counters.
     pub metrics: Metrics,
     /// Whether the server is ready.
     pub readiness: Readiness,
     /// Revision of the sources.
     pub revision: Option<&'static str>,
-    /// Looks at what is not counted as it changes, before each scrape.
+    /// Updates gauges that are read on demand, before each scrape.
     pub look: Arc<dyn Fn() + Send + Sync>,
 }
 

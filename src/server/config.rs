@@ -8,7 +8,6 @@
 mod args;
 mod check;
 mod device;
-mod error;
 mod file;
 mod limits;
 mod options;
@@ -16,22 +15,19 @@ mod origin;
 mod security;
 mod show;
 pub mod sources;
-mod tls;
 mod transport;
 mod values;
 mod watching;
 pub use args::{BackendArg, BackendArgs, ServeArgs};
 pub use check::{JobCeilings, ServeConfig, data_dir};
 pub use device::OnLoss;
-pub use error::ConfigError;
 pub use file::{ConfigFile, FileError};
 pub use limits::{Limits, Transport};
 pub use options::{defaults, with_switches};
 pub use origin::sources;
-pub use security::SecurityArgs;
+pub use security::{SecurityArgs, TlsFiles};
 pub use show::print;
-pub use tls::TlsFiles;
-pub use values::{count, period, whole};
+pub use values::{ConfigError, count, period, whole};
 #[cfg(test)]
 mod tests {
     use std::net::SocketAddr;

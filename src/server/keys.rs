@@ -10,14 +10,12 @@ mod file;
 mod secret;
 
 use std::collections::HashSet;
-use std::fmt;
-use std::str::FromStr;
 use std::time::{Duration, SystemTime};
 
 use serde::{Deserialize, Serialize};
 
 pub use file::KeyFile;
-pub(crate) use file::Stamp;
+pub(crate) use file::{Stamp, read_regular};
 pub(crate) use secret::Hash;
 pub use secret::Secret;
 #[cfg(test)]
@@ -30,8 +28,22 @@ const MOST: usize = 10_000;
 const LONGEST: usize = 64;
 
 /// The role of a key. Each includes the rights of those before it.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[derive(
+    Clone,
+    Copy,
+    Debug,
+    PartialEq,
+    Eq,
+    PartialOrd,
+    Ord,
+    Serialize,
+    Deserialize,
+    strum::Display,
+    strum::EnumString,
+    strum::IntoStaticStr,
+)]
 #[serde(rename_all = "lowercase")]
+#[strum(serialize_all = "lowercase", parse_err_ty = String, parse_err_fn = no_role)]
 pub enum Role {
     /// Ask about its tenant's jobs and blobs, and read them.
     Read,
@@ -43,28 +55,13 @@ pub enum Role {
 
 impl Role {
     /// The name in files and messages.
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Read => "read",
-            Self::Submit => "submit",
-            Self::Admin => "admin",
-        }
+    pub fn name(self) -> &'static str {
+        self.into()
     }
 }
 
-impl fmt::Display for Role {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(self.name())
-    }
-}
-
-impl FromStr for Role {
-    type Err = String;
-
-    fn from_str(text: &str) -> Result<Self, String> {
-        let all = [Self::Read, Self::Submit, Self::Admin];
-        all.into_iter().find(|role| role.name() == text).ok_or_else(|| "a role is read, submit or admin".to_owned())
-    }
+fn no_role(_: &str) -> String {
+    "a role is read, submit or admin".to_owned()
 }
 
 /// Limits of a key. An unset limit is off.
@@ -205,7 +202,7 @@ pub enum KeysError {
     #[error("limits of a key are above 0")]
     Limits,
     /// There are too many.
-    #[error("there are {MOST} keys, as many as may be; revoke those that nobody uses")]
+    #[error("there are {MOST} keys, as many as may be; revoke unused ones")]
     TooMany,
     /// The system gives no random numbers.
     #[error("the operating system gives no random numbers: {0}")]

@@ -1,9 +1,9 @@
-//! What is counted, and how it is told to Prometheus.
+//! Metrics for Prometheus.
 //!
 //! Purpose: [`Metrics`] is counted up by the service and, as an [`Observer`], by the engine; [`Metrics::text`] is what a
 //! scrape sees. `docs/observability.md` has the list, and a test compares the two.
 //! Invariant: names and labels come from fixed lists, so that strangers cannot make new ones. Counting takes well under a
-//! microsecond and never waits for a scrape. There is no global registry: whoever counts is handed the value.
+//! microsecond and never waits for a scrape. There is no global registry: code that counts is given the value.
 //! Must not know: messages, connections, how anything that is counted is done.
 
 mod calls;
@@ -129,7 +129,7 @@ impl Metrics {
         r.register("tessera_build", "The version of this server", Info::new(build));
         let (calls, requests) = (
             "How long calls took, by method and status",
-            "How long requests of the HTTP door took, by route and status",
+            "How long requests of the HTTP interface took, by route and status",
         );
         let all = Inner {
             calls: add(r, "rpc_server_call_duration", s(), calls, call_seconds()),
@@ -194,7 +194,7 @@ impl Metrics {
         Calls::new(self.clone(), methods)
     }
 
-    /// A request of the HTTP door is over. Method and route are of a fixed list.
+    /// A request of the HTTP interface is over. Method and route are of a fixed list.
     pub fn request(&self, method: &'static str, route: &'static str, status: u16, took: Duration) {
         let names = [("http_request_method", method), ("http_route", route)];
         let labels = (names, [("http_response_status_code", status.into())]);
@@ -207,7 +207,7 @@ impl Metrics {
         Open(self.0.open_connections.clone())
     }
 
-    /// Somebody was refused.
+    /// A call or a connection was refused.
     pub fn refused(&self, reason: Refused) {
         self.refusals(reason, 1);
     }
@@ -243,7 +243,7 @@ impl Metrics {
         }
     }
 
-    /// A step of the start or of the shutdown took so long.
+    /// Time that a step of the start or of the shutdown took.
     pub fn step(&self, step: &'static str, took: Duration) {
         self.0.steps.get_or_create(&[("step", step)]).set(took.as_secs_f64());
     }
@@ -274,7 +274,7 @@ impl Drop for Open {
     }
 }
 
-/// Why somebody is refused, as far as a retry may help or an operator can.
+/// Why a call or a connection is refused, where a retry or an operator may help.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, IntoStaticStr)]
 #[strum(serialize_all = "snake_case")]
 pub enum Refused {
@@ -325,12 +325,11 @@ fn signed(bytes: u64) -> i64 {
 impl Observer for Metrics {
     fn moved(&self, kind: Kind, from: Option<Phase>, to: Option<Phase>) {
         let labels = |phase| [("state", state_name(phase)), ("kind", kind.name())];
-        from.iter().for_each(|phase| {
-            self.0.jobs.get_or_create(&labels(*phase)).dec();
-        });
-        to.iter().for_each(|phase| {
-            self.0.jobs.get_or_create(&labels(*phase)).inc();
-        });
+        for (phase, change) in [(from, -1), (to, 1)] {
+            if let Some(phase) = phase {
+                self.0.jobs.get_or_create(&labels(phase)).inc_by(change);
+            }
+        }
     }
 
     fn began(&self, kind: Kind, waited: Duration) {

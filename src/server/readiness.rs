@@ -1,9 +1,9 @@
-//! Whether the server can do what it is asked, and if not, or not as well as it should, why.
+//! Readiness of the server, and the reasons against it.
 //!
-//! Purpose: [`Readiness`] is the one value that health, `/readyz` and `GetServerInfo` are told from. Whoever finds a fault sets
-//! its [`Reason`], and takes it back once it is over.
-//! Invariant: the server is ready if no reason is set, but for those that only [degrade](Reason::only_degrades) it. Who watches sees every change at once.
-//! Must not know: who finds faults, how health is told.
+//! Purpose: [`Readiness`] is the one source of health, `/readyz` and `GetServerInfo`. Code that finds a fault sets its
+//! [`Reason`], and clears it once the fault is over.
+//! Invariant: the server is ready if no reason is set, but for those that only [degrade](Reason::only_degrades) it. Watchers
+//! see every change at once. Must not know: how faults are found, how health is served.
 
 use std::fmt;
 use std::sync::Arc;
@@ -23,7 +23,7 @@ pub enum Reason {
     DeviceLost,
     /// A diagram whose answer is known came out wrong, or not at all.
     ProbeFailed,
-    /// Work goes on although it was told to stop.
+    /// Work goes on although it was asked to stop.
     WorkStuck,
     /// The journal of jobs can no longer be written.
     JournalBroken,
@@ -39,7 +39,7 @@ impl Reason {
     /// All of them.
     pub const ALL: &[Self] = Self::VARIANTS;
 
-    /// As it is told to machines.
+    /// Its name in answers and labels.
     pub fn name(self) -> &'static str {
         self.into()
     }

@@ -236,7 +236,9 @@ pub async fn run(
 ) -> Result<(), ServeError> {
     let Parts { engine, worker, limits, jobs, tls, access, metrics, readiness, about, door } = parts;
     let message_bytes = limits.transport.message_bytes;
-    let _following = access.follow(engine.weights().clone());
+    // Ended with the server, wherever it is.
+    let mut tasks = JoinSet::new();
+    access.follow(engine.weights().clone(), &mut tasks);
     let phase = watch::Sender::new(Phase::Serving);
     let budget = Budget::told(limits.memory_bytes, engine.memory_outside_jobs());
     metrics.memory(engine.memory_outside_jobs(), limits.memory_bytes);
@@ -265,8 +267,6 @@ pub async fn run(
     if access.options().reflection {
         routes = routes.add_service(reflection(names)?.build_v1()?).add_service(reflection(names)?.build_v1alpha()?);
     }
-    // Ended with the server, wherever it is.
-    let mut tasks = JoinSet::new();
     tasks.spawn(Arc::clone(&health).follow(readiness.clone()));
     tasks.spawn(health::probes(engine.clone(), readiness.clone(), metrics.clone(), limits.probe));
     if let Some(jobs) = &jobs {

@@ -4,9 +4,12 @@
 //! nothing writes logs to the standard output. Every line that belongs to a call or a job has its span, with `trace_id` and `job`.
 //! Work never waits for a collector. Must not know: what is logged.
 
+mod seldom;
 pub mod trace;
 #[cfg(feature = "otlp")]
 mod traces;
+
+pub use seldom::Seldom;
 
 use std::io::IsTerminal;
 
@@ -61,8 +64,8 @@ pub struct Telemetry {
     _writing: tracing_appender::non_blocking::WorkerGuard,
 }
 
-/// Starts logging, and exports traces if somebody takes them. What is logged: the variable `TESSERA_LOG`, or `default` (e.g.
-/// "info").
+/// Starts logging, and the export of traces if there is a collector. The filter of the log is the variable `TESSERA_LOG`, or
+/// `default` (e.g. "info").
 ///
 /// # Errors
 /// [`TelemetryError`].
@@ -71,7 +74,7 @@ pub fn start(format: LogFormat, default: &str, traces: Option<&Traces>) -> Resul
         Ok(filter) if !filter.trim().is_empty() => EnvFilter::try_new(filter)?,
         _ => EnvFilter::try_new(default)?,
     };
-    // A thread of its own writes: nobody at work waits for who reads the log. What it is too slow for is left out.
+    // Written in a thread of its own: work never waits for a slow reader of the log, which loses lines instead.
     let (writer, writing) = tracing_appender::non_blocking(std::io::stderr());
     // Whatever is logged: a line has the names that its spans have.
     let spans = filter_fn(names_work).with_max_level_hint(LevelFilter::INFO);

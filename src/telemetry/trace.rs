@@ -14,12 +14,12 @@ use tracing::instrument::{Instrument, Instrumented};
 /// The metadata that carries it.
 pub const TRACEPARENT: &str = "traceparent";
 
-/// A trace and the span in it that something was asked from.
+/// A trace and the calling span in it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct TraceContext {
     /// The trace. Not 0.
     pub trace_id: u128,
-    /// The span that asks; 0 if it is told to nobody.
+    /// The calling span; 0 if it is not exported.
     pub span_id: u64,
     /// Whether the caller keeps this trace.
     pub is_sampled: bool,
@@ -52,16 +52,8 @@ impl TraceContext {
     }
 
     /// The trace as it is written.
-    pub fn id(&self) -> impl fmt::Display {
-        Id(self.trace_id)
-    }
-}
-
-struct Id(u128);
-
-impl fmt::Display for Id {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{:032x}", self.0)
+    pub fn id(&self) -> String {
+        format!("{:032x}", self.trace_id)
     }
 }
 
@@ -80,12 +72,12 @@ pub fn here() -> Option<TraceContext> {
     HERE.try_with(|here| *here).ok()
 }
 
-/// Makes a span part of `parent`'s trace, or of a new one, and tells it the trace's number in its field `trace_id`. Gives what
-/// its own children take for their parent. Called once, before anything is done in the span.
+/// Makes a span part of `parent`'s trace, or of a new one, and records the trace in its field `trace_id`. Returns the parent
+/// of its children. Called once, before anything is done in the span.
 pub fn join(span: &Span, parent: Option<TraceContext>) -> TraceContext {
     let exported = export::join(span, parent);
     let context = exported.or(parent).unwrap_or_else(TraceContext::new);
-    span.record("trace_id", tracing::field::display(context.id()));
+    span.record("trace_id", context.id());
     context
 }
 
@@ -122,7 +114,7 @@ mod export {
             let flags = if is_sampled { TraceFlags::SAMPLED } else { TraceFlags::default() };
             let (trace, asks) = (TraceId::from(trace_id), SpanId::from(span_id));
             let parent = SpanContext::new(trace, asks, flags, true, TraceState::default());
-            // A span that nobody exports has no parent.
+            // A span that is not exported has no parent.
             let _ = span.set_parent(Context::new().with_remote_span_context(parent));
         }
         let context = span.context();

@@ -1,10 +1,10 @@
 //! Spans to a collector, by OTLP over gRPC.
 //!
-//! Purpose: [`Exporting`] sends spans in batches from a thread of its own. Invariant: spans that nobody takes are dropped, and
-//! work never waits for them; a collector that is away costs a log line now and then. Must not know: what spans are about.
+//! Purpose: [`Exporting`] sends spans in batches from a thread of its own. Invariant: spans that the collector does not take
+//! are dropped, and work never waits for them; a collector that is away costs a log line now and then. Must not know: what
+//! spans are about.
 
-use std::sync::{Mutex, PoisonError};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use opentelemetry::KeyValue;
 use opentelemetry::trace::TracerProvider as _;
@@ -19,7 +19,7 @@ use tracing_subscriber::Layer;
 use tracing_subscriber::filter::filter_fn;
 use tracing_subscriber::registry::LookupSpan;
 
-use super::{TelemetryError, Traces};
+use super::{Seldom, TelemetryError, Traces};
 
 /// For the collector to take a batch.
 const EXPORT_TIME: Duration = Duration::from_secs(5);
@@ -63,7 +63,7 @@ impl Exporting {
         let provider = SdkTracerProvider::builder()
             .with_sampler(Sampler::ParentBased(Box::new(ratio)))
             .with_resource(resource)
-            .with_batch_exporter(Patient { exporter, told: Mutex::default() })
+            .with_batch_exporter(Patient { exporter, log: Seldom::every(PAUSE) })
             .build();
         Ok(Self { provider, runtime: Some(runtime) })
     }
@@ -87,7 +87,7 @@ fn is_exported(metadata: &Metadata<'_>) -> bool {
 
 impl Drop for Exporting {
     fn drop(&mut self) {
-        // Whoever ends does not wait for a collector that is away.
+        // The end of the program does not wait for a collector that is away.
         let _ = self.provider.shutdown_with_timeout(FLUSH_TIME);
         if let Some(runtime) = self.runtime.take() {
             runtime.shutdown_background();
@@ -95,23 +95,11 @@ impl Drop for Exporting {
     }
 }
 
-/// An exporter whose failures are told seldom.
+/// An exporter whose failures are seldom logged.
 #[derive(Debug)]
 struct Patient<E> {
     exporter: E,
-    told: Mutex<Option<Instant>>,
-}
-
-impl<E> Patient<E> {
-    /// Whether it is time to tell again.
-    fn is_due(&self) -> bool {
-        let mut told = self.told.lock().unwrap_or_else(PoisonError::into_inner);
-        let is_due = told.is_none_or(|last| last.elapsed() >= PAUSE);
-        if is_due {
-            *told = Some(Instant::now());
-        }
-        is_due
-    }
+    log: Seldom,
 }
 
 impl<E: SpanExporter> SpanExporter for Patient<E> {
@@ -119,7 +107,7 @@ impl<E: SpanExporter> SpanExporter for Patient<E> {
         let spans = batch.len();
         let exported = self.exporter.export(batch).await;
         if let Err(error) = &exported
-            && self.is_due()
+            && self.log.count().is_some()
         {
             tracing::warn!(%error, spans, "traces could not be exported, and are lost until the collector is back");
         }

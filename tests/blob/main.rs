@@ -58,7 +58,7 @@ fn chunk_at(bytes: &Bytes, offset: u64, length: usize) -> Chunk {
 async fn send(store: &dyn BlobStore, id: UploadId, bytes: &Bytes) -> Result<u64, BlobError> {
     let mut status = store.begin(id).await?;
     let mut sent = 0;
-    while !status.complete && status.kept_bytes < id.size_bytes() {
+    while !status.complete && status.kept_bytes < id.size_bytes {
         let chunk = chunk_at(bytes, status.kept_bytes, CHUNK);
         sent += chunk.bytes.len() as u64;
         status = store.write(id, chunk).await?;

@@ -53,12 +53,12 @@ async fn an_upload_goes_on_in_another_process_after_the_last_part() {
     send_large(&one, &bytes, PART + (3 << 20)).await;
     assert_eq!(one.upload_status(id).await.unwrap().kept_bytes, PART + (3 << 20));
     assert_eq!(two.upload_status(id).await.unwrap().kept_bytes, PART);
-    send_large(&two, &bytes, id.size_bytes()).await;
+    send_large(&two, &bytes, id.size_bytes).await;
     assert!(matches!(one.finish(id, None).await, Err(BlobError::Incomplete { .. })));
     two.finish(id, None).await.unwrap();
-    assert_eq!(read_all(&one, id.digest()).await.unwrap(), bytes);
+    assert_eq!(read_all(&one, id.digest).await.unwrap(), bytes);
     one.abandon(id).await.unwrap();
-    assert_eq!(read_all(&two, id.digest()).await.unwrap(), bytes);
+    assert_eq!(read_all(&two, id.digest).await.unwrap(), bytes);
 }
 
 #[tokio::test]
@@ -70,7 +70,7 @@ async fn wrong_bytes_of_many_parts_leave_nothing() {
     let wrong = content(3, usize::try_from(PART).unwrap() + 1);
     let id = jobs::blob::UploadId::new(Digest::of(b"other"), wrong.len() as u64);
     let mut kept = blobs.begin(id).await.unwrap().kept_bytes;
-    while kept < id.size_bytes() {
+    while kept < id.size_bytes {
         let start = usize::try_from(kept).unwrap();
         let piece = wrong.slice(start..wrong.len().min(start + (1 << 20)));
         kept = blobs.write(id, Chunk::new(kept, piece)).await.unwrap().kept_bytes;

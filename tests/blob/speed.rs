@@ -62,7 +62,7 @@ fn speed() {
                 let piece: Bytes = piece;
                 read += std::hint::black_box(piece).len() as u64;
             }
-            assert_eq!(read, id.size_bytes());
+            assert_eq!(read, id.size_bytes);
             let (read_s, read_moved) = (start.elapsed().as_secs_f64(), watch.grown_mib());
             let read_cpu_s = cpu_s() - cpu;
             store.delete(digest).await.unwrap();

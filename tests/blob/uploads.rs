@@ -106,15 +106,15 @@ async fn a_cut_upload_goes_on_where_it_was_and_is_never_whole_early() {
         for cut in 0..20 {
             let bytes = content(cut, 20 * CHUNK);
             let id = upload_of(&bytes);
-            let size_bytes = id.size_bytes();
+            let size_bytes = id.size_bytes;
             store.begin(id).await.unwrap();
             for k in 0..cut {
                 let status = store.write(id, chunk_at(&bytes, k * CHUNK as u64, CHUNK)).await.unwrap();
                 assert!(!status.complete);
             }
             let kept_bytes = cut * CHUNK as u64;
-            assert_eq!(store.stat(id.digest()).await, Err(BlobError::NotFound { digest: id.digest() }));
-            assert_eq!(store.find_missing(&[id.digest()]).await.unwrap(), [id.digest()]);
+            assert_eq!(store.stat(id.digest).await, Err(BlobError::NotFound { digest: id.digest }));
+            assert_eq!(store.find_missing(&[id.digest]).await.unwrap(), [id.digest]);
             assert_eq!(store.finish(id, None).await, Err(BlobError::Incomplete { kept_bytes, size_bytes }), "{kind}");
             assert_eq!(send(&store, id, &bytes).await.unwrap(), size_bytes - kept_bytes, "{kind}: bytes sent again");
             store.finish(id, None).await.unwrap();
@@ -122,7 +122,7 @@ async fn a_cut_upload_goes_on_where_it_was_and_is_never_whole_early() {
             store.finish(id, None).await.unwrap();
             assert!(store.begin(id).await.unwrap().complete);
             assert!(store.upload_status(id).await.unwrap().complete);
-            assert_eq!(read_all(&store, id.digest()).await.unwrap(), bytes);
+            assert_eq!(read_all(&store, id.digest).await.unwrap(), bytes);
         }
         assert_eq!(store.usage().await.unwrap().uploads, 0);
     }
@@ -134,7 +134,7 @@ async fn bad_chunks_are_refused_and_change_nothing() {
     for (kind, store, _folder) in each(options).await {
         let bytes = content(1, 5 << 20);
         let (id, size_bytes) = (upload_of(&bytes), 5 << 20);
-        let nobody = BlobError::UploadNotFound { digest: id.digest() };
+        let nobody = BlobError::UploadNotFound { digest: id.digest };
         assert_eq!(store.write(id, chunk_at(&bytes, 0, CHUNK)).await, Err(nobody.clone()));
         assert_eq!(store.upload_status(id).await, Err(nobody.clone()));
         assert_eq!(store.finish(id, None).await, Err(nobody.clone()));
@@ -163,8 +163,8 @@ async fn bad_chunks_are_refused_and_change_nothing() {
         let large = UploadId::new(Digest::of(b"large"), size_bytes + 1);
         let limit = BlobError::TooLarge { size_bytes: size_bytes + 1, limit_bytes: size_bytes };
         assert_eq!(store.begin(large).await, Err(limit));
-        let other = UploadId::new(id.digest(), 1);
-        let differs = BlobError::WrongSize { digest: id.digest(), promised_bytes: 1, actual_bytes: size_bytes };
+        let other = UploadId::new(id.digest, 1);
+        let differs = BlobError::WrongSize { digest: id.digest, promised_bytes: 1, actual_bytes: size_bytes };
         assert_eq!(store.begin(other).await, Err(differs));
     }
 }
@@ -175,14 +175,14 @@ async fn a_wrong_digest_leaves_nothing() {
         let (right, wrong) = (content(1, 3 * CHUNK), content(2, 3 * CHUNK));
         let id = upload_of(&right);
         send(&store, id, &wrong).await.unwrap();
-        let expected = BlobError::DigestMismatch { expected: id.digest(), actual: Digest::of(&wrong) };
+        let expected = BlobError::DigestMismatch { expected: id.digest, actual: Digest::of(&wrong) };
         assert_eq!(store.finish(id, Some("job")).await, Err(expected), "{kind}");
         let usage = store.usage().await.unwrap();
         assert_eq!((usage.uploads, usage.uploading_bytes, usage.blobs), (0, 0, 0));
         if let Some(folder) = &folder {
             assert_eq!(files(folder.path()), []);
         }
-        assert_eq!(put(&store, &right).await.unwrap(), id.digest());
+        assert_eq!(put(&store, &right).await.unwrap(), id.digest);
     }
 }
 
@@ -202,13 +202,13 @@ async fn nobody_spoils_the_upload_of_another() {
         // Others do not learn of it: each sends all of it, and nobody has it for less.
         assert!(!store.upload_status(late).await.unwrap().complete && !store.begin(late).await.unwrap().complete);
         store.write(late, chunk_at(&right, 0, 3 * CHUNK)).await.unwrap();
-        assert!(!store.is_owned(late.owner().unwrap(), late.digest()).await.unwrap());
+        assert!(!store.is_owned(late.owner.unwrap(), late.digest).await.unwrap());
         store.finish(late, None).await.unwrap();
         assert!(store.begin(late).await.unwrap().complete);
         let short = store.finish(early, None).await;
         assert_eq!(short, Err(BlobError::Incomplete { kept_bytes: 0, size_bytes: right.len() as u64 }), "{kind}");
         store.abandon(early).await.unwrap();
-        assert_eq!(read_all(&store, good.digest()).await.unwrap(), right);
+        assert_eq!(read_all(&store, good.digest).await.unwrap(), right);
         let usage = store.usage().await.unwrap();
         assert_eq!((usage.uploads, usage.uploading_bytes, usage.blob_bytes), (0, 0, right.len() as u64));
         if let Some(folder) = &folder {

@@ -1,6 +1,6 @@
-//! What every benchmark is told.
+//! Options of every benchmark.
 //!
-//! Purpose: the surface, the seeds, how many steps, who works and where figures go: one set of options for all benchmarks.
+//! Purpose: one set of options for all benchmarks: surface, seeds, steps, backend and files of figures.
 //! Invariant: a file that cannot be written is refused before anything is measured. Must not know: what is measured.
 
 use std::path::{Path, PathBuf};
@@ -82,7 +82,7 @@ impl RunArgs {
         token()
     }
 
-    /// So many seeds, to be drawn.
+    /// `points` seeds, to be drawn.
     pub(super) fn drawn(&self, points: u32) -> Seeds {
         Seeds::Sample { points: points as usize, seed: self.seed }
     }
@@ -108,7 +108,7 @@ pub(super) fn token() -> Result<Token> {
     Ok(token)
 }
 
-/// A mesh and its name: a file's, or a shape of about so many facets.
+/// A mesh and its name: a file's, or a shape of about `facets` facets.
 pub(super) fn mesh(file: Option<&Path>, shape: Shape, facets: usize) -> Result<(String, TriMesh)> {
     Ok(match file {
         Some(path) => (path.file_stem().unwrap_or_default().to_string_lossy().into_owned(), files::read_mesh(path)?),

@@ -1,6 +1,6 @@
 //! `tessera bench fig4`: a fixed number of steps.
 //!
-//! Purpose: time of so many Lloyd steps against a few thousand points (\[HYWZ17\], Figure 4), from random seeds.
+//! Purpose: time of a fixed number of Lloyd steps against a few thousand points (\[HYWZ17\], Figure 4), from random seeds.
 //! Invariant: all backends begin at the same seeds. Must not know: how a step is taken.
 
 use std::time::Duration;

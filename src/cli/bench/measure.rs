@@ -72,7 +72,7 @@ impl Load {
         Ok(TriMesh::new(positions, self.surface.facets().to_vec())?)
     }
 
-    /// Moves the seeds by so many Lloyd steps, fewer if `limit` is over.
+    /// Moves the seeds by `steps` Lloyd steps, fewer if `limit` is over.
     pub(super) fn relax(&mut self, by: &Worker, steps: usize, limit: Duration, token: &Token) -> Result<()> {
         let begin = Instant::now();
         let mut cvt = self.cvt(by)?;

@@ -29,6 +29,13 @@ pub(super) struct Row {
     pub(super) parallel_ms: Option<f64>,
 }
 
+impl Row {
+    /// Times of the GPU, one core and all cores.
+    pub(super) fn times(&self) -> [Option<f64>; 3] {
+        [self.gpu_ms, self.serial_ms, self.parallel_ms]
+    }
+}
+
 /// What a publication says.
 #[derive(Clone, Debug, Default, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -50,7 +57,7 @@ impl Published {
                 "{e}; it should be {{\"source\": \"...\", \"rows\": [{{\"mesh\": \"bunny\", \"gpu_ms\": 1.5, ...}}]}}"
             ))
         })?;
-        let times = published.rows.iter().flat_map(|r| [r.gpu_ms, r.serial_ms, r.parallel_ms]).flatten();
+        let times = published.rows.iter().flat_map(Row::times).flatten();
         match times.into_iter().find(|ms| !(ms.is_finite() && *ms > 0.0)) {
             Some(ms) => Err(bad(format!("{ms} is no time; milliseconds are above 0")).into()),
             None => Ok(published),

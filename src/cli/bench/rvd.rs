@@ -19,7 +19,7 @@ use super::spread::Spread;
 use super::worker::Worker;
 use geometry::rvd::{Accumulate, CellSums, DeviceWork, PassStats, Session, SessionOptions, Strategy, Surface, Tuning};
 use geometry::token::Token;
-pub(super) use gpu::diagram::AccumulationMs;
+use gpu::diagram::{AccumulationMs, Gpu};
 use picture::chart::{Axis, Figure, Panel, Series};
 
 /// `tessera bench rvd`'s options.
@@ -74,21 +74,12 @@ pub(super) fn run(args: &RvdBenchArgs) -> Result<()> {
     for _ in 0..args.run.relax {
         step(session.as_mut(), &mut seeds, &token)?;
     }
-    let mut steps = Vec::new();
-    for _ in 0..args.run.iterations {
-        steps.push(step(session.as_mut(), &mut seeds, &token)?);
-    }
+    let timed = (0..args.run.iterations).map(|_| step(session.as_mut(), &mut seeds, &token));
+    let steps = timed.collect::<Result<Vec<_>>>()?;
     drop(session);
-    let adding = match &worker.gpu {
-        Some(gpu) => Some(gpu.measure_accumulation(
-            Arc::clone(&surface),
-            &seeds,
-            options,
-            args.run.iterations as usize,
-            &token,
-        )?),
-        None => None,
-    };
+    let iterations = args.run.iterations as usize;
+    let adding = |gpu: &Arc<Gpu>| gpu.measure_accumulation(Arc::clone(&surface), &seeds, options, iterations, &token);
+    let adding = worker.gpu.as_ref().map(adding).transpose()?;
     let case = Case { name, surface, points: seeds.len(), steps, adding, tuning: options.tuning };
     case.print(args, &worker)?;
     args.run.output.write(&report(std::slice::from_ref(&worker), vec![case.json(args)]), &case.figure(&worker))
@@ -129,6 +120,16 @@ fn step(session: &mut dyn Session, seeds: &mut [DVec3], token: &Token) -> Result
     Ok(Step { ms: begin.elapsed().as_secs_f64() * 1e3, stats })
 }
 
+/// Name of a phase and its milliseconds.
+type Phase = (&'static str, fn(&PassStats) -> f64);
+
+const PHASES: [Phase; 4] = [
+    ("neighbours", |s| s.neighbours_ms),
+    ("start", |s| s.start_ms),
+    ("clip", |s| s.clip_ms),
+    ("update", |s| s.update_ms),
+];
+
 struct Case {
     name: String,
     surface: Arc<Surface>,
@@ -140,13 +141,7 @@ struct Case {
 
 impl Case {
     fn phases(&self) -> [(&'static str, Spread); 4] {
-        let of = |phase: fn(&PassStats) -> f64| Spread::of(self.steps.iter().map(|s| phase(&s.stats)));
-        [
-            ("neighbours", of(|s| s.neighbours_ms)),
-            ("start", of(|s| s.start_ms)),
-            ("clip", of(|s| s.clip_ms)),
-            ("update", of(|s| s.update_ms)),
-        ]
+        PHASES.map(|(name, of)| (name, Spread::of(self.steps.iter().map(|s| of(&s.stats)))))
     }
 
     fn total(&self) -> PassStats {
@@ -201,21 +196,17 @@ impl Case {
     }
 
     fn figure(&self, worker: &Worker) -> Figure {
-        let line = |name: &str, of: fn(&Step) -> f64| Series {
+        let line = |name: &str, of: &dyn Fn(&Step) -> f64| Series {
             name: name.to_owned(),
             points: self.steps.iter().enumerate().map(|(k, s)| (k as f64 + 1.0, of(s))).collect(),
         };
+        let mut series = vec![line("iteration", &|s| s.ms)];
+        series.extend(PHASES.map(|(name, of)| line(name, &|s| of(&s.stats))));
         let panel = Panel {
             title: worker.describe(),
             x: Axis::linear("iteration"),
             y: Axis::linear("ms"),
-            series: vec![
-                line("iteration", |s| s.ms),
-                line("neighbours", |s| s.stats.neighbours_ms),
-                line("start", |s| s.stats.start_ms),
-                line("clip", |s| s.stats.clip_ms),
-                line("update", |s| s.stats.update_ms),
-            ],
+            series,
             ..Panel::default()
         };
         let title = format!("{}: {} facets, {} points", self.name, self.surface.facets().len(), self.points);

@@ -50,7 +50,7 @@ pub(super) struct Table1Args {
 /// Models that need no file: shape, facets, points.
 const MODELS: [(Shape, u32, u32); 3] =
     [(Shape::Torus, 20_000, 15_000), (Shape::Sphere, 69_000, 20_000), (Shape::Genus(3), 100_000, 50_000)];
-/// Seeds on a file, if nobody says how many.
+/// Seeds on a file, if --points is not given.
 const POINTS: u32 = 10_000;
 
 /// The columns of times: name in reports, head.
@@ -148,7 +148,7 @@ impl Row {
 
     /// How much longer one core and all cores take than the GPU.
     fn speedups(&self) -> [Option<f64>; 2] {
-        speedups(self.ms("gpu"), self.ms("serial"), self.ms("parallel"))
+        speedups(COLUMNS.map(|(column, _)| self.ms(column)))
     }
 
     fn line(&self, published: &Published) -> String {
@@ -178,15 +178,15 @@ impl Row {
     }
 }
 
-fn speedups(gpu: Option<f64>, serial: Option<f64>, parallel: Option<f64>) -> [Option<f64>; 2] {
+fn speedups([gpu, serial, parallel]: [Option<f64>; 3]) -> [Option<f64>; 2] {
     [serial, parallel].map(|cpu| ratio(cpu?, gpu?))
 }
 
 /// A row of the publication.
 fn said(row: &super::published::Row) -> String {
-    let [one, all] = speedups(row.gpu_ms, row.serial_ms, row.parallel_ms);
-    let times = [row.gpu_ms, row.serial_ms, row.parallel_ms].map(|ms| number(ms, 3));
-    format!("{}, {}, {}, {}, {}", times[0], times[1], times[2], number(one, 2), number(all, 2))
+    let [gpu, serial, parallel] = row.times().map(|ms| number(ms, 3));
+    let [one, all] = speedups(row.times()).map(|ratio| number(ratio, 2));
+    format!("{gpu}, {serial}, {parallel}, {one}, {all}")
 }
 
 /// What the publication has beside, and where its figures are from.
@@ -198,13 +198,8 @@ fn close(published: &Published, rows: &[Row]) -> Result<()> {
     let measured = |mesh: &str| rows.iter().any(|row| row.load.name.eq_ignore_ascii_case(mesh));
     for row in published.rows.iter().filter(|row| !measured(&row.mesh)) {
         let count = |n: Option<u64>| n.map_or("-".to_owned(), |n| n.to_string());
-        outln!(
-            "{:<16}{:>9}{:>9}   not measured; published: {}",
-            row.mesh,
-            count(row.facets),
-            count(row.points),
-            said(row)
-        )?;
+        let (mesh, facets, points) = (&row.mesh, count(row.facets), count(row.points));
+        outln!("{mesh:<16}{facets:>9}{points:>9}   not measured; published: {}", said(row))?;
     }
     outln!("published figures: {}", if published.source.is_empty() { "no source given" } else { &published.source })?;
     Ok(())
@@ -216,14 +211,9 @@ fn figure(rows: &[Row], published: &Published) -> Figure {
         let points = rows.iter().enumerate().filter_map(|(k, row)| Some((k as f64, row.ms(column)?)));
         series.push(Series { name: head.to_owned(), points: points.collect() });
     }
-    let of = [
-        |row: &super::published::Row| row.gpu_ms,
-        |row: &super::published::Row| row.serial_ms,
-        |row: &super::published::Row| row.parallel_ms,
-    ];
-    for ((_, head), of) in COLUMNS.into_iter().zip(of) {
-        let points =
-            rows.iter().enumerate().filter_map(|(k, row)| Some((k as f64, of(published.row(&row.load.name)?)?)));
+    for (column, (_, head)) in COLUMNS.into_iter().enumerate() {
+        let time = |row: &Row| published.row(&row.load.name)?.times()[column];
+        let points = rows.iter().enumerate().filter_map(|(k, row)| Some((k as f64, time(row)?)));
         series.push(Series { name: format!("{head}, published"), points: points.collect() });
     }
     series.retain(|s| !s.points.is_empty());

@@ -76,7 +76,7 @@ impl Worker {
         }
     }
 
-    /// Who it is.
+    /// Backend, adapter and threads.
     pub(super) fn json(&self) -> Value {
         let (adapter, threads) = (self.backend.adapter(), self.backend.threads());
         json!({ "backend": self.name(), "adapter": adapter, "threads": threads })

@@ -1,4 +1,4 @@
-//! Who makes the calls of a load, and when.
+//! The clients of a load.
 //!
 //! Purpose: a closed loop of clients that ask again after each answer, an open loop that sends by the plan whatever the
 //! server does, slow readers beside either; and what is left of calls is cleared away.
@@ -6,7 +6,7 @@
 //! sooner if it is stopped. Must not know: what is in a call, how figures are shown.
 
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 use tokio::sync::{Semaphore, mpsc, watch};
@@ -19,13 +19,14 @@ use super::measure::{Measure, When};
 use super::plan::{Arrivals, Item, Items};
 use super::view::View;
 use crate::remote::Door;
+use jobs::lock;
 
 /// How calls follow each other.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Looping {
-    /// So many clients; each asks again once it has its answer.
+    /// Each of the clients asks again once it has its answer.
     Closed { clients: u32 },
-    /// So many calls a second, at most so many open.
+    /// Calls a second, and the most open ones.
     Open { rate: f64, max_in_flight: u32 },
 }
 
@@ -108,24 +109,15 @@ pub(super) async fn run(caller: Arc<Caller>, doors: Doors, schedule: Schedule, k
         false => Vec::new(),
     };
     let measure = Mutex::new(Measure::new(schedule.window()));
-    let start = Instant::now();
-    let run = Arc::new(Run {
-        caller: Arc::clone(&caller),
-        doors,
-        schedule,
-        measure,
-        open: AtomicU64::new(0),
-        start,
-        stop,
-        rubbish,
-    });
+    let (open, start) = (AtomicU64::new(0), Instant::now());
+    let run = Arc::new(Run { caller: Arc::clone(&caller), doors, schedule, measure, open, start, stop, rubbish });
     let shown = tokio::spawn(show(Arc::clone(&run), view));
     run.calls().await;
     shown.abort();
     let _ = shown.await;
     let stopped = *run.stop.borrow();
     let measure = {
-        let mut measure = run.lock();
+        let mut measure = lock(&run.measure);
         measure.turn(run.start.elapsed());
         measure.clone()
     };
@@ -167,17 +159,13 @@ async fn show(run: Arc<Run>, view: View) {
     loop {
         tick.tick().await;
         let elapsed = run.start.elapsed();
-        let mut measure = run.lock();
+        let mut measure = lock(&run.measure);
         measure.turn(elapsed);
         view.draw(&measure, elapsed, run.open.load(Ordering::Relaxed));
     }
 }
 
 impl Run {
-    fn lock(&self) -> MutexGuard<'_, Measure> {
-        self.measure.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
     fn is_stopped(&self) -> bool {
         *self.stop.borrow()
     }
@@ -204,7 +192,7 @@ impl Run {
         }
         while clients.join_next().await.is_some() {}
         if self.is_stopped() {
-            self.lock().cut(self.start.elapsed());
+            lock(&self.measure).cut(self.start.elapsed());
         }
     }
 
@@ -221,7 +209,7 @@ impl Run {
                 break;
             }
             let Ok(place) = Arc::clone(&places).try_acquire_owned() else {
-                self.lock().dropped(intended);
+                lock(&self.measure).dropped(intended);
                 continue;
             };
             let Some(door) = door(&self.doors.usual, number) else { return };
@@ -280,7 +268,7 @@ impl Run {
         let asked = self.caller.ask(door, item, pace).await;
         self.open.fetch_sub(1, Ordering::Relaxed);
         let when = When { kind: item.kind, slow: pace.is_some(), intended, sent, ended: self.start.elapsed() };
-        self.lock().over(&when, &asked);
+        lock(&self.measure).over(&when, &asked);
         let Asked { outcome, rubbish, .. } = asked;
         if let Some((sender, rubbish)) = self.rubbish.as_ref().zip(rubbish) {
             let _ = sender.send((rubbish, door.clone(), is_at_end(&outcome))).await;
@@ -308,7 +296,7 @@ fn is_at_end(outcome: &Outcome) -> bool {
     }
 }
 
-/// The door of a number.
+/// The channel for the client or call of this number.
 fn door(doors: &[Door], number: u64) -> Option<Door> {
     doors.get((number % doors.len().max(1) as u64) as usize).cloned()
 }

@@ -1,8 +1,8 @@
 //! What a load came to: latencies, counts, and both by the second.
 //!
-//! Invariant: a latency runs from when its call was to begin, not from when it did: a stall counts for all who were to come
-//! meanwhile. Calls that were to begin in the measured time are counted; rates are of what ended in it. Must not know: how calls are made,
-//! how figures are shown.
+//! Invariant: a latency runs from the time when its call was to begin, not from when it did: a stall counts for all calls
+//! that were to begin meanwhile. Calls that were to begin in the measured time are counted; rates are of calls that ended in
+//! it. Must not know: how calls are made, how figures are shown.
 
 use std::collections::BTreeMap;
 use std::ops::Range;
@@ -16,7 +16,7 @@ use super::calls::{Asked, Outcome, Stages};
 
 /// A call that began later than this after it was to begin is late.
 pub(super) const LATE: Duration = Duration::from_millis(10);
-/// The most reasons and codes that are told apart.
+/// The most reasons and codes with an entry of their own.
 const NAMES: usize = 50;
 /// What all others are called.
 const OTHER: &str = "other";

@@ -4,12 +4,13 @@
 //! since it was given up or its connection was lost. Must not know: what is asked.
 
 use std::collections::BTreeMap;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 use tonic::{Code, Status};
 
 use crate::remote::is_lost;
+use jobs::lock;
 
 /// Counts of the calls of a method.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -45,7 +46,7 @@ impl Tally {
 
     /// The counts so far.
     pub(super) fn methods(&self) -> Methods {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner).clone()
+        lock(&self.0).clone()
     }
 }
 
@@ -71,7 +72,7 @@ impl Call {
 impl Drop for Call {
     fn drop(&mut self) {
         let time = self.began.elapsed();
-        let mut all = self.tally.0.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut all = lock(&self.tally.0);
         let calls = all.entry(self.method).or_default();
         match self.heard {
             Some(status) => {

@@ -1,6 +1,6 @@
 //! Thresholds that a load must keep, as `p99>2s` or `errors>0`.
 //!
-//! Invariant: a threshold on a latency that nobody measured is crossed: a check that saw nothing proves nothing.
+//! Invariant: a threshold on a latency that was not measured is crossed: a check that saw nothing proves nothing.
 //! Must not know: how anything is measured.
 
 use std::fmt;

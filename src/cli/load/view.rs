@@ -1,6 +1,6 @@
 //! How a run is, while it runs: a line on a terminal, nothing elsewhere.
 //!
-//! Invariant: on the standard error stream only. Must not know: who measures.
+//! Invariant: on the standard error stream only. Must not know: how figures are measured.
 
 use std::time::Duration;
 

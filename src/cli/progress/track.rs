@@ -18,7 +18,7 @@ type Stage = (&'static str, f64);
 pub(crate) struct Plan(Vec<Stage>);
 
 impl Plan {
-    /// Of a remesh of so many facets to so many points in so many steps, here or on a server.
+    /// Of a remesh, here or on a server.
     pub(crate) fn remesh(facets: usize, points: usize, steps: usize, remote: bool) -> Self {
         let (f, n) = (facets as f64 * 1e-6, points as f64 * 1e-6);
         let mut stages = vec![("read", 0.3 * f)];

@@ -90,7 +90,7 @@ impl Expected {
         self.rooms.insert((kind.into(), place), room);
     }
 
-    /// Looks at the next chunk. None where nobody needs its array, which is then not kept.
+    /// Checks the next chunk. `None` if its array was not asked for, and is not kept.
     pub(super) fn check(&mut self, mut chunk: Chunk) -> Result<Option<Chunk>> {
         if chunk.kind != i32::from(ArrayKind::Scalars) {
             // Not looked at for other arrays, and not a way to send one of them twice.
@@ -101,10 +101,8 @@ impl Expected {
         let (whole, length) = (chunk.total_bytes, chunk.data.len() as u64);
         let name = name(chunk.kind);
         if whole > room.bytes {
-            return Err(wrong(format!(
-                "{name} has {whole} bytes; what was asked for has at most {} of it",
-                room.bytes
-            )));
+            let most = room.bytes;
+            return Err(wrong(format!("{name} has {whole} bytes; what was asked for has at most {most} of it")));
         }
         if !whole.is_multiple_of(room.element_bytes) {
             return Err(wrong(format!("{name} has {whole} bytes, which are no whole elements")));
@@ -174,10 +172,8 @@ fn name(kind: i32) -> &'static str {
 pub(super) fn remesh(mesh: &TriMesh, curve_edges: &[[u32; 2]], done: &RemeshDone) -> Result<()> {
     let (vertices, facets) = (mesh.positions().len() as u64, mesh.facets().len() as u64);
     if (done.vertices, done.facets) != (vertices, facets) {
-        return Err(wrong(format!(
-            "{vertices} vertices and {facets} facets were sent, but it says {} and {}",
-            done.vertices, done.facets
-        )));
+        let RemeshDone { vertices: v, facets: f, .. } = done;
+        return Err(wrong(format!("{vertices} vertices and {facets} facets were sent, but it says {v} and {f}")));
     }
     match curve_edges.iter().find(|[a, b]| a == b || u64::from(*a.max(b)) >= vertices) {
         Some([a, b]) => Err(wrong(format!("there is no edge from vertex {a} to {b}; there are {vertices} vertices"))),
@@ -213,7 +209,7 @@ pub(super) struct Pieces {
 }
 
 impl Pieces {
-    /// Of a diagram of so many.
+    /// Of a diagram with these counts.
     pub(super) fn of(facets: usize, seeds: u64) -> Self {
         Self { facets: facets as u64, seeds, last: None }
     }
@@ -279,7 +275,7 @@ mod tests {
         assert!(said(expected.check(chunk(ArrayKind::Positions, 24, 72))).contains("48 bytes and then 72"));
         assert!(said(expected.check(chunk(ArrayKind::Positions, 25, 48))).contains("more were sent"));
         assert!(said(expected.whole()).contains("only 24"));
-        // Another number of the attribute is the same array, and what nobody asked for is not kept.
+        // Another number of the attribute is the same array, and an array that was not asked for is not kept.
         let again = Chunk { attribute: 9, ..chunk(ArrayKind::Positions, 24, 48) };
         assert_eq!(expected.check(again).unwrap().unwrap().attribute, 0);
         assert!(expected.whole().is_ok());

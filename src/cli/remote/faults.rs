@@ -108,10 +108,8 @@ fn said(url: &ServerUrl, status: &Status) -> anyhow::Error {
     let begins = |all: &[&str]| all.iter().any(|begin| text.starts_with(begin));
     if let Some(code) = text.strip_prefix(NO_GRPC) {
         let code = plain(code);
-        return Unavailable(format!(
-            "{url} answers with HTTP status {code} and without gRPC; is a tessera server running behind it?"
-        ))
-        .into();
+        let hint = "is a tessera server running behind it?";
+        return Unavailable(format!("{url} answers with HTTP status {code} and without gRPC; {hint}")).into();
     }
     if begins(UNREADABLE) || (status.code() == Code::Internal && text.contains("flag")) {
         return wrong(text);
@@ -126,7 +124,7 @@ fn said(url: &ServerUrl, status: &Status) -> anyhow::Error {
         Code::Unauthenticated => {
             Unavailable(format!("the server says: {said}; --key-file FILE names the file of the key")).into()
         }
-        // Nobody here cancelled it: that would not have waited for a status.
+        // Not cancelled by this side, which would not have waited for a status.
         Code::Cancelled => Unavailable(format!("the server cancelled the job: {said}; try again")).into(),
         _ => Unavailable(format!("the server says: {said}")).into(),
     }

@@ -1,8 +1,8 @@
 //! The connection to a server, and how long each of its signs of life may take.
 //!
 //! Purpose: a server that is gone, stuck or no server of ours ends a call with a sentence. Invariant: no wait is without
-//! an end; work that was admitted may take any time, as long as the connection lives. Each call says whose it is. Must not
-//! know: what is asked.
+//! an end; work that was admitted may take any time, as long as the connection lives. Each call carries tenant and key.
+//! Must not know: what is asked.
 
 use std::future::Future;
 use std::sync::Arc;
@@ -35,18 +35,15 @@ pub(super) struct Patience {
 }
 
 impl Patience {
-    /// For a request of so many vertices, facets and points: a server reads them before it answers.
+    /// For a request of `elements` vertices, facets and points: a server reads them before it answers.
     pub(super) fn with(elements: usize) -> Self {
         let reading = Duration::from_millis(elements as u64 / 10);
-        Self {
-            connect: Duration::from_secs(10),
-            ping: Duration::from_secs(20),
-            first: Duration::from_secs(60) + reading,
-        }
+        let [connect, ping, first] = [10, 20, 60].map(Duration::from_secs);
+        Self { connect, ping, first: first + reading }
     }
 }
 
-/// How much a server may send that nobody has read.
+/// How much a server may send ahead of the reader.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Windows {
     /// As much as the transport likes.
@@ -61,13 +58,11 @@ const NARROW_BYTES: u32 = 65_535;
 /// How many messages of a request have left.
 pub(super) type Sent = Arc<AtomicU64>;
 
-/// Where the server reads whose call it is.
+/// Metadata with the tenant, and with the key.
 const TENANT: &str = "tessera-tenant";
-
-/// Where it reads the key.
 const KEY: &str = "authorization";
 
-/// Says with each call whose it is.
+/// Adds tenant and key to each call.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Caller {
     tenant: Option<AsciiMetadataValue>,
@@ -136,10 +131,8 @@ impl<'a> Link<'a> {
         let endpoint = endpoint.http2_keep_alive_interval(patience.ping).keep_alive_timeout(patience.ping);
         let channel = endpoint.connect().await.map_err(|e| {
             let cause = faults::innermost(&e);
-            Unavailable(
-                tls::meaning(url, &cause)
-                    .unwrap_or_else(|| format!("cannot reach {url}: {cause}; is a server running there?")),
-            )
+            let meaning = tls::meaning(url, &cause);
+            Unavailable(meaning.unwrap_or_else(|| format!("cannot reach {url}: {cause}; is a server running there?")))
         })?;
         let link = Self { url, patience, channel, caller, sent: Sent::default() };
         link.greet().await?;
@@ -154,17 +147,14 @@ impl<'a> Link<'a> {
         let (url, limit) = (self.url, self.patience.connect);
         let cause = match tokio::time::timeout(limit, asked).await {
             Err(_) => format!("takes the connection, but said nothing for {} s", limit.as_secs_f32()),
-            Ok(Err(status)) => match std::error::Error::source(&status) {
-                Some(_) => {
-                    let cause = faults::innermost(&status);
-                    if let Some(meaning) = tls::meaning(url, &cause) {
-                        return Err(Unavailable(meaning).into());
-                    }
-                    format!("does not answer as a server of tessera ({cause})")
+            Ok(Err(status)) if std::error::Error::source(&status).is_some() => {
+                let cause = faults::innermost(&status);
+                if let Some(meaning) = tls::meaning(url, &cause) {
+                    return Err(Unavailable(meaning).into());
                 }
-                None => return Ok(()),
-            },
-            Ok(Ok(_)) => return Ok(()),
+                format!("does not answer as a server of tessera ({cause})")
+            }
+            Ok(_) => return Ok(()),
         };
         Err(Unavailable(format!("{url} {cause}; is one running there, and has it room for another connection?")).into())
     }
@@ -226,7 +216,7 @@ impl Line {
         Ok(Self { server: server.clone(), channel })
     }
 
-    /// A door for calls of a tenant; of the server's own tenant if none is named.
+    /// A channel for calls of a tenant; of the server's own tenant if none is named.
     pub(crate) fn door(&self, tenant: Option<&Tenant>) -> Result<Door> {
         let server = Server { tenant: tenant.or(self.server.tenant.as_ref()).cloned(), ..self.server.clone() };
         Ok(InterceptedService::new(self.channel.clone(), Caller::of(&server)?))

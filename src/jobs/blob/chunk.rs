@@ -8,7 +8,6 @@ use std::str::FromStr;
 
 use bytes::Bytes;
 
-use super::digest::{from_hex, to_hex};
 use super::{BlobError, Digest, Owner};
 
 /// The longest chunk that is taken, bytes.
@@ -20,51 +19,37 @@ pub(super) const CHUNK_BYTES: usize = 1 << 20;
 /// The name of an upload: what it promises to become, and whose it is.
 ///
 /// Uploads of one owner with the same promise are the same upload: they continue each other. Uploads of different
-/// owners have nothing in common: nobody can spoil another's upload, or learn of it.
+/// owners are separate: an owner can neither spoil nor see the uploads of others.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct UploadId {
-    digest: Digest,
-    size_bytes: u64,
-    owner: [u8; 16],
+    /// Digest of the blob that it becomes.
+    pub digest: Digest,
+    /// Size of that blob.
+    pub size_bytes: u64,
+    /// Its owner. The server's own uploads have none, and are not kept out by uploads of others.
+    pub owner: Option<Owner>,
 }
 
 impl UploadId {
     /// An upload of the server's own.
     pub const fn new(digest: Digest, size_bytes: u64) -> Self {
-        Self { digest, size_bytes, owner: [0; 16] }
+        Self { digest, size_bytes, owner: None }
     }
 
     /// The same upload by `owner`: a tenant, for example. Any text will do.
     #[must_use]
     pub fn of(self, owner: &str) -> Self {
-        Self { owner: Owner::of(owner).bytes(), ..self }
-    }
-
-    /// Whose it is. What the process stores for itself is nobody's, and is not kept out by others' uploads.
-    pub fn owner(&self) -> Option<Owner> {
-        Owner::from_bytes(self.owner)
-    }
-
-    /// Whether it is somebody's.
-    pub(super) fn is_owned(&self) -> bool {
-        self.owner().is_some()
-    }
-
-    /// What it becomes.
-    pub const fn digest(&self) -> Digest {
-        self.digest
-    }
-
-    /// How many bytes it will have.
-    pub const fn size_bytes(&self) -> u64 {
-        self.size_bytes
+        Self { owner: Some(Owner::of(owner)), ..self }
     }
 }
+
+/// Stands for no owner in names of files.
+const NO_OWNER: Owner = Owner([0; 16]);
 
 /// The name under which the parts lie.
 impl fmt::Display for UploadId {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{}-{}-{}", self.digest, self.size_bytes, to_hex(&self.owner))
+        write!(f, "{}-{}-{}", self.digest, self.size_bytes, self.owner.unwrap_or(NO_OWNER))
     }
 }
 
@@ -78,7 +63,8 @@ impl FromStr for UploadId {
             return Err(());
         };
         let size_bytes = size.parse().map_err(|_| ())?;
-        let id = Self { digest: digest.parse().map_err(|_| ())?, size_bytes, owner: from_hex(owner).map_err(|_| ())? };
+        let owner = Some(owner.parse().map_err(|_| ())?).filter(|owner| *owner != NO_OWNER);
+        let id = Self { digest: digest.parse().map_err(|_| ())?, size_bytes, owner };
         // One text for each upload: no `+1`, no `01`.
         if id.to_string() == text { Ok(id) } else { Err(()) }
     }

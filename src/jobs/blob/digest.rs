@@ -4,12 +4,35 @@
 //! Invariant: the text form is 64 lower-case hexadecimal digits, and only that form parses.
 //! Must not know: where bytes come from.
 
-use std::fmt;
-use std::str::FromStr;
-
 use sha2::Digest as _;
 use sha2::Sha256;
 use sha2::digest::common::hazmat::{SerializableState, SerializedState};
+
+/// Text forms of a tuple struct of bytes: lower-case hexadecimal digits.
+macro_rules! hex_name {
+    ($name:ident) => {
+        impl std::fmt::Display for $name {
+            fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+                f.write_str(&$crate::blob::digest::to_hex(&self.0))
+            }
+        }
+
+        impl std::fmt::Debug for $name {
+            fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+                write!(f, concat!(stringify!($name), "({})"), self)
+            }
+        }
+
+        impl std::str::FromStr for $name {
+            type Err = $crate::blob::DigestError;
+
+            fn from_str(text: &str) -> Result<Self, Self::Err> {
+                $crate::blob::digest::from_hex(text).map(Self)
+            }
+        }
+    };
+}
+pub(super) use hex_name;
 
 /// The SHA-256 of a blob's bytes.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, serde::Serialize, serde::Deserialize)]
@@ -51,28 +74,7 @@ impl From<[u8; 32]> for Digest {
     }
 }
 
-impl fmt::Display for Digest {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(&to_hex(&self.0))
-    }
-}
-
-impl fmt::Debug for Digest {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "Digest({self})")
-    }
-}
-
-impl FromStr for Digest {
-    type Err = DigestError;
-
-    fn from_str(text: &str) -> Result<Self, DigestError> {
-        if text.len() != 64 {
-            return Err(DigestError::Length { length: text.len() });
-        }
-        from_hex(text).map(Self)
-    }
-}
+hex_name!(Digest);
 
 impl TryFrom<String> for Digest {
     type Error = DigestError;
@@ -95,9 +97,6 @@ pub(super) fn to_hex(bytes: &[u8]) -> String {
 }
 
 /// Reads exactly `2 N` lower-case hexadecimal digits.
-///
-/// # Errors
-/// [`DigestError`].
 pub(super) fn from_hex<const N: usize>(text: &str) -> Result<[u8; N], DigestError> {
     if text.len() != 2 * N {
         return Err(DigestError::Length { length: text.len() });

@@ -75,7 +75,7 @@ pub enum BlobError {
         /// What came.
         actual: Digest,
     },
-    /// What is stored is not what was uploaded: something else wrote to the storage. The blob was removed, whoever needs it.
+    /// What is stored is not what was uploaded: something else wrote to the storage. The blob was removed, pinned or not.
     #[error(
         "blob {digest} was damaged where it was stored, and was removed; upload it again, or run again the job that made it"
     )]
@@ -206,6 +206,14 @@ pub(super) fn io(what: &'static str) -> impl Fn(io::Error) -> BlobError {
 /// For `map_err`: an error of the object store while doing `what`.
 pub(super) fn object(what: &'static str) -> impl Fn(object_store::Error) -> BlobError {
     move |error| BlobError::storage(what, &error)
+}
+
+/// The answer of the object store while doing `what`; `None` if it has no such object.
+pub(super) fn found<T>(what: &'static str, answer: object_store::Result<T>) -> Result<Option<T>, BlobError> {
+    match answer {
+        Err(object_store::Error::NotFound { .. }) => Ok(None),
+        answer => answer.map(Some).map_err(object(what)),
+    }
 }
 
 /// For `map_err`: a task that panicked, or that the end of the process cut.

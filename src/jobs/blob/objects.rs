@@ -26,16 +26,16 @@ use object_store::{GetOptions, ObjectStore};
 use tokio::task::spawn_blocking;
 
 use super::chunk::{Chunk, UploadId, UploadStatus};
-use super::error::{io, join, object};
-use super::facts::{BlobInfo, Usage};
+use super::error::{found, io, join, object};
 use super::options::BlobOptions;
 use super::place::{BLOBS, path_of};
 use super::quota::Ledger;
 use super::reader::bytes_of;
 use super::staging::{Folder, Memory, Multipart, Staging};
-use super::store::{BlobRead, BlobStore};
-use super::upload::{Uploads, lock};
+use super::store::{BlobInfo, BlobRead, BlobStore, Usage};
+use super::upload::Uploads;
 use super::{BlobError, Digest, Owner};
+use crate::lock;
 use changes::{Inner, Kind};
 
 /// Folder of the uploads.
@@ -87,7 +87,8 @@ impl ObjectBlobs {
         store: Arc<S>,
         options: BlobOptions,
     ) -> Result<Self, BlobError> {
-        let staging = Multipart::new(Arc::clone(&store) as _, Arc::clone(&store) as _, UPLOADS);
+        let staging =
+            Multipart { objects: Arc::clone(&store) as _, parts: Arc::clone(&store) as _, prefix: UPLOADS.into() };
         Self::open(store, Box::new(staging), Kind::Shared, options).await
     }
 
@@ -126,13 +127,13 @@ impl ObjectBlobs {
         marks::scan(&*objects, &mut ledger, matches!(kind, Kind::Folder { .. })).await?;
         let uploads = Uploads::default();
         for (id, touched) in staging.scan().await? {
-            ledger.found_upload(id.size_bytes());
+            ledger.found_upload(id.size_bytes);
             uploads.found(id, touched);
         }
         Ok(Self(Arc::new(Inner::new(objects, staging, kind, options, ledger, uploads))))
     }
 
-    /// Runs a change to its end, whoever still waits for it.
+    /// Runs a change to its end, even if its caller goes away.
     async fn change<T, F>(&self, work: impl FnOnce(Arc<Inner>) -> F) -> Result<T, BlobError>
     where
         T: Send + 'static,
@@ -200,14 +201,13 @@ impl BlobStore for ObjectBlobs {
         // A whole blob is read to the end of what is there, which may be another end by now.
         let part = whole.is_none().then(|| range.clone().into());
         let wanted = GetOptions { range: part, ..GetOptions::default() };
-        match self.0.objects.get_opts(&path_of(&digest), wanted).await {
-            Ok(opened) => Ok(BlobRead { info, range, bytes: self.0.clone().guarded(bytes_of(opened, whole)) }),
-            Err(object_store::Error::NotFound { .. }) => {
+        match found("open a blob", self.0.objects.get_opts(&path_of(&digest), wanted).await)? {
+            Some(opened) => Ok(BlobRead { info, range, bytes: self.0.clone().guarded(bytes_of(opened, whole)) }),
+            None => {
                 // Another program removed it.
                 lock(&self.0.ledger).forget(&digest);
                 Err(BlobError::NotFound { digest })
             }
-            Err(error) => Err(object("open a blob")(error)),
         }
     }
 

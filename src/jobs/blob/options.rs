@@ -1,7 +1,6 @@
-//! How much a store of blobs keeps, and how long.
+//! Options of a blob store.
 //!
-//! Purpose: what who opens a store may choose. Invariant: the defaults suit a server with a disk of its own.
-//! Must not know: what kind of store it is.
+//! Invariant: the defaults suit a server with a disk of its own. Must not know: what kind of store it is.
 
 use std::time::Duration;
 
@@ -15,9 +14,9 @@ pub struct BlobOptions {
     pub blob_bytes: u64,
     /// Uploads under way.
     pub uploads: usize,
-    /// How long an upload is kept that nobody continues.
+    /// How long an idle upload is kept.
     pub keep_uploads: Duration,
-    /// How long an upload that nobody continues keeps its place while others need one.
+    /// How long an idle upload keeps its place while others need one.
     pub keep_crowded_uploads: Duration,
     /// Whether the disk must have a blob before it is said to be stored. Without, a loss of power may lose blobs.
     pub fsync: bool,

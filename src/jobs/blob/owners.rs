@@ -1,16 +1,33 @@
-//! Who has which blobs.
+//! Owners of blobs.
 //!
-//! Purpose: [`Owners`] are the books of ownership. Pure bookkeeping, no storage.
-//! Invariant: an owner's bytes are the sum of the sizes of its blobs. A blob has at most [`MOST`] owners. What is forgotten of
-//! a blob is forgotten of all its owners. Must not know: where blobs and marks lie, pins, quotas.
+//! Purpose: [`Owner`] stands for a tenant in the names of uploads and in the marks beside blobs; [`Owners`] has the owners of
+//! each blob. Pure bookkeeping, no storage.
+//! Invariant: two names give different owners, as far as SHA-256 does, and the name cannot be read from an owner. An owner's
+//! bytes are the sum of the sizes of its blobs. A blob has at most [`MOST`] owners. Forgetting a blob forgets all its owners.
+//! Must not know: keys, where blobs and marks lie, pins, quotas.
 
 use std::collections::{BTreeMap, HashMap};
 
-use super::{Digest, Owner};
+use super::Digest;
+use super::digest::hex_name;
 
-/// Owners of one blob. One more takes the place of the one that has had it longest, which can upload it again: whoever may
-/// invent names can fill no more than this.
+/// Owners of one blob. One more replaces the oldest owner, which can upload the blob again: a caller that invents names
+/// fills no more than this.
 pub(super) const MOST: usize = 256;
+
+/// See the module's head.
+#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct Owner(pub(super) [u8; 16]);
+
+hex_name!(Owner);
+
+impl Owner {
+    /// The owner of this name. Any text will do.
+    pub fn of(name: &str) -> Self {
+        let digest = Digest::of(name.as_bytes());
+        Self(std::array::from_fn(|k| digest.as_bytes()[k]))
+    }
+}
 
 /// See the module's head.
 #[derive(Debug, Default)]
@@ -29,7 +46,7 @@ struct Held {
 }
 
 impl Owners {
-    /// The owner has this blob from now on. Gives who has it no more.
+    /// Adds an owner. Returns the one that it replaces, if any.
     pub(super) fn add(&mut self, digest: Digest, size_bytes: u64, owner: Owner) -> Option<Owner> {
         self.last += 1;
         let owners = self.of_blob.entry(digest).or_default();
@@ -51,12 +68,12 @@ impl Owners {
         self.of_blob.get(digest).is_some_and(|owners| owners.contains_key(&owner))
     }
 
-    /// Whether anybody has it.
-    pub(super) fn is_anybodys(&self, digest: &Digest) -> bool {
+    /// Whether the blob has an owner.
+    pub(super) fn has_owner(&self, digest: &Digest) -> bool {
         self.of_blob.contains_key(digest)
     }
 
-    /// The owner has it no more. Whether it had it.
+    /// Removes an owner. Returns whether it was one.
     pub(super) fn take(&mut self, digest: &Digest, owner: Owner) -> bool {
         let Some(owners) = self.of_blob.get_mut(digest) else { return false };
         let had = owners.remove(&owner).is_some();
@@ -67,7 +84,7 @@ impl Owners {
         had
     }
 
-    /// Nobody has it any more.
+    /// Removes all owners of a blob.
     pub(super) fn forget(&mut self, digest: &Digest) {
         for owner in self.of_blob.remove(digest).unwrap_or_default().into_keys() {
             self.subtract(digest, owner);
@@ -115,7 +132,7 @@ mod tests {
         // What was taken anew is the youngest.
         owners.add(one, 10, a);
         assert_eq!(owners.oldest(a), [(two, 5), (one, 10)]);
-        assert!(owners.take(&one, a) && !owners.take(&one, a) && owners.is_anybodys(&one));
+        assert!(owners.take(&one, a) && !owners.take(&one, a) && owners.has_owner(&one));
         owners.forget(&one);
         assert!(!owners.has(&one, b) && owners.bytes(b) == 0 && owners.of_owner.len() == 1);
         owners.forget(&two);

@@ -1,15 +1,15 @@
 //! Which blobs there are, how much room they take, and which go first.
 //!
-//! Purpose: the bytes in use against the quota, the order of last use, the pins, and whose blobs are. Pure bookkeeping, no
+//! Purpose: the bytes in use against the quota, the order of last use, the pins and the owners. Pure bookkeeping, no
 //! storage. Invariant: after [`Ledger::reserve`] succeeded, blobs and reservations together are within the quota. A pinned
-//! blob is never among the victims. A refused reservation changes nothing. A blob that is forgotten is nobody's.
-//! Must not know: where blobs lie, who owners are.
+//! blob is never among the victims. A refused reservation changes nothing. Forgetting a blob forgets its owners.
+//! Must not know: where blobs lie, the names of owners.
 
 use std::collections::{BTreeSet, HashMap, HashSet};
 use std::time::SystemTime;
 
-use super::facts::{BlobInfo, Usage};
 use super::owners::Owners;
+use super::store::{BlobInfo, Usage};
 use super::{BlobError, Digest, Owner};
 
 #[derive(Clone, Copy, Debug)]
@@ -29,7 +29,7 @@ struct Pin {
 }
 
 /// See the module's head.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub(super) struct Ledger {
     limit_bytes: u64,
     blob_bytes: u64,
@@ -50,19 +50,7 @@ pub(super) struct Ledger {
 impl Ledger {
     /// Nothing stored.
     pub(super) fn new(limit_bytes: u64) -> Self {
-        Self {
-            limit_bytes,
-            blob_bytes: 0,
-            pinned_bytes: 0,
-            uploading_bytes: 0,
-            entries: HashMap::new(),
-            unpinned: BTreeSet::new(),
-            pins: HashMap::new(),
-            pinned_for: HashMap::new(),
-            owners: Owners::default(),
-            leaving: HashSet::new(),
-            last_stamp: 0,
-        }
+        Self { limit_bytes, ..Self::default() }
     }
 
     /// A blob that was stored before, used last at `stamp` (nanoseconds since 1970). The quota is not asked.
@@ -111,9 +99,8 @@ impl Ledger {
         Some((BlobInfo { digest: *digest, size_bytes: entry.size_bytes }, stamp))
     }
 
-    /// Keeps room for `size_bytes`. The victims are forgotten here; the caller removes their bytes. For somebody who
-    /// has promised other bytes already, `own_bytes`, all that is promised stays below a quarter of the room, and for all who
-    /// do so below three: the rest is for results.
+    /// Keeps room for `size_bytes`. The victims are forgotten here; the caller removes their bytes. An owner that has promised
+    /// `own_bytes` already may promise a quarter of the quota in all, and all owners three quarters: the rest is for results.
     ///
     /// # Errors
     /// `TooLarge` if it could never fit, `QuotaExceeded` if it does not fit now.
@@ -182,7 +169,7 @@ impl Ledger {
         Some(BlobInfo { digest: *digest, size_bytes: entry.size_bytes })
     }
 
-    /// Removes a blob that somebody asked to delete.
+    /// Removes a blob on request.
     ///
     /// # Errors
     /// `NotFound`, `Pinned`.
@@ -264,13 +251,13 @@ impl Ledger {
         self.entries.contains_key(digest) && self.owners.has(digest, owner)
     }
 
-    /// The owner has a blob from now on, if it is stored. Gives who has it no more, since it has too many owners.
+    /// Adds an owner to a blob that is stored. Returns the owner that it replaces, if there were too many.
     pub(super) fn give(&mut self, digest: &Digest, owner: Owner) -> Option<Owner> {
         let size_bytes = self.entries.get(digest)?.size_bytes;
         self.owners.add(*digest, size_bytes, owner)
     }
 
-    /// Takes a blob from its owner. Gives it if it is nobody's now and no pin holds it: it is out of the books then.
+    /// Takes a blob from its owner. Returns it if it has no owner left and no pin: it is out of the books then.
     ///
     /// # Errors
     /// `NotFound`, `Pinned`.
@@ -283,7 +270,7 @@ impl Ledger {
         }
         self.owners.take(digest, owner);
         let is_needed = self.entries.get(digest).is_some_and(|entry| entry.pins > 0);
-        if is_needed || self.owners.is_anybodys(digest) {
+        if is_needed || self.owners.has_owner(digest) {
             return Ok(None);
         }
         self.leaving.insert(*digest);
@@ -334,9 +321,9 @@ impl Ledger {
             blobs: self.entries.len(),
             blob_bytes: self.blob_bytes,
             pinned_bytes: self.pinned_bytes,
-            uploads: 0,
             uploading_bytes: self.uploading_bytes,
             limit_bytes: self.limit_bytes,
+            ..Usage::default()
         }
     }
 }

@@ -10,9 +10,6 @@ use super::BlobError;
 use super::error::object;
 
 /// The bucket and prefix of `url`; see [`ObjectBlobs::s3`](super::ObjectBlobs::s3).
-///
-/// # Errors
-/// `Unavailable`: a setting that is unknown or wrong.
 pub(super) fn open(
     url: &str,
     settings: impl IntoIterator<Item = (String, String)>,
@@ -27,7 +24,7 @@ pub(super) fn open(
         let key: AmazonS3ConfigKey = key.parse().map_err(object("read a setting of S3"))?;
         builder = builder.with_config(key, value);
     }
-    // Whoever was first keeps its provider; any will do.
+    // A provider that was installed before stays; any will do.
     drop(rustls::crypto::ring::default_provider().install_default());
     let store = builder.with_bucket_name(bucket).build().map_err(object("open the bucket"))?;
     Ok(PrefixStore::new(store, prefix))

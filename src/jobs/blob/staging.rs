@@ -10,7 +10,6 @@ mod folder;
 mod memory;
 mod multipart;
 
-use std::fmt::Debug;
 use std::time::SystemTime;
 
 use async_trait::async_trait;
@@ -21,12 +20,13 @@ pub(super) use folder::Folder;
 pub(super) use memory::Memory;
 pub(super) use multipart::Multipart;
 
+use super::BlobError;
 use super::chunk::UploadId;
-use super::{BlobError, Digest};
+use super::digest::Tally;
 
 /// See the module's head.
 #[async_trait]
-pub(super) trait Staging: Send + Sync + Debug {
+pub(super) trait Staging: Send + Sync {
     /// The uploads that an earlier process left, and when each was continued last. Removes what is of no use.
     async fn scan(&self) -> Result<Vec<(UploadId, SystemTime)>, BlobError>;
 
@@ -36,10 +36,7 @@ pub(super) trait Staging: Send + Sync + Debug {
     /// What is kept of an upload. `None` if there is nothing of it any more.
     async fn load(&self, id: UploadId) -> Result<Option<Box<dyn Part>>, BlobError>;
 
-    /// Whether something could be stored now.
-    ///
-    /// # Errors
-    /// `StorageFull`, `Unavailable`.
+    /// Checks that something could be stored now.
     async fn check(&self) -> Result<(), BlobError>;
 
     /// Removes what is kept of an upload, if anything is.
@@ -49,11 +46,8 @@ pub(super) trait Staging: Send + Sync + Debug {
 /// The bytes of one upload. After an error the part is of no use; [`Staging::load`] gives what is kept.
 #[async_trait]
 pub(super) trait Part: Send {
-    /// How many bytes there are.
-    fn kept_bytes(&self) -> u64;
-
-    /// The digest of these bytes.
-    fn digest(&self) -> Digest;
+    /// Number and digest of the bytes.
+    fn tally(&self) -> &Tally;
 
     /// Adds bytes at the end; `crc32c` was checked.
     async fn append(&mut self, bytes: Bytes, crc32c: u32) -> Result<(), BlobError>;

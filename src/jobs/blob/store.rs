@@ -1,6 +1,6 @@
 //! The interface to blobs.
 //!
-//! Purpose: [`BlobStore`] is what handlers and jobs see; [`put`] stores bytes that are in memory already.
+//! Purpose: [`BlobStore`] for handlers and jobs; [`put`] stores bytes that are in memory already.
 //! Invariant: every call names its upload or blob in full, so that any process that shares the storage can answer
 //! it. No call depends on an object that an earlier call returned.
 //! Must not know: where the bytes lie.
@@ -13,7 +13,6 @@ use bytes::Bytes;
 use futures_util::stream::BoxStream;
 
 use super::chunk::{CHUNK_BYTES, Chunk, UploadId, UploadStatus};
-use super::facts::{BlobInfo, Usage};
 use super::{BlobError, Digest, Owner};
 
 /// The longest piece that a read gives, bytes.
@@ -21,6 +20,32 @@ pub const READ_BYTES: usize = 1 << 20;
 
 /// The bytes of a range, in order, in pieces of at most [`READ_BYTES`].
 pub type ByteStream = BoxStream<'static, Result<Bytes, BlobError>>;
+
+/// A blob that is stored.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct BlobInfo {
+    /// Its name.
+    pub digest: Digest,
+    /// Its size.
+    pub size_bytes: u64,
+}
+
+/// What is in use, and what may be.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Usage {
+    /// Blobs that are stored.
+    pub blobs: usize,
+    /// Their bytes.
+    pub blob_bytes: u64,
+    /// The bytes of those that a pin holds.
+    pub pinned_bytes: u64,
+    /// Uploads under way.
+    pub uploads: usize,
+    /// Their promised bytes.
+    pub uploading_bytes: u64,
+    /// The quota.
+    pub limit_bytes: u64,
+}
 
 /// A read under way.
 pub struct BlobRead {
@@ -36,21 +61,23 @@ pub struct BlobRead {
 ///
 /// An upload: [`begin`](Self::begin), [`write`](Self::write) at ascending offsets, [`finish`](Self::finish). After a
 /// cut connection or a restart, [`upload_status`](Self::upload_status) says where to go on.
+///
+/// Every call may also fail with `Unavailable`.
 #[async_trait]
 pub trait BlobStore: Send + Sync + Debug {
     /// Begins an upload or goes on with one. Room for the whole size is kept from here on. Blobs may be evicted.
     ///
-    /// If the blob is stored already and the upload's owner has it, the status says so, and there is nothing to do. Who does
-    /// not have it sends all of it, and so shows that it may have it.
+    /// If the blob is stored already and the upload's owner has it, the upload is complete. Any other owner sends all bytes,
+    /// which proves that it may have them.
     ///
     /// # Errors
-    /// `TooLarge`, `QuotaExceeded`, `TooManyUploads`, `WrongSize`, `StorageFull`, `Unavailable`.
+    /// `TooLarge`, `QuotaExceeded`, `TooManyUploads`, `WrongSize`, `StorageFull`.
     async fn begin(&self, upload: UploadId) -> Result<UploadStatus, BlobError> {
         self.begin_within(upload, None).await
     }
 
-    /// The same, where all that the owner has and uploads stays within `own_limit_bytes`. The oldest of its blobs that none of
-    /// its jobs needs are given up for that.
+    /// As [`begin`](Self::begin), with a quota for the owner's blobs and uploads together. To make room, the owner loses the
+    /// oldest of its blobs that none of its jobs needs.
     ///
     /// # Errors
     /// Those of [`begin`](Self::begin), and `OwnQuotaExceeded`.
@@ -59,120 +86,99 @@ pub trait BlobStore: Send + Sync + Debug {
     /// Stores the next chunk.
     ///
     /// # Errors
-    /// `UploadNotFound`, `WrongOffset`, `ChunkTooLarge`, `PastEnd`, `ChecksumMismatch`, `StorageFull`, `Unavailable`.
+    /// `UploadNotFound`, `WrongOffset`, `ChunkTooLarge`, `PastEnd`, `ChecksumMismatch`, `StorageFull`.
     async fn write(&self, upload: UploadId, chunk: Chunk) -> Result<UploadStatus, BlobError>;
 
     /// How many bytes of an upload are stored.
     ///
     /// # Errors
-    /// `UploadNotFound`, `Unavailable`.
+    /// `UploadNotFound`.
     async fn upload_status(&self, upload: UploadId) -> Result<UploadStatus, BlobError>;
 
     /// Makes the blob visible if all bytes are there and their digest is right. With `pin`, the blob is pinned under
     /// this name before anything can evict it. May be called again after success.
     ///
     /// # Errors
-    /// `UploadNotFound`, `Incomplete`, `StorageFull`, `Unavailable`; `DigestMismatch`: the upload was removed.
+    /// `UploadNotFound`, `Incomplete`, `StorageFull`; `DigestMismatch`: the upload was removed.
     async fn finish(&self, upload: UploadId, pin: Option<&str>) -> Result<BlobInfo, BlobError>;
 
     /// Removes an upload and what is stored of it.
     ///
     /// # Errors
-    /// `UploadNotFound`, `Unavailable`.
+    /// `UploadNotFound`.
     async fn abandon(&self, upload: UploadId) -> Result<(), BlobError>;
 
     /// Reads `range` of a blob; an end after the blob's end means its end. Counts as a use. The stream of a whole blob ends with
     /// `Damaged` if the bytes that are stored have another digest; then the blob is gone, and can be uploaded again.
     ///
     /// # Errors
-    /// `NotFound`, `OutOfRange`, `Unavailable`.
+    /// `NotFound`, `OutOfRange`.
     async fn read(&self, digest: Digest, range: Range<u64>) -> Result<BlobRead, BlobError>;
 
     /// Whether a blob is stored, and its size. Is no use.
     ///
     /// # Errors
-    /// `NotFound`, `Unavailable`.
+    /// `NotFound`.
     async fn stat(&self, digest: Digest) -> Result<BlobInfo, BlobError>;
 
     /// Those of `digests` that are not stored, in order. For the others it counts as a use: they are the last to be
     /// evicted.
-    ///
-    /// # Errors
-    /// `Unavailable`.
     async fn find_missing(&self, digests: &[Digest]) -> Result<Vec<Digest>, BlobError>;
 
     /// Removes a blob.
     ///
     /// # Errors
-    /// `NotFound`, `Pinned`, `Unavailable`.
+    /// `NotFound`, `Pinned`.
     async fn delete(&self, digest: Digest) -> Result<(), BlobError>;
 
     /// Protects blobs from eviction and deletion, in addition to those that `name` protects already. All or none.
     ///
-    /// Pins do not outlive the process: whoever needs blobs pins them again at start, before new uploads are let in.
+    /// Pins do not outlive the process: they are set again at start, before the first upload.
     ///
     /// # Errors
-    /// `NotFound`, `Unavailable`.
+    /// `NotFound`.
     async fn pin(&self, name: &str, digests: &[Digest]) -> Result<(), BlobError>;
 
-    /// The same in the name of an owner, who cannot delete them meanwhile.
+    /// As [`pin`](Self::pin), in the name of an owner, which cannot delete the blobs meanwhile.
     ///
     /// # Errors
     /// As [`pin`](Self::pin).
     async fn pin_for(&self, owner: Owner, name: &str, digests: &[Digest]) -> Result<(), BlobError>;
 
     /// Whether a blob is stored and this owner has it: uploaded it, or was given it by [`claim`](Self::claim). Is no use.
-    ///
-    /// # Errors
-    /// `Unavailable`.
     async fn is_owned(&self, owner: Owner, digest: Digest) -> Result<bool, BlobError>;
 
     /// As [`find_missing`](Self::find_missing), where only what this owner has counts as stored.
-    ///
-    /// # Errors
-    /// `Unavailable`.
     async fn find_missing_of(&self, owner: Owner, digests: &[Digest]) -> Result<Vec<Digest>, BlobError>;
 
     /// Gives blobs to an owner too. What is not stored is left out.
     ///
     /// # Errors
-    /// `StorageFull`, `Unavailable`.
+    /// `StorageFull`.
     async fn claim(&self, owner: Owner, digests: &[Digest]) -> Result<(), BlobError>;
 
     /// Takes a blob from its owner. Its bytes go with the last owner, unless they are pinned.
     ///
     /// # Errors
-    /// `NotFound` if the owner does not have it; `Pinned` if it is pinned in the owner's name; `Unavailable`.
+    /// `NotFound` if the owner does not have it; `Pinned` if it is pinned in the owner's name.
     async fn disown(&self, owner: Owner, digest: Digest) -> Result<(), BlobError>;
 
     /// The bytes of all blobs that an owner has.
-    ///
-    /// # Errors
-    /// `Unavailable`.
     async fn owned_bytes(&self, owner: Owner) -> Result<u64, BlobError>;
 
     /// Takes back all that `name` protects. A name without pins is no error.
-    ///
-    /// # Errors
-    /// `Unavailable`.
     async fn unpin(&self, name: &str) -> Result<(), BlobError>;
 
-    /// Removes uploads that nobody continued for as long as they are kept; says how many. Call it now and then.
-    ///
-    /// # Errors
-    /// `Unavailable`.
+    /// Removes uploads that were idle for too long; returns how many. To be called now and then.
     async fn sweep(&self) -> Result<usize, BlobError>;
 
     /// Whether something could be stored now. It asks the storage each time.
     ///
     /// # Errors
-    /// `StorageFull`, `Unavailable`.
+    /// `StorageFull`.
     async fn check(&self) -> Result<(), BlobError>;
 
     /// What is in use.
-    ///
-    /// # Errors
-    /// `Unavailable`.
     async fn usage(&self) -> Result<Usage, BlobError>;
 }
 
@@ -183,12 +189,10 @@ pub trait BlobStore: Send + Sync + Debug {
 /// # Errors
 /// Those of [`BlobStore::begin`], [`BlobStore::write`] and [`BlobStore::finish`].
 pub async fn put(store: &dyn BlobStore, bytes: Bytes, pin: Option<&str>) -> Result<BlobInfo, BlobError> {
-    let hashed = bytes.clone();
-    let digest = tokio::task::spawn_blocking(move || Digest::of(&hashed)).await.map_err(super::error::join)?;
-    put_upload(store, UploadId::new(digest, bytes.len() as u64), None, bytes, pin).await
+    put_upload(store, None, None, bytes, pin).await
 }
 
-/// Stores bytes that are in memory for an owner, who may have `own_limit_bytes`.
+/// Stores bytes that are in memory for an owner with a quota of `own_limit_bytes`.
 ///
 /// # Errors
 /// As [`put`], and `OwnQuotaExceeded`.
@@ -198,18 +202,19 @@ pub async fn put_of(
     own_limit_bytes: Option<u64>,
     bytes: Bytes,
 ) -> Result<BlobInfo, BlobError> {
-    let hashed = bytes.clone();
-    let digest = tokio::task::spawn_blocking(move || Digest::of(&hashed)).await.map_err(super::error::join)?;
-    put_upload(store, UploadId::new(digest, bytes.len() as u64).of(owner), own_limit_bytes, bytes, None).await
+    put_upload(store, Some(Owner::of(owner)), own_limit_bytes, bytes, None).await
 }
 
 async fn put_upload(
     store: &dyn BlobStore,
-    upload: UploadId,
+    owner: Option<Owner>,
     limit: Option<u64>,
     bytes: Bytes,
     pin: Option<&str>,
 ) -> Result<BlobInfo, BlobError> {
+    let hashed = bytes.clone();
+    let digest = tokio::task::spawn_blocking(move || Digest::of(&hashed)).await.map_err(super::error::join)?;
+    let upload = UploadId { digest, size_bytes: bytes.len() as u64, owner };
     let mut attempts = 0;
     loop {
         match put_once(store, upload, limit, &bytes, pin).await {
@@ -229,9 +234,9 @@ async fn put_once(
 ) -> Result<BlobInfo, BlobError> {
     let mut status = store.begin_within(upload, limit).await?;
     if status.complete && pin.is_none() {
-        return Ok(BlobInfo { digest: upload.digest(), size_bytes: upload.size_bytes() });
+        return Ok(BlobInfo { digest: upload.digest, size_bytes: upload.size_bytes });
     }
-    while !status.complete && status.kept_bytes < upload.size_bytes() {
+    while !status.complete && status.kept_bytes < upload.size_bytes {
         let start = usize::try_from(status.kept_bytes).unwrap_or(bytes.len()).min(bytes.len());
         let piece = bytes.slice(start..bytes.len().min(start + CHUNK_BYTES));
         status = match store.write(upload, Chunk::new(status.kept_bytes, piece)).await {

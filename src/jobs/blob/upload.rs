@@ -6,8 +6,7 @@
 //! Must not know: where the bytes lie, or how much room there is.
 
 use std::collections::HashMap;
-use std::fmt;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex};
 use std::time::{Duration, SystemTime};
 
 use tokio::sync::OwnedMutexGuard;
@@ -15,15 +14,16 @@ use tokio::sync::OwnedMutexGuard;
 use super::BlobError;
 use super::chunk::UploadId;
 use super::staging::Part;
+use crate::lock;
 
-/// Of all places for uploads, one owner has at most one in so many.
+/// One owner has at most the `SHARE`th part of all places for uploads.
 const SHARE: usize = 4;
-/// But so many at least, if there are that many.
+/// The least that this part is, if there are that many places.
 const FEW: usize = 8;
 
 /// What this process knows of an upload.
 pub(super) enum Slot {
-    /// The storage has it; nobody has looked at it yet, or a change failed.
+    /// The storage has it; it is to be read before its next use.
     Kept,
     /// Ready for the next chunk.
     Open(Box<dyn Part>),
@@ -52,7 +52,7 @@ impl Upload {
         *lock(&self.touched) = SystemTime::now();
     }
 
-    /// How long nobody has continued it.
+    /// Time since it was continued last.
     pub(super) fn idle(&self) -> Duration {
         // A clock that was set back makes an upload younger, not older.
         lock(&self.touched).elapsed().unwrap_or_default()
@@ -62,12 +62,6 @@ impl Upload {
 /// The uploads under way.
 #[derive(Default)]
 pub(super) struct Uploads(Mutex<HashMap<UploadId, Arc<Upload>>>);
-
-impl fmt::Debug for Uploads {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "Uploads({})", lock(&self.0).len())
-    }
-}
 
 impl Uploads {
     /// An upload that the storage kept from an earlier process.
@@ -80,8 +74,8 @@ impl Uploads {
         lock(&self.0).get(id).cloned()
     }
 
-    /// Adds an upload, locked, unless there is one. One owner has at most a [`SHARE`]th of the places. `admit` hears the bytes
-    /// that the owner has promised besides, if there is one. `admit` says whether there is room; it is not asked otherwise.
+    /// Adds an upload, locked, unless there is one. `admit` gets the bytes that its owner, if it has one, has promised besides,
+    /// and decides whether there is room.
     ///
     /// # Errors
     /// `TooManyUploads`; those of `admit`.
@@ -95,19 +89,19 @@ impl Uploads {
         if uploads.contains_key(&id) {
             return Ok(None);
         }
-        if id.is_owned() {
-            let own = uploads.keys().filter(|other| other.owner() == id.owner()).count();
-            let all = uploads.keys().filter(|other| other.is_owned()).count();
+        if id.owner.is_some() {
+            let own = uploads.keys().filter(|other| other.owner == id.owner).count();
+            let all = uploads.keys().filter(|other| other.owner.is_some()).count();
             let share = (limit / SHARE).max(FEW).min(limit);
             if all >= limit || own >= share {
                 return Err(BlobError::TooManyUploads { limit: if all >= limit { limit } else { share } });
             }
         }
         let upload = Arc::new(Upload::new(SystemTime::now()));
-        // Nobody else has seen it.
+        // It is new, so the lock is free.
         let Ok(slot) = Arc::clone(&upload.slot).try_lock_owned() else { return Ok(None) };
-        let own = uploads.keys().filter(|other| other.owner() == id.owner()).map(|other| other.size_bytes());
-        let promised = id.is_owned().then(|| own.fold(0, u64::saturating_add));
+        let own = uploads.keys().filter(|other| other.owner == id.owner).map(|other| other.size_bytes);
+        let promised = id.owner.is_some().then(|| own.fold(0, u64::saturating_add));
         let admitted = admit(promised)?;
         uploads.insert(id, upload);
         Ok(Some((slot, admitted)))
@@ -119,29 +113,24 @@ impl Uploads {
         lock(&self.0).remove(id);
     }
 
-    /// Uploads that nobody continued for `time`.
+    /// Uploads that were idle for `time`.
     pub(super) fn idle(&self, time: Duration) -> Vec<UploadId> {
         lock(&self.0).iter().filter(|(_, upload)| upload.idle() >= time).map(|(id, _)| *id).collect()
     }
 
-    /// The upload that nobody continued for the longest, and for `time` at least: one of the owner of `id`, else of anybody.
+    /// The upload that was idle for the longest, and for `time` at least: one of the owner of `id`, else of any owner.
     pub(super) fn stalest(&self, id: &UploadId, time: Duration) -> Option<UploadId> {
         let uploads = lock(&self.0);
         let idle = uploads
             .iter()
             .map(|(other, upload)| (other, upload.idle()))
-            .filter(|(other, idle)| other.is_owned() && *idle >= time);
-        let found = idle.max_by_key(|(other, idle)| (other.owner() == id.owner(), *idle));
+            .filter(|(other, idle)| other.owner.is_some() && *idle >= time);
+        let found = idle.max_by_key(|(other, idle)| (other.owner == id.owner, *idle));
         found.map(|(other, _)| *other)
     }
 
-    /// How many.
+    /// Number of uploads.
     pub(super) fn len(&self) -> usize {
         lock(&self.0).len()
     }
-}
-
-/// Locks a mutex whose content is never left half changed.
-pub(super) fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }

@@ -4,8 +4,8 @@
 //! sessions go through it. So a job's passes run while another fits or measures on the host, and a tiny job waits for one
 //! pass of a huge one and not for its end.
 //! A CPU backend needs no gate; its passes are counted and traced in the same way.
-//! Invariant: what is gated does what its inner session does, with the same bits; only when it does so differs. Who waits
-//! hears its token. A panic inside gives the gate back.
+//! Invariant: what is gated does what its inner session does, with the same bits; only when it does so differs. A waiter
+//! checks its token. A panic inside gives the gate back.
 //! Must not know: which backend it is, what a job does.
 
 use std::collections::VecDeque;
@@ -54,7 +54,7 @@ impl Drop for Permit<'_> {
     }
 }
 
-/// An entry of the queue, removed when dropped: by a cancel, or by who was let in.
+/// An entry of the queue, removed when dropped: after a cancel, or once it has its turn.
 struct Waiter<'a> {
     gate: &'a Gate,
     number: u64,
@@ -211,7 +211,7 @@ impl GatedSession {
         }
     }
 
-    /// The same with its seeds where they are; there are such, or nobody was given this session as [`Resident`].
+    /// As [`Self::pass`], on the seeds of the device. A session without them is never handed out as [`Resident`].
     fn move_seeds<R>(
         &mut self,
         name: &'static str,

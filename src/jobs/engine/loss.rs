@@ -1,8 +1,8 @@
 //! What becomes of a device that was lost.
 //!
-//! Purpose: [`LossPolicy`] says what an engine does whose device does not come back, and [`Outage`] for how long it has been
-//! away. Invariant: work that was promised to a device never goes to the CPU unless the policy says so. Must not know:
-//! threads, what a device is.
+//! Purpose: [`LossPolicy`] says what an engine does if its device does not come back, [`Outage`] for how long it has been
+//! away. Invariant: work that was promised to a device goes to the CPU only by that policy. Must not know: threads, what a
+//! device is.
 
 use std::time::{Duration, Instant};
 
@@ -43,7 +43,7 @@ impl Outage {
 }
 
 impl Backends {
-    /// The same without the GPU: who asks for the best that there is gets the CPU.
+    /// The same without the GPU: [`BackendChoice::Auto`] means the CPU.
     pub(super) fn without_gpu(&self) -> Self {
         let reason =
             "the device was lost and did not come back; the CPU does its work until the server is started anew";

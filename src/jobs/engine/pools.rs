@@ -6,9 +6,9 @@
 //! Must not know: jobs, the queue.
 
 use std::ops::Deref;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex};
 
-use crate::{Backends, PoolFactory};
+use crate::{Backends, PoolFactory, lock};
 use geometry::rvd::Backend;
 
 /// See the module's head.
@@ -23,7 +23,7 @@ pub(crate) struct Pools {
 }
 
 impl Pools {
-    /// For so many jobs at once.
+    /// For `jobs` jobs at once.
     pub(crate) fn new(backends: &Backends, jobs: usize) -> Self {
         let all = backends.parallel.threads().max(1);
         Self {
@@ -38,7 +38,7 @@ impl Pools {
     /// Threads for a job: all that the processor has if it is alone, else its share.
     pub(crate) fn take(&self, is_alone: bool) -> PoolLease<'_> {
         let threads = if is_alone { self.all } else { self.share };
-        let mut free = self.free.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut free = lock(&self.free);
         let found = free.iter().position(|(count, _)| *count == threads).map(|at| free.swap_remove(at).1);
         drop(free);
         let made = || match self.make?(threads) {
@@ -71,6 +71,6 @@ impl Deref for PoolLease<'_> {
 
 impl Drop for PoolLease<'_> {
     fn drop(&mut self) {
-        self.pools.free.lock().unwrap_or_else(PoisonError::into_inner).extend(self.own.take());
+        lock(&self.pools.free).extend(self.own.take());
     }
 }

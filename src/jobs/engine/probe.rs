@@ -2,7 +2,7 @@
 //!
 //! Purpose: [`probe`] has the engine compute a diagram whose answer is known: the corners of an octahedron as seeds on it, each
 //! of which has a sixth of its area. Invariant: a probe goes through the engine and the device's gate as jobs do, and stops
-//! after [`PROBE_TIME`]. Must not know: when it is asked for, who is told.
+//! after [`PROBE_TIME`]. Must not know: when a probe is due, what follows from it.
 
 use std::sync::Arc;
 use std::time::Duration;

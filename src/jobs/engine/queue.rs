@@ -1,4 +1,4 @@
-//! What waits for a host thread, and who is next.
+//! What waits for a host thread, and what is next.
 //!
 //! Purpose: a bounded queue between many callers and several workers, in two lanes. Jobs are taken by fair shares of their
 //! tenants ([`schedule`](super::schedule)); short pieces of admitted work (a session's next step, a diagram's next batch)
@@ -201,7 +201,7 @@ impl<T: Item> Queue<T> {
         Ok(position)
     }
 
-    /// Waits for the next item of a lane that is still wanted, for ever or so long.
+    /// Waits for the next item of a lane that is still wanted, at most `patience` if given.
     pub(crate) fn pop(&self, lane: Lane, patience: Option<Duration>) -> Popped<T> {
         let mut state = self.lock();
         let mut waited = false;
@@ -322,7 +322,7 @@ impl<T: Item> State<T> {
         self.tickets
     }
 
-    /// Takes the next item of a lane. Those that nobody waits for any more go to `unwanted`.
+    /// Takes the next item of a lane. Those whose callers have gone go to `unwanted`.
     fn take(&mut self, lane: Lane, unwanted: &mut Vec<T>) -> Option<Dequeued<T>> {
         let number = self.number();
         let (item, is_alone, kept) = match lane {
@@ -337,8 +337,8 @@ impl<T: Item> State<T> {
                 let mut gone = Vec::new();
                 let next = self.jobs.next(number, |waiting| waiting.item.is_wanted(), &mut gone);
                 unwanted.extend(gone.into_iter().map(|waiting| waiting.item));
-                let next = next?;
-                (next.item.item, next.is_alone, next.item.kept)
+                let (Waiting { item, kept }, is_alone) = next?;
+                (item, is_alone, kept)
             }
         };
         self.running.insert(number, Running { token: item.token().clone(), kept });
@@ -366,7 +366,7 @@ impl<T: Item> State<T> {
         if self.new_jobs() < limit {
             return Ok(());
         }
-        // Those whose callers have gone hold a place until somebody needs it.
+        // Jobs whose callers have gone hold a place until it is needed.
         self.jobs.retain(|waiting| waiting.item.is_wanted());
         let waiting = self.new_jobs();
         if waiting < limit {
@@ -448,11 +448,11 @@ mod tests {
         assert!(matches!(queue.reserve(), Err(JobError::QueueFull { waiting: 2, .. })));
         assert_eq!(pop(&queue, Lane::Jobs).map(|t| t.0), Some(0));
         let slow = queue.reserve().unwrap();
-        // An upload that takes its time keeps nobody out, and gets in all the same.
+        // A slow upload keeps no other job out, and gets in all the same.
         queue.lock().reservations.insert(slow, Instant::now().checked_sub(RESERVATION_TTL).unwrap());
         queue.push(new(), ticket(3, true)).unwrap();
         queue.push(reservations(), ticket(4, true)).unwrap();
-        // So does what is kept elsewhere while it waits, and it takes nobody's place.
+        // So does a job of a store, and it takes no place.
         queue
             .push(
                 Admission::Reserved(AdmissionRequest {

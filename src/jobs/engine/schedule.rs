@@ -37,7 +37,7 @@ pub(crate) struct Slots {
     pub memory: Bytes,
 }
 
-/// What the scheduler is told of a job: whose it is, its share and priority, and what it is expected to cost.
+/// A job for the scheduler: its tenant, share and priority, and its expected cost.
 #[derive(Clone, Debug)]
 pub struct AdmissionRequest {
     /// Whose job it is.
@@ -71,13 +71,6 @@ impl Default for AdmissionRequest {
             origin: None,
         }
     }
-}
-
-/// A job whose turn it is.
-pub(crate) struct Scheduled<T> {
-    pub item: T,
-    /// Whether its tenant has nothing else at work or waiting.
-    pub is_alone: bool,
 }
 
 struct Waiting<T> {
@@ -184,14 +177,9 @@ impl<T> Schedule<T> {
             .map(|left| left.max(Duration::from_millis(10)))
     }
 
-    /// Takes the next job that is wanted and may begin; those that are not go to `gone`. `number` names it for
-    /// [`Self::done`].
-    pub(crate) fn next(
-        &mut self,
-        number: u64,
-        is_wanted: impl Fn(&T) -> bool,
-        gone: &mut Vec<T>,
-    ) -> Option<Scheduled<T>> {
+    /// Takes the next job that is wanted and may begin, and says whether its tenant has nothing else at work or waiting.
+    /// Unwanted jobs go to `gone`. `number` names the job for [`Self::done`].
+    pub(crate) fn next(&mut self, number: u64, is_wanted: impl Fn(&T) -> bool, gone: &mut Vec<T>) -> Option<(T, bool)> {
         let at_work = self.running.len();
         if at_work > self.slots.regular {
             return None;
@@ -228,7 +216,7 @@ impl<T> Schedule<T> {
             self.planned = self.planned.plus(request.memory);
             let AdmissionRequest { weight, seconds, memory, .. } = request;
             self.running.insert(number, Running { tenant: name, weight, seconds, memory });
-            return Some(Scheduled { item, is_alone });
+            return Some((item, is_alone));
         }
         None
     }
@@ -250,7 +238,7 @@ impl<T> Schedule<T> {
         let now = self.time;
         self.tenants.retain(|_, tenant| tenant.running > 0 || !tenant.waiting.is_empty() || tenant.time > now);
         if self.running.is_empty() && self.waiting == 0 {
-            // Debts are towards others who want something: there are none.
+            // A debt counts against waiting tenants, and there are none.
             self.tenants.clear();
             self.time = 0.0;
         }
@@ -270,7 +258,7 @@ mod tests {
     }
 
     fn next(schedule: &mut Schedule<&'static str>, number: u64) -> Option<&'static str> {
-        schedule.next(number, |_| true, &mut Vec::new()).map(|next| next.item)
+        schedule.next(number, |_| true, &mut Vec::new()).map(|(item, _)| item)
     }
 
     #[test]
@@ -375,7 +363,7 @@ mod tests {
         assert_eq!((next(&mut schedule, 0), next(&mut schedule, 1)), (Some("first"), Some("small")));
         assert_eq!(next(&mut schedule, 2), None);
         assert!(schedule.look_again().is_some_and(|pause| pause <= BYPASS_LIMIT));
-        // Nobody passes it for ever.
+        // Others bypass it for a limited time.
         let tenant = schedule.tenants.get_mut("b").unwrap();
         tenant.waiting.values_mut().next().unwrap().bypassed = Instant::now().checked_sub(BYPASS_LIMIT);
         schedule.push(of("d", 0), "tiny");

@@ -1,17 +1,17 @@
 //! Ceilings of jobs, and work that does not end.
 //!
 //! Purpose: [`Watchdog`] looks at all work several times a second. Work that makes the process grow beyond its ceiling is
-//! stopped. Work that goes on long after it was told to stop is reported with its stage, then given up as lost.
+//! stopped. Work that goes on long after it was asked to stop is reported with its stage, then given up as lost.
 //! Invariant: it never waits for work, and holds nothing of it but the token. Without work it sleeps.
-//! Must not know: what the work is, how health is told, how the process ends.
+//! Must not know: what the work is, health, how the process ends.
 
 use std::sync::atomic::{AtomicI64, Ordering};
-use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError, Weak};
+use std::sync::{Arc, Condvar, Mutex, PoisonError, Weak};
 use std::time::{Duration, Instant};
 
 use tokio::sync::watch;
 
-use crate::memory;
+use crate::{lock, memory};
 use geometry::token::{Stopped, Token};
 
 /// What a job may take, and how long it may take to stop.
@@ -19,8 +19,8 @@ use geometry::token::{Stopped, Token};
 pub struct Ceilings {
     /// Time at work, waiting not counted.
     pub time: Option<Duration>,
-    /// Bytes by which the process may grow while the job is at work. Jobs that are at work together are told apart by who
-    /// has seen the process grow most.
+    /// Bytes by which the process may grow while the job is at work. Of several jobs, the one that has seen the process grow
+    /// most is stopped.
     pub memory_bytes: Option<u64>,
     /// Work that runs this long after its cancellation is stuck.
     pub stuck: Duration,
@@ -34,10 +34,10 @@ impl Default for Ceilings {
     }
 }
 
-/// How work is that was told to stop.
+/// State of the work that was asked to stop.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Work {
-    /// All of it stops when it is told to.
+    /// All of it stops in time.
     Stops,
     /// Some goes on in this stage.
     Stuck {
@@ -83,7 +83,7 @@ struct Entry {
     token: Token,
     /// What the process held when it began.
     base_bytes: u64,
-    /// When it was first seen to go on although it was told to stop.
+    /// When it was first seen to go on after it was asked to stop.
     stopped: Option<Instant>,
     reported: bool,
 }
@@ -104,10 +104,6 @@ impl Drop for WatchGuard {
     }
 }
 
-fn lock(state: &Mutex<State>) -> MutexGuard<'_, State> {
-    state.lock().unwrap_or_else(PoisonError::into_inner)
-}
-
 /// Ends the thread with the last handle.
 impl Drop for Shared {
     fn drop(&mut self) {
@@ -118,9 +114,6 @@ impl Drop for Shared {
 
 impl Watchdog {
     /// Starts the thread.
-    ///
-    /// # Errors
-    /// The operating system refused a thread.
     pub(crate) fn start(ceilings: Ceilings) -> std::io::Result<Self> {
         let work = watch::Sender::new(Work::Stops);
         let shared =
@@ -158,7 +151,7 @@ impl Watchdog {
         Arc::clone(&self.shared.besides)
     }
 
-    /// How work is that was told to stop.
+    /// See [`crate::Engine::watch_work`].
     pub(crate) fn work(&self) -> watch::Receiver<Work> {
         self.shared.work.subscribe()
     }
@@ -208,7 +201,7 @@ fn look(entries: &mut [Entry], ceilings: &Ceilings, besides: &AtomicI64) -> Work
         }
         if !std::mem::replace(&mut entry.reported, true) {
             let (seconds, silent_s) = (since.as_secs_f64(), entry.token.silent_for().as_secs_f64());
-            tracing::error!(stage, seconds, silent_s, "work goes on although it was told to stop");
+            tracing::error!(stage, seconds, silent_s, "work goes on although it was asked to stop");
         }
         let is_lost = since >= ceilings.stuck + ceilings.lost;
         work = match work {
@@ -253,7 +246,7 @@ mod tests {
         let entry =
             |number, base_bytes| Entry { number, token: Token::default(), base_bytes, stopped: None, reported: false };
         let mut entries = vec![entry(0, held + (1 << 40)), entry(1, 0), entry(2, 1)];
-        // What is held for others is nobody's growth.
+        // Memory that is held for others is no growth of a job.
         let others = AtomicI64::new(held as i64 + (1 << 40));
         look(&mut entries, &limits, &others);
         assert!(entries.iter().all(|entry| !entry.token.is_stopped()));

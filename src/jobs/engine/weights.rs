@@ -1,7 +1,7 @@
 //! Weights of tenants.
 //!
 //! Purpose: [`Weights`] says how large a tenant's share of the work is beside others'. Invariant: a weight is a number from
-//! [`LEAST`] to [`MOST`]; a tenant without one has 1. Must not know: who says so, the queue.
+//! [`LEAST`] to [`MOST`]; a tenant without one has 1. Must not know: keys, the queue.
 
 use std::collections::HashMap;
 use std::sync::{Arc, PoisonError, RwLock};
@@ -15,12 +15,12 @@ const MOST: f64 = 100.0;
 pub struct Weights(Arc<RwLock<HashMap<String, f64>>>);
 
 impl Weights {
-    /// What a tenant that asks now counts.
+    /// The weight of a tenant now.
     pub fn of(&self, tenant: &str) -> f64 {
         self.0.read().unwrap_or_else(PoisonError::into_inner).get(tenant).copied().unwrap_or(1.0)
     }
 
-    /// These tenants count so much, and all others 1. Jobs that wait already keep what they had.
+    /// Sets the weights of these tenants, and 1 for all others. Jobs that wait already keep theirs.
     pub fn set(&self, weights: impl IntoIterator<Item = (String, f64)>) {
         let sound = weights.into_iter().filter(|(_, weight)| weight.is_finite());
         let table = sound.map(|(tenant, weight)| (tenant, weight.clamp(LEAST, MOST))).collect();

@@ -34,7 +34,7 @@ use geometry::token::{StageListener, Token};
 pub struct EngineOptions {
     /// New jobs that may wait, at least 1.
     pub queue_jobs: usize,
-    /// How long until a lost device is tried again when nobody asks for it.
+    /// Time until a lost device is tried again without work for it.
     pub revive: Duration,
     /// What a job may take. The ceiling on memory is also what jobs at work together may need.
     pub ceilings: Ceilings,
@@ -97,7 +97,9 @@ pub(super) struct Shared {
     pub(super) observer: Arc<dyn Observer>,
     pub(super) watchdog: Watchdog,
     pub(super) queue: Queue<Box<dyn Task>>,
-    pub(super) infos: EngineInfo,
+    /// The threads of the CPU backend.
+    pub(super) pool: Option<Arc<rayon::ThreadPool>>,
+    pub(super) slots: Slots,
     pub(super) device: watch::Sender<Device>,
     gate: Arc<Gate>,
     pools: Pools,
@@ -134,18 +136,6 @@ impl std::fmt::Debug for Shared {
     }
 }
 
-pub(super) struct EngineInfo {
-    /// The threads of the CPU backend.
-    pub(super) pool: Option<Arc<rayon::ThreadPool>>,
-    pub(super) slots: Slots,
-}
-
-impl EngineInfo {
-    fn of(backends: &Backends, slots: Slots) -> Self {
-        Self { pool: backends.parallel.pool(), slots }
-    }
-}
-
 /// Lowers the priority of this thread and of those that it starts.
 fn lower_priority(nice: u8) {
     #[cfg(unix)]
@@ -175,7 +165,7 @@ pub(super) fn run(
     };
     let _end = EndOnDrop(&shared);
     std::thread::scope(|scope| {
-        let jobs = (0..=shared.infos.slots.regular).map(|i| (Lane::Jobs, format!("job-{i}")));
+        let jobs = (0..=shared.slots.regular).map(|i| (Lane::Jobs, format!("job-{i}")));
         let short = (0..SHORT_WORKERS).map(|i| (Lane::Short, format!("short-{i}")));
         for (lane, name) in jobs.chain(short) {
             let shared = &*shared;
@@ -213,7 +203,8 @@ impl Shared {
             observer,
             watchdog,
             queue: Queue::new(options.queue_jobs.max(1), slots),
-            infos: EngineInfo::of(&backends, slots),
+            pool: backends.parallel.pool(),
+            slots,
             device: watch::Sender::new(Device::Ready),
             gate: Arc::default(),
             pools: Pools::new(&backends, slots.regular),
@@ -232,21 +223,21 @@ impl Shared {
     }
 
     fn work_in(&self, lane: Lane) {
-        let end = EndOnPanic(self);
+        let _end = EndOnPanic(self);
         loop {
             let lost = *self.device.borrow() == Device::Lost;
             match self.queue.pop(lane, lost.then_some(self.revive)) {
                 Popped::Item(taken) => self.work(taken),
                 Popped::Nothing => self.replace(self.current().0, self.revive),
-                Popped::Closed => break,
+                Popped::Closed => return,
             }
         }
-        drop(end);
     }
 
     fn work(&self, taken: Dequeued<Box<dyn Task>>) {
         let Dequeued { item: mut task, number, is_alone } = taken;
-        let start = Instant::now();
+        // The first local, and so dropped last: after the state that the answer did not take along.
+        let _done = DoneOnDrop { queue: &self.queue, number, start: Instant::now() };
         let watched = self.watchdog.watch(task.token());
         let threads = if task.has_continuations() { None } else { Some(self.pools.take(is_alone)) };
         let mut attempts = 0;
@@ -263,9 +254,7 @@ impl Shared {
                 break;
             }
         }
-        // State that the answer did not take along is dropped here.
         drop((task, threads, watched));
-        self.queue.done(number, start.elapsed());
     }
 
     /// Sees to it that there is a device again, and waits for it unless the work is stopped.
@@ -283,8 +272,8 @@ impl Shared {
         }
     }
 
-    /// New backends after a loss, unless somebody was faster, or tried less than `pause` ago. While there are none the old
-    /// ones stay, and answer with errors: work that was promised to a GPU does not go to a CPU unsaid.
+    /// Makes new backends after a loss, unless another thread did, or tried less than `pause` ago. Until then the old ones
+    /// stay and answer with errors: work that was promised to a GPU does not go to a CPU silently.
     fn replace(&self, generation: u64, pause: Duration) {
         let mut factory = self.factory.lock().unwrap_or_else(PoisonError::into_inner);
         let (now, old) = self.current();
@@ -299,7 +288,7 @@ impl Shared {
                 self.device.send_replace(Device::Lost);
             }
             Device::Lost => {}
-            // Nobody waits for it any more.
+            // Given up.
             Device::Missing | Device::Gone => return,
         }
         tracing::warn!("the device was lost; making it anew");
@@ -334,7 +323,20 @@ impl Shared {
     }
 }
 
-/// Whatever ends the engine, nobody waits for it in vain.
+/// Takes an item out of those at work, also if a destructor of its work panics.
+struct DoneOnDrop<'a> {
+    queue: &'a Queue<Box<dyn Task>>,
+    number: u64,
+    start: Instant,
+}
+
+impl Drop for DoneOnDrop<'_> {
+    fn drop(&mut self) {
+        self.queue.done(self.number, self.start.elapsed());
+    }
+}
+
+/// Answers all callers at the end of the engine, whatever ends it.
 struct EndOnDrop<'a>(&'a Shared);
 
 impl Drop for EndOnDrop<'_> {
@@ -344,7 +346,7 @@ impl Drop for EndOnDrop<'_> {
     }
 }
 
-/// A host thread that panics, in a destructor, takes the engine along: whoever waits for its work is told.
+/// A host thread that panics, in a destructor, ends the engine, so that callers of its work get an answer.
 struct EndOnPanic<'a>(&'a Shared);
 
 impl Drop for EndOnPanic<'_> {
@@ -416,12 +418,15 @@ impl Item for Box<dyn Task> {
     }
 }
 
+/// Where the answer to a call goes.
+pub(super) type Reply<R> = oneshot::Sender<Result<Timed<R>, JobError>>;
+
 pub(super) struct Call<R, F> {
     pub(super) work: Option<F>,
     /// Whether later pieces continue what it makes, so that it must not hold threads that are another job's then.
     pub has_continuations: bool,
     /// `None` once it is answered, and for a job of a store, which has its answer.
-    pub(super) reply: Option<oneshot::Sender<Result<Timed<R>, JobError>>>,
+    pub(super) reply: Option<Reply<R>>,
     pub token: Token,
     pub(super) queued: Instant,
     pub(super) retry: Retry,
@@ -484,7 +489,7 @@ impl<R: Send, F: FnMut(&Backends, &WorkContext) -> Result<R, JobError> + Send> T
         let result = result.map(|value| Timed { value, queue_ms, compute_ms: ms(start.elapsed()) });
         // What the work still holds goes before the answer: the caller may ask for its memory at once.
         self.work = None;
-        // The count too: who has the answer may ask for it.
+        // The count too: the caller may read it after the answer.
         activity.end(result.as_ref().err());
         if let Some(reply) = self.reply.take() {
             let _ = reply.send(result);

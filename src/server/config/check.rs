@@ -11,10 +11,9 @@ use std::time::Duration;
 
 use super::args::{BackendArgs, ServeArgs};
 use super::device::DeviceRules;
-use super::error::ConfigError;
 use super::limits::Limits;
-use super::tls::TlsFiles;
-use super::values::{addresses, seconds, within};
+use super::security::TlsFiles;
+use super::values::{ConfigError, addresses, mebibytes, seconds, within};
 
 /// Indices have 31 bits, less a few that are labels.
 const MAX_ELEMENTS: u64 = i32::MAX as u64 - 8;
@@ -93,74 +92,59 @@ impl ServeArgs {
         self.backend.check()?;
         self.watching.traces()?;
         if self.ephemeral && self.data_dir.is_some() {
-            let value = "given beside --data-dir".to_owned();
-            return Err(ConfigError { option: "--ephemeral", value, must: "one of the two" });
+            return Err(ConfigError::new("--ephemeral", "given beside --data-dir", "one of the two"));
         }
         if self.ephemeral && self.security.require_keys {
-            let value = "given beside --require-keys".to_owned();
-            return Err(ConfigError { option: "--ephemeral", value, must: "absent: keys lie in the data folder" });
+            let must = "absent: keys lie in the data folder";
+            return Err(ConfigError::new("--ephemeral", "given beside --require-keys", must));
         }
         let listen = addresses("--listen", &self.listen)?;
         let tls = self.security.check()?;
         self.security.check_reach("--listen", &self.listen, &listen, tls.is_some())?;
-        let http = match &self.http_listen {
-            Some(given) => {
-                let http = addresses("--http-listen", given)?;
-                self.security.check_reach("--http-listen", given, &http, tls.is_some())?;
-                http
-            }
-            None => Vec::new(),
-        };
+        let mut http = Vec::new();
+        if let Some(given) = &self.http_listen {
+            http = addresses("--http-listen", given)?;
+            self.security.check_reach("--http-listen", given, &http, tls.is_some())?;
+        }
         if self.ui && http.is_empty() {
-            let value = "given without --http-listen".to_owned();
-            return Err(ConfigError { option: "--ui", value, must: "beside --http-listen, whose door has the page" });
+            let must = "beside --http-listen, which serves the page";
+            return Err(ConfigError::new("--ui", "given without --http-listen", must));
         }
         if self.ui && !cfg!(feature = "ui") {
-            let value = "given, but this program was built without the feature ui".to_owned();
-            return Err(ConfigError { option: "--ui", value, must: "absent" });
+            let value = "given, but this program was built without the feature ui";
+            return Err(ConfigError::new("--ui", value, "absent"));
         }
-        let most = MAX_ELEMENTS;
         Ok(ServeConfig {
             listen,
             http,
             ui: self.ui,
             tls,
             device: self.device.check()?,
-            nice: within("--nice", self.nice.into(), 0, 19, "0 to 19")? as u8,
+            nice: within("--nice", self.nice, 0..=19)?,
             start: seconds("--start-s", self.start_s)?,
             admin: self.watching.admin(self.security.insecure)?,
             bucket: self.bucket()?,
-            disk_reserve_bytes: within("--disk-reserve-mib", self.disk_reserve_mib, 0, 1 << 24, "at most 16777216")?
-                << 20,
+            disk_reserve_bytes: within("--disk-reserve-mib", self.disk_reserve_mib, 0..=1 << 24)? << 20,
             requires_keys: self.security.require_keys,
             data_dir: if self.ephemeral { None } else { Some(data_dir(self.data_dir.as_ref())?) },
             keep: (self.keep_results, self.keep_jobs),
-            blob_bytes: within("--blobs-mib", self.blobs_mib, 1, 1 << 30, "1 to 1073741824")? << 20,
-            waiting_jobs: within("--waiting-jobs", self.waiting_jobs as u64, 1, 10_000_000, "1 to 10000000")? as usize,
-            max_crashes: within("--max-crashes", self.max_crashes.into(), 1, 1000, "1 to 1000")? as u32,
-            jobs_at_once: match self.jobs_at_once {
-                Some(jobs) => Some(within("--jobs-at-once", jobs as u64, 1, 256, "1 to 256")? as usize),
-                None => None,
-            },
-            queue_jobs: within("--queue-jobs", self.queue_jobs as u64, 1, 100_000, "1 to 100000")? as usize,
+            blob_bytes: within("--blobs-mib", self.blobs_mib, 1..=1 << 30)? << 20,
+            waiting_jobs: within("--waiting-jobs", self.waiting_jobs, 1..=10_000_000)?,
+            max_crashes: within("--max-crashes", self.max_crashes, 1..=1000)?,
+            jobs_at_once: self.jobs_at_once.map(|jobs| within("--jobs-at-once", jobs, 1..=256)).transpose()?,
+            queue_jobs: within("--queue-jobs", self.queue_jobs, 1..=100_000)?,
             limits: Limits {
-                max_vertices: within("--max-vertices", self.max_vertices, 3, most, "3 to 2147483639")?,
-                max_facets: within("--max-facets", self.max_facets, 1, most, "1 to 2147483639")?,
-                max_seeds: within("--max-seeds", self.max_seeds, 1, most, "1 to 2147483639")?,
-                max_iterations: within("--max-iterations", self.max_iterations.into(), 0, 1_000_000, "at most 1000000")?
-                    as u32,
-                max_streams: within("--max-streams", self.max_streams as u64, 1, 100_000, "1 to 100000")? as usize,
-                max_sessions: within("--max-sessions", self.max_sessions as u64, 0, 10_000, "at most 10000")? as usize,
-                memory_bytes: within("--memory-mib", self.memory_mib, 1, 1 << 24, "1 to 16777216")? << 20,
-                max_connections: within("--max-connections", self.max_connections as u64, 1, 1_000_000, "1 to 1000000")?
-                    as usize,
-                max_connections_per_peer: within(
-                    "--max-connections-per-peer",
-                    self.max_connections_per_peer as u64,
-                    1,
-                    1_000_000,
-                    "1 to 1000000",
-                )? as usize,
+                max_vertices: within("--max-vertices", self.max_vertices, 3..=MAX_ELEMENTS)?,
+                max_facets: within("--max-facets", self.max_facets, 1..=MAX_ELEMENTS)?,
+                max_seeds: within("--max-seeds", self.max_seeds, 1..=MAX_ELEMENTS)?,
+                max_iterations: within("--max-iterations", self.max_iterations, 0..=1_000_000)?,
+                max_streams: within("--max-streams", self.max_streams, 1..=100_000)?,
+                max_sessions: within("--max-sessions", self.max_sessions, 0..=10_000)?,
+                memory_bytes: within("--memory-mib", self.memory_mib, 1..=1 << 24)? << 20,
+                max_connections: within("--max-connections", self.max_connections, 1..=1_000_000)?,
+                max_connections_per_peer: {
+                    within("--max-connections-per-peer", self.max_connections_per_peer, 1..=1_000_000)?
+                },
                 first_request: seconds("--first-request-s", self.first_request_s)?,
                 idle_connection: seconds("--idle-connection-s", self.idle_connection_s)?,
                 upload: seconds("--upload-s", self.upload_s)?,
@@ -173,22 +157,17 @@ impl ServeArgs {
             },
             ceilings: JobCeilings {
                 time: seconds("--job-seconds", self.job_seconds)?,
-                memory_bytes: match self.job_memory_mib {
-                    Some(mib) => Some(within("--job-memory-mib", mib, 1, 1 << 24, "1 to 16777216")? << 20),
-                    None => None,
-                },
+                memory_bytes: mebibytes("--job-memory-mib", self.job_memory_mib)?,
                 stuck: seconds("--stuck-s", self.stuck_s)?,
                 lost: seconds("--stuck-exit-s", self.stuck_exit_s)?,
             },
         })
     }
-}
 
-impl ServeArgs {
     /// The bucket of the blobs.
     fn bucket(&self) -> Result<Option<String>, ConfigError> {
         let Some(url) = &self.blobs else { return Ok(None) };
-        let wrong = |must| ConfigError { option: "--blobs", value: format!("{url:?}"), must };
+        let wrong = |must: &'static str| ConfigError::new("--blobs", format!("{url:?}"), must);
         if !cfg!(feature = "s3") {
             return Err(wrong("absent: this program was built without the feature s3"));
         }
@@ -209,10 +188,8 @@ impl ServeArgs {
 pub fn data_dir(given: Option<&PathBuf>) -> Result<PathBuf, ConfigError> {
     let variable = |name| std::env::var_os(name).map(PathBuf::from).filter(|path: &PathBuf| path.is_absolute());
     let state = || variable("XDG_STATE_HOME").or_else(|| Some(variable("HOME")?.join(".local/state")));
-    given.cloned().or_else(|| Some(state()?.join("tessera"))).ok_or_else(|| ConfigError {
-        option: "--data-dir",
-        value: "not given, and the user has no home".to_owned(),
-        must: "a folder; or give --ephemeral",
+    given.cloned().or_else(|| Some(state()?.join("tessera"))).ok_or_else(|| {
+        ConfigError::new("--data-dir", "not given, and the user has no home", "a folder; or give --ephemeral")
     })
 }
 
@@ -222,9 +199,6 @@ impl BackendArgs {
     /// # Errors
     /// [`ConfigError`].
     pub fn check(&self) -> Result<(), ConfigError> {
-        match self.threads {
-            Some(threads) => within("--threads", threads as u64, 1, 4096, "1 to 4096").map(|_| ()),
-            None => Ok(()),
-        }
+        self.threads.map_or(Ok(()), |threads| within("--threads", threads, 1..=4096).map(drop))
     }
 }

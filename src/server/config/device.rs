@@ -7,8 +7,7 @@ use std::time::Duration;
 
 use clap::{Args, ValueEnum};
 
-use super::error::ConfigError;
-use super::values::{seconds, whole, within};
+use super::values::{ConfigError, mebibytes, seconds, whole};
 
 /// Reaction to a device that does not return.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
@@ -54,15 +53,9 @@ pub struct DeviceRules {
 
 impl DeviceArgs {
     /// Checks every value.
-    ///
-    /// # Errors
-    /// [`ConfigError`].
-    pub fn check(&self) -> Result<DeviceRules, ConfigError> {
+    pub(super) fn check(&self) -> Result<DeviceRules, ConfigError> {
         Ok(DeviceRules {
-            memory_bytes: match self.device_memory_mib {
-                Some(mib) => Some(within("--device-memory-mib", mib, 1, 1 << 24, "1 to 16777216")? << 20),
-                None => None,
-            },
+            memory_bytes: mebibytes("--device-memory-mib", self.device_memory_mib)?,
             timeout: seconds("--device-timeout-s", self.device_timeout_s)?,
             on_loss: self.on_device_loss,
             patience: seconds("--device-loss-s", self.device_loss_s)?,

@@ -17,6 +17,7 @@ use toml::Spanned;
 use toml::de::{DeTable, DeValue};
 
 use super::options::{Kind, is_key, is_list, kind, options, takes};
+use super::sources::Source;
 
 /// No file of options is longer; a device that never ends is no such file.
 const LONGEST_BYTES: u64 = 1 << 20;
@@ -113,14 +114,9 @@ impl ConfigFile {
         Ok(Self { path: path.to_owned(), entries })
     }
 
-    /// As it was named.
-    pub(super) fn name(&self) -> String {
-        self.path.display().to_string()
-    }
-
-    /// The line of a key, if the file has it.
-    pub(super) fn line(&self, key: &str) -> Option<usize> {
-        self.entries.get(key).map(|entry| entry.line)
+    /// Where the file has a key, if it does.
+    pub(super) fn source(&self, key: &str) -> Option<Source> {
+        self.entries.get(key).map(|entry| Source::File { file: self.path.display().to_string(), line: entry.line })
     }
 
     /// Makes its values the defaults of `command`'s options.

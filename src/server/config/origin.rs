@@ -16,13 +16,10 @@ pub fn sources(found: &ArgMatches, file: Option<&ConfigFile>) -> Sources {
         Some(match found.try_contains_id(id).ok().and_then(|_| found.value_source(id))? {
             ValueSource::EnvVariable => Source::Environment(arg.get_env()?.to_string_lossy().into_owned()),
             ValueSource::CommandLine => Source::Line(format!("--{long}")),
-            _ => match file.and_then(|file| Some((file, file.line(id)?))) {
-                Some((file, line)) => Source::File { file: file.name(), line },
-                None => Source::Default,
-            },
+            _ => file.and_then(|file| file.source(id)).unwrap_or(Source::Default),
         })
     };
     let command = options();
     let keys = command.get_arguments().filter(|arg| is_key(arg));
-    Sources::new(keys.filter_map(|arg| Some((arg.get_id().to_string(), of(arg)?))).collect())
+    Sources(keys.filter_map(|arg| Some((arg.get_id().to_string(), of(arg)?))).collect())
 }

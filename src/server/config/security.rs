@@ -6,12 +6,24 @@
 
 use std::net::{IpAddr, SocketAddr};
 use std::path::PathBuf;
+use std::time::Duration;
 
 use clap::Args;
 
-use super::error::ConfigError;
-use super::tls::TlsFiles;
-use super::values::seconds;
+use super::values::{ConfigError, seconds};
+
+/// The files of TLS.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct TlsFiles {
+    /// The server's certificate and its chain.
+    pub cert: PathBuf,
+    /// The certificate's private key.
+    pub key: PathBuf,
+    /// The authorities of clients, if these need a certificate.
+    pub client_ca: Option<PathBuf>,
+    /// Between two looks at the files.
+    pub reload: Duration,
+}
 
 /// See the module's head.
 #[derive(Args, Clone, Debug)]
@@ -56,25 +68,22 @@ impl SecurityArgs {
                 && host.chars().all(|c| c.is_ascii_alphanumeric() || ['-', '_', '.'].contains(&c))
         };
         if let Some(host) = self.allow_host.iter().find(|host| !is_name(host) && host.parse::<IpAddr>().is_err()) {
-            return Err(ConfigError {
-                option: "--allow-host",
-                value: format!("{host:?}"),
-                must: "a name or an address without scheme and port, as tessera.example",
-            });
+            let must = "a name or an address without scheme and port, as tessera.example";
+            return Err(ConfigError::new("--allow-host", format!("{host:?}"), must));
         }
-        let without =
-            |option, other: &str, must| ConfigError { option, value: format!("not given, though {other} is"), must };
+        let without = |option, other: &str, must: &'static str| {
+            Err(ConfigError::new(option, format!("not given, though {other} is"), must))
+        };
         match (&self.tls_cert, &self.tls_key) {
             (Some(cert), Some(key)) => {
                 Ok(Some(TlsFiles { cert: cert.clone(), key: key.clone(), client_ca: self.client_ca.clone(), reload }))
             }
-            (Some(_), None) => Err(without("--tls-key", "--tls-cert", "given too: the file with its private key")),
-            (None, Some(_)) => Err(without("--tls-cert", "--tls-key", "given too: the file with its certificate")),
-            (None, None) if self.client_ca.is_some() => Err(without(
-                "--tls-cert",
-                "--client-ca",
-                "given too, and --tls-key: only over TLS do clients show certificates",
-            )),
+            (Some(_), None) => without("--tls-key", "--tls-cert", "given too: the file with its private key"),
+            (None, Some(_)) => without("--tls-cert", "--tls-key", "given too: the file with its certificate"),
+            (None, None) if self.client_ca.is_some() => {
+                let must = "given too, and --tls-key: only over TLS do clients show certificates";
+                without("--tls-cert", "--client-ca", must)
+            }
             (None, None) => Ok(None),
         }
     }
@@ -96,12 +105,10 @@ impl SecurityArgs {
             (false, true) => "TLS (--tls-cert and --tls-key)",
             (false, false) => "TLS (--tls-cert and --tls-key) and without keys (--require-keys)",
         };
-        Err(ConfigError {
-            option,
-            value: format!("{listen:?}, which other machines may reach, without {missing}"),
-            must: "an address of this machine alone, as 127.0.0.1:50051, or have both; on a network that you trust, give \
-                   --insecure",
-        })
+        let value = format!("{listen:?}, which other machines may reach, without {missing}");
+        let must = "an address of this machine alone, as 127.0.0.1:50051, or have both; on a network that you trust, give \
+                    --insecure";
+        Err(ConfigError::new(option, value, must))
     }
 }
 

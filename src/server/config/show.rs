@@ -24,7 +24,7 @@ pub fn print(found: &ArgMatches, sources: &Sources) -> String {
             let _ = writeln!(out, "\n# {}", heading.unwrap_or("Others"));
         }
         let key = arg.get_id();
-        let _ = match (value(arg, found), sources.get(key.as_str())) {
+        let _ = match (value(arg, found), sources.0.get(key.as_str())) {
             (Some(value), Some(source)) => writeln!(out, "{key} = {value}  # {source}"),
             (Some(value), None) => writeln!(out, "{key} = {value}"),
             (None, _) => writeln!(out, "# {key} is not set"),

@@ -38,21 +38,12 @@ impl fmt::Display for Source {
 
 /// The sources of all options that have a value, by name.
 #[derive(Clone, Debug, Default)]
-pub struct Sources(BTreeMap<String, Source>);
+pub struct Sources(pub(super) BTreeMap<String, Source>);
 
 impl Sources {
-    pub(super) fn new(all: BTreeMap<String, Source>) -> Self {
-        Self(all)
-    }
-
     /// The source of an option's value (`--name`), if it is not the command line.
     pub(super) fn of(&self, option: &str) -> Option<&Source> {
         let key = option.trim_start_matches("--").replace('-', "_");
-        self.get(&key).filter(|source| matches!(source, Source::File { .. } | Source::Environment(_)))
-    }
-
-    /// The source by key, for options of the program too.
-    pub(super) fn get(&self, key: &str) -> Option<&Source> {
-        self.0.get(key)
+        self.0.get(&key).filter(|source| matches!(source, Source::File { .. } | Source::Environment(_)))
     }
 }

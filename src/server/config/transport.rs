@@ -4,9 +4,8 @@
 
 use clap::Args;
 
-use super::error::ConfigError;
 use super::limits::Transport;
-use super::values::{seconds, whole, within};
+use super::values::{ConfigError, seconds, whole, within};
 
 /// See the module's head.
 #[derive(Args, Clone, Debug)]
@@ -51,21 +50,16 @@ pub struct TransportArgs {
 impl TransportArgs {
     /// Checks every value.
     pub(super) fn check(&self) -> Result<Transport, ConfigError> {
-        let count = |option, value: u32| within(option, value.into(), 1, 100_000, "1 to 100000");
+        let count = |option, value: u32| within(option, value, 1..=100_000);
         Ok(Transport {
-            streams: match self.connection_streams {
-                Some(streams) => Some(count("--connection-streams", streams)? as u32),
-                None => None,
-            },
+            streams: self.connection_streams.map(|streams| count("--connection-streams", streams)).transpose()?,
             // The usual headers need at least this. The upper limit bounds the memory of each request.
-            header_bytes: within("--max-header-bytes", self.max_header_bytes.into(), 1024, 1 << 20, "1024 to 1048576")?
-                as u32,
+            header_bytes: within("--max-header-bytes", self.max_header_bytes, 1024..=1 << 20)?,
             // A chunk and a result have up to 1 MiB; frames of gRPC end at 4 GiB, and all messages are held in memory.
-            message_bytes: (within("--max-message-mib", self.max_message_mib.into(), 2, 1024, "2 to 1024")? as usize)
-                << 20,
+            message_bytes: (within("--max-message-mib", self.max_message_mib, 2..=1024)? as usize) << 20,
             pending_resets: count("--max-pending-resets", self.max_pending_resets)? as usize,
             fault_resets: count("--max-fault-resets", self.max_fault_resets)? as usize,
-            control_frames: count("--max-control-frames", self.max_control_frames)? as u32,
+            control_frames: count("--max-control-frames", self.max_control_frames)?,
             ping_every: seconds("--ping-every-s", self.ping_every_s)?,
             ping_timeout: seconds("--ping-timeout-s", self.ping_timeout_s)?,
             first_byte: seconds("--first-byte-s", self.first_byte_s)?,

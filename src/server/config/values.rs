@@ -1,16 +1,35 @@
 //! Values as people write them: whole numbers, times, addresses.
 //!
-//! Invariant: what is refused is refused with a sentence that says what to write. Must not know: options.
+//! Invariant: the error for a wrong value says what to write. Must not know: options.
 
+use std::borrow::Cow;
+use std::fmt::Display;
 use std::net::{SocketAddr, ToSocketAddrs};
+use std::ops::RangeInclusive;
 use std::time::Duration;
 
-use super::error::ConfigError;
+/// A value that makes no sense.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[error("{option} is {value}; it must be {must}")]
+pub struct ConfigError {
+    /// The option's name on the command line.
+    pub option: &'static str,
+    /// As given.
+    pub value: String,
+    /// The allowed values.
+    pub must: Cow<'static, str>,
+}
+
+impl ConfigError {
+    pub(super) fn new(option: &'static str, value: impl Display, must: impl Into<Cow<'static, str>>) -> Self {
+        Self { option, value: value.to_string(), must: must.into() }
+    }
+}
 
 /// A time as people write it: a number and s, m, h or d.
 ///
 /// # Errors
-/// A sentence for who wrote it.
+/// A sentence for the user.
 pub fn period(text: &str) -> Result<Duration, String> {
     let unit = |letter| match letter {
         's' => Some(1.0),
@@ -26,23 +45,28 @@ pub fn period(text: &str) -> Result<Duration, String> {
     parsed.ok_or_else(|| "a time is needed, as 90s, 30m, 24h or 7d".to_owned())
 }
 
-pub(super) fn within(
+/// Checks that a number is in a range.
+pub(super) fn within<N: Display + Default + PartialOrd>(
     option: &'static str,
-    value: u64,
-    least: u64,
-    most: u64,
-    must: &'static str,
-) -> Result<u64, ConfigError> {
-    if (least..=most).contains(&value) {
-        Ok(value)
-    } else {
-        Err(ConfigError { option, value: value.to_string(), must })
+    value: N,
+    allowed: RangeInclusive<N>,
+) -> Result<N, ConfigError> {
+    let (least, most) = (allowed.start(), allowed.end());
+    match allowed.contains(&value) {
+        true => Ok(value),
+        false if *least == N::default() => Err(ConfigError::new(option, value, format!("at most {most}"))),
+        false => Err(ConfigError::new(option, value, format!("{least} to {most}"))),
     }
+}
+
+/// Checks a size that is given in MiB. Returns it in bytes.
+pub(super) fn mebibytes(option: &'static str, mib: Option<u64>) -> Result<Option<u64>, ConfigError> {
+    mib.map(|mib| Ok(within(option, mib, 1..=1 << 24)? << 20)).transpose()
 }
 
 /// What a name and a port stand for, addresses of IPv4 first: a client that asks for one by number asks for those.
 pub(super) fn addresses(option: &'static str, listen: &str) -> Result<Vec<SocketAddr>, ConfigError> {
-    let wrong = |must| ConfigError { option, value: format!("{listen:?}"), must };
+    let wrong = |must: &'static str| ConfigError::new(option, format!("{listen:?}"), must);
     let (host, port) = listen
         .rsplit_once(':')
         .filter(|(host, _)| !host.contains("//"))
@@ -64,7 +88,7 @@ pub(super) fn addresses(option: &'static str, listen: &str) -> Result<Vec<Socket
 /// A whole number as people write it: `10000`, `1e4`.
 ///
 /// # Errors
-/// A sentence for who wrote it.
+/// A sentence for the user.
 pub fn whole<N: TryFrom<u64>>(text: &str) -> Result<N, String> {
     number(text).and_then(|n| n.try_into().ok()).ok_or_else(|| {
         let words = "a whole number is needed, as 10000 or 1e4";
@@ -75,7 +99,7 @@ pub fn whole<N: TryFrom<u64>>(text: &str) -> Result<N, String> {
 /// The same, from 1 on.
 ///
 /// # Errors
-/// A sentence for who wrote it.
+/// A sentence for the user.
 pub fn count(text: &str) -> Result<u32, String> {
     match whole(text) {
         Ok(number) if number > 0 => Ok(number),
@@ -91,8 +115,8 @@ fn number(text: &str) -> Option<u64> {
 }
 
 pub(super) fn seconds(option: &'static str, value: f64) -> Result<Duration, ConfigError> {
-    if (0.01..=86_400.0).contains(&value) {
-        return Ok(Duration::from_secs_f64(value));
+    match (0.01..=86_400.0).contains(&value) {
+        true => Ok(Duration::from_secs_f64(value)),
+        false => Err(ConfigError::new(option, value, "0.01 to 86400 seconds")),
     }
-    Err(ConfigError { option, value: value.to_string(), must: "0.01 to 86400 seconds" })
 }

@@ -8,8 +8,7 @@ use std::net::SocketAddr;
 use clap::Args;
 use telemetry::Traces;
 
-use super::error::ConfigError;
-use super::values::addresses;
+use super::values::{ConfigError, addresses};
 
 /// See the module's head.
 #[derive(Args, Clone, Debug)]
@@ -35,28 +34,25 @@ pub struct WatchingArgs {
 }
 
 impl WatchingArgs {
-    /// Where operators are listened to; nowhere if empty.
+    /// Addresses of the admin port; empty if it is off.
     pub(super) fn admin(&self, insecure: bool) -> Result<Vec<SocketAddr>, ConfigError> {
         let Some(listen) = &self.admin_listen else { return Ok(Vec::new()) };
         let found = addresses("--admin-listen", listen)?;
         if !insecure && !self.admin_public && found.iter().any(|address| !address.ip().to_canonical().is_loopback()) {
-            return Err(ConfigError {
-                option: "--admin-listen",
-                value: format!("{listen:?}"),
-                must: "a loopback address, as 127.0.0.1:9090, since everybody who reaches it can read it; or give --admin-public",
-            });
+            let must = "a loopback address, as 127.0.0.1:9090, since it asks for no key; or give --admin-public";
+            return Err(ConfigError::new("--admin-listen", format!("{listen:?}"), must));
         }
         Ok(found)
     }
 
-    /// Where traces go, and which part of them.
+    /// The collector of traces, and the part that is exported.
     ///
     /// # Errors
     /// [`ConfigError`].
     pub fn traces(&self) -> Result<Option<Traces>, ConfigError> {
         // The variable that programs with OpenTelemetry share.
         let shared = || std::env::var("OTEL_EXPORTER_OTLP_ENDPOINT").ok().filter(|url| !url.is_empty());
-        let wrong = |option, value: String, must| Err(ConfigError { option, value, must });
+        let wrong = |option, value: String, must: &'static str| Err(ConfigError::new(option, value, must));
         if !(0.0..=1.0).contains(&self.otlp_ratio) {
             return wrong("--otlp-ratio", self.otlp_ratio.to_string(), "a number from 0 to 1");
         }

@@ -84,7 +84,7 @@ async fn stream(
     mut arriving: Arriving<'_>,
 ) -> Result<BlobInfo, RequestError> {
     let upload = upload.of(&client.tenant);
-    let info = BlobInfo { digest: upload.digest(), size_bytes: upload.size_bytes() };
+    let info = BlobInfo { digest: upload.digest, size_bytes: upload.size_bytes };
     let mut status = timely(desk.blobs.begin_within(upload, client.bytes)).await?;
     if status.complete {
         arriving.pass_over().await;

@@ -61,26 +61,14 @@ impl KeyFile {
     /// `Io`, `Damaged`.
     pub fn read(&self) -> Result<KeySet, KeysError> {
         let path = self.path();
-        let fault = |source| KeysError::Io { action: "read", path: path.clone(), source };
-        // A pipe would be waited for.
-        let is_file = match fs::metadata(&path) {
-            Err(error) if error.kind() == ErrorKind::NotFound => return Ok(KeySet::default()),
-            found => found.map_err(fault)?.is_file(),
-        };
-        if !is_file {
-            return Err(fault(std::io::Error::other("it is no regular file")));
+        match read_regular(&path, MOST_BYTES) {
+            Ok(bytes) => KeySet::from_json(&bytes).map_err(|reason| KeysError::Damaged { path, reason }),
+            Err(error) if error.kind() == ErrorKind::NotFound => Ok(KeySet::default()),
+            Err(error) if error.kind() == ErrorKind::FileTooLarge => {
+                Err(KeysError::Damaged { path, reason: error.to_string() })
+            }
+            Err(source) => Err(KeysError::Io { action: "read", path, source }),
         }
-        let file = match File::open(&path) {
-            Err(error) if error.kind() == ErrorKind::NotFound => return Ok(KeySet::default()),
-            file => file.map_err(fault)?,
-        };
-        let mut bytes = Vec::new();
-        file.take(MOST_BYTES + 1).read_to_end(&mut bytes).map_err(fault)?;
-        let damaged = |reason| KeysError::Damaged { path: path.clone(), reason };
-        if bytes.len() as u64 > MOST_BYTES {
-            return Err(damaged("it is far too long".to_owned()));
-        }
-        KeySet::from_json(&bytes).map_err(damaged)
     }
 
     /// Changes the keys, unless `change` fails.
@@ -120,6 +108,23 @@ impl KeyFile {
         #[cfg(unix)]
         File::open(&self.folder)?.sync_all()?;
         Ok(())
+    }
+}
+
+/// All bytes of a regular file.
+///
+/// # Errors
+/// `FileTooLarge` if it has more than `most` bytes.
+pub(crate) fn read_regular(path: &Path, most: u64) -> std::io::Result<Vec<u8>> {
+    // A pipe would be waited for.
+    if !fs::metadata(path)?.is_file() {
+        return Err(std::io::Error::other("it is no regular file"));
+    }
+    let mut bytes = Vec::new();
+    File::open(path)?.take(most + 1).read_to_end(&mut bytes)?;
+    match bytes.len() as u64 > most {
+        true => Err(std::io::Error::new(ErrorKind::FileTooLarge, format!("it has more than {most} bytes"))),
+        false => Ok(bytes),
     }
 }
 

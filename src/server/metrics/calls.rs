@@ -1,13 +1,14 @@
-//! Calls, from when they come to when they are over.
+//! Calls from their arrival to their end.
 //!
-//! Invariant: every call is counted once, with the status that it ended with; one that nobody said a status for was
-//! cancelled. A method that is not served is `_OTHER`, as OpenTelemetry calls it. Must not know: how calls are answered.
+//! Invariant: every call is counted once, with its last status; a call that was dropped without one was cancelled. A method
+//! that is not served is `_OTHER`, as OpenTelemetry calls it. Must not know: how calls are answered.
 
 use std::collections::HashSet;
-use std::sync::{Mutex, PoisonError};
+use std::sync::Mutex;
 use std::time::Instant;
 
 use super::Metrics;
+use jobs::lock;
 
 /// Label with the method of a call.
 const METHOD: &str = "rpc_method";
@@ -49,14 +50,14 @@ impl Call {
         self.method
     }
 
-    /// How it ends. What is said first stays.
+    /// Sets its status, unless it has one.
     pub fn end(&self, status: &'static str) {
-        self.status.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert(status);
+        lock(&self.status).get_or_insert(status);
     }
 
-    /// How it ends, if it is over now.
+    /// Its status, if it is over now.
     pub fn status(&self) -> &'static str {
-        self.status.lock().unwrap_or_else(PoisonError::into_inner).unwrap_or(DROPPED)
+        lock(&self.status).unwrap_or(DROPPED)
     }
 }
 

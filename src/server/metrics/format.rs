@@ -1,6 +1,6 @@
 //! The two texts that Prometheus reads.
 //!
-//! Purpose: OpenMetrics for who asks for it, and the older text for everybody else; the two differ in how counters are declared.
+//! Purpose: OpenMetrics for clients that ask for it, else the older text; the two differ in how counters are declared.
 //! Invariant: the samples are the same. Must not know: what is counted.
 
 use std::fmt::Write as _;

@@ -9,8 +9,9 @@ use prometheus_client::metrics::counter::Counter;
 use prometheus_client::metrics::gauge::Gauge;
 use prometheus_client::registry::{Registry, Unit};
 
+use super::{add, plain};
+
 /// See the module's head.
-#[derive(Default)]
 pub(super) struct Process {
     resident: Gauge,
     descriptors: Gauge,
@@ -21,17 +22,16 @@ pub(super) struct Process {
 }
 
 impl Process {
-    pub(super) fn register(registry: &mut Registry) -> Self {
-        let process = Self::default();
-        let (bytes, seconds) = (Unit::Bytes, || Unit::Seconds);
-        registry.register_with_unit("process_resident_memory", "Resident memory", bytes, process.resident.clone());
-        registry.register("process_open_fds", "Open file descriptors", process.descriptors.clone());
-        registry.register("process_max_fds", "File descriptors that may be open", process.most_descriptors.clone());
-        registry.register("process_threads", "Threads", process.threads.clone());
-        let start = "When the process began, since 1970";
-        registry.register_with_unit("process_start_time", start, seconds(), process.start.clone());
-        registry.register_with_unit("process_cpu", "Time of all processors", seconds(), process.cpu.clone());
-        process
+    pub(super) fn register(r: &mut Registry) -> Self {
+        let (seconds, start) = (|| Some(Unit::Seconds), "When the process began, since 1970");
+        Self {
+            resident: add(r, "process_resident_memory", Some(Unit::Bytes), "Resident memory", Gauge::default()),
+            descriptors: plain(r, "process_open_fds", "Open file descriptors"),
+            most_descriptors: plain(r, "process_max_fds", "File descriptors that may be open"),
+            threads: plain(r, "process_threads", "Threads"),
+            start: add(r, "process_start_time", seconds(), start, Gauge::default()),
+            cpu: add(r, "process_cpu", seconds(), "Time of all processors", Counter::default()),
+        }
     }
 
     /// Takes the figures of now.

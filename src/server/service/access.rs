@@ -1,4 +1,4 @@
-//! Who may call what, and how much.
+//! Authentication, roles and rate limits of calls.
 //!
 //! Purpose: [`Access`] looks at each request before any service does: its key, its role, its tenant, its rate. [`Guarded`] are
 //! the services behind it. Invariant: there is no other way to a service. Every request without a good key is refused in the
@@ -16,12 +16,12 @@ use std::path::Path;
 use std::sync::{Arc, PoisonError, RwLock, RwLockReadGuard};
 use std::time::Duration;
 
-use governor::{DefaultDirectRateLimiter, Quota};
 use tokio::net::TcpListener;
+use tokio::task::JoinSet;
 use tonic::Status;
 use tonic::body::Body;
 use tonic::codegen::Service as _;
-use tonic::codegen::http::{HeaderMap, HeaderName, HeaderValue, Method, Request, Response, StatusCode, header};
+use tonic::codegen::http::{HeaderMap, HeaderValue, Method, Request, Response, StatusCode, header};
 use tonic::service::Routes;
 
 use self::held::Held;
@@ -31,15 +31,13 @@ use self::table::Table;
 use super::RequestError;
 use crate::keys::{KeyFile, KeysError, Role, Secret, Stamp, now};
 use jobs::Weights;
+use telemetry::Seldom;
 
 /// The metadata that names the tenant.
 pub(super) const TENANT: &str = "tessera-tenant";
 
 /// Between two looks whether the file of the keys has changed or a key has ended.
 const LOOK_EVERY: Duration = Duration::from_secs(1);
-
-/// Between two log lines about refused keys: strangers can cause as many as they like.
-const LOG_EVERY: Duration = Duration::from_secs(5);
 
 /// What is decided once for a server.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -72,7 +70,7 @@ struct Shared {
     options: AccessOptions,
     file: Option<KeyFile>,
     table: RwLock<Table>,
-    log: DefaultDirectRateLimiter,
+    log: Seldom,
 }
 
 impl fmt::Debug for Access {
@@ -113,22 +111,22 @@ pub enum Refusal {
     Bytes { used_bytes: u64, limit_bytes: u64 },
 }
 
-/// Who calls, for whoever answers. There is none for a call without a key.
+/// The caller, for handlers. A call without a key has none.
 #[derive(Clone, Debug)]
 pub(crate) struct Caller {
-    /// In whose name.
+    /// The tenant in whose name it calls.
     pub tenant: String,
     /// What blobs the tenant may have, bytes.
     pub bytes: Option<u64>,
 }
 
 impl Access {
-    /// To everybody, as whom they say.
+    /// Access without keys. Callers name their tenants themselves.
     pub fn open() -> Self {
         Self::new(None, AccessOptions::default(), Table::default())
     }
 
-    /// The same with other options. Without a file there are no keys, and who needs one is refused.
+    /// As [`Self::open`], with other options. There are no keys: a call that needs one is refused.
     #[must_use]
     pub fn with(&self, options: AccessOptions) -> Self {
         Self::new(None, options, Table::default())
@@ -156,10 +154,8 @@ impl Access {
     }
 
     fn new(file: Option<KeyFile>, options: AccessOptions, table: Table) -> Self {
-        // A pause that is not 0 is a quota.
-        let quota = Quota::with_period(LOG_EVERY).unwrap_or(Quota::per_second(std::num::NonZeroU32::MIN));
-        let log = DefaultDirectRateLimiter::direct(quota);
-        Self { shared: Arc::new(Shared { options, file, table: RwLock::new(table), log }), is_local: false }
+        let shared = Shared { options, file, table: RwLock::new(table), log: Seldom::default() };
+        Self { shared: Arc::new(shared), is_local: false }
     }
 
     /// The same for the requests of one listener.
@@ -177,12 +173,12 @@ impl Access {
         self.shared.table.read().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Follows the file of the keys until what this gives is dropped. Weights of tenants go to `weights`.
-    pub fn follow(&self, weights: Weights) -> Following {
+    /// Follows the file of the keys in a task of `tasks`. Weights of tenants go to `weights`.
+    pub fn follow(&self, weights: Weights, tasks: &mut JoinSet<()>) {
         weights.set(self.table().weights());
-        let Some(file) = self.shared.file.clone() else { return Following(None) };
+        let Some(file) = self.shared.file.clone() else { return };
         let access = self.clone();
-        Following(Some(tokio::spawn(async move {
+        tasks.spawn(async move {
             let mut hangups = Hangups::new();
             // Read once more: it may have changed since the start.
             let (mut seen, mut complaint) = (None, None);
@@ -193,7 +189,7 @@ impl Access {
                     () = hangups.next() => seen = None,
                 }
             }
-        })))
+        });
     }
 
     /// Reads the file if it has changed, and lets go of keys whose time is over.
@@ -231,7 +227,7 @@ impl Access {
         self.table().end_expired(now());
     }
 
-    /// Looks at a request of another door, for which `role` is needed; there is nothing behind it if none is.
+    /// Checks a request of the HTTP interface that needs `role`; without one, there is no such resource.
     pub fn admit<B>(&self, request: &mut Request<B>, role: Option<Role>) -> Result<Option<Pass>, Refusal> {
         let entered = self.enter(request, role.map(Needs::Role));
         entered.inspect_err(|refusal| self.note(*refusal, request.uri().path()))
@@ -243,16 +239,16 @@ impl Access {
         if self.is_local && !options.require_keys { hosts::check(request, &options.hosts) } else { Ok(()) }
     }
 
-    /// Looks at a request. Gives who calls, unless nobody needs to know.
+    /// Checks a request. Returns the right of the call if it has a key.
     fn enter<B>(&self, request: &mut Request<B>, needs: Option<Needs>) -> Result<Option<Pass>, Refusal> {
         let presented = presented(request.headers());
-        // Nobody behind this needs it.
+        // No handler needs it.
         request.headers_mut().remove(header::AUTHORIZATION);
         let named = tenant(request.headers())?;
         let options = &self.shared.options;
         let Some(secret) = presented? else {
             let is_probe = needs == Some(Needs::Health) && !options.health_needs_key;
-            // Whoever has no key cannot be somebody who has one.
+            // A tenant with a key cannot be named without it.
             if (options.require_keys && !is_probe) || named.is_some_and(|name| self.table().has(&name)) {
                 return Err(Refusal::Unauthenticated);
             }
@@ -281,8 +277,10 @@ impl Access {
 
     /// Says now and then that keys are refused.
     fn note(&self, refusal: Refusal, path: &str) {
-        if refusal == Refusal::Unauthenticated && self.shared.log.check().is_ok() {
-            tracing::warn!(path, "refused calls without a good key");
+        if refusal == Refusal::Unauthenticated
+            && let Some(times) = self.shared.log.count()
+        {
+            tracing::warn!(path, times, "refused calls without a good key");
         } else {
             tracing::debug!(path, reason = %refusal, "refused a call");
         }
@@ -306,24 +304,14 @@ fn presented(headers: &HeaderMap) -> Result<Option<Secret>, Refusal> {
 const LONGEST: usize = 128;
 
 /// The tenant that a request names.
-fn tenant(headers: &HeaderMap) -> Result<Option<String>, Refusal> {
-    let name = HeaderName::from_static(TENANT);
-    let mut all = headers.get_all(&name).iter();
+pub(super) fn tenant(headers: &HeaderMap) -> Result<Option<String>, Refusal> {
+    let mut all = headers.get_all(TENANT).iter();
     let Some(value) = all.next() else { return Ok(None) };
     let name = value.to_str().unwrap_or_default();
     let is_good = (1..=LONGEST).contains(&name.len()) && name.bytes().all(|byte| byte.is_ascii_graphic());
     match is_good && all.next().is_none() {
         true => Ok(Some(name.to_owned())),
         false => Err(Refusal::TenantName),
-    }
-}
-
-/// Follows the file of the keys until it is dropped.
-pub struct Following(Option<tokio::task::JoinHandle<()>>);
-
-impl Drop for Following {
-    fn drop(&mut self) {
-        self.0.iter().for_each(tokio::task::JoinHandle::abort);
     }
 }
 
@@ -379,10 +367,13 @@ impl Guarded {
             }
         };
         let answering = self.routes.call(request);
-        let Some(pass) = pass else { return sure(answering.await) };
-        let response = tokio::select! {
-            response = answering => sure(response),
-            () = pass.ended() => return Status::from(RequestError::Access(Refusal::Unauthenticated)).into_http(),
+        let Some(pass) = pass else {
+            let Ok(response) = answering.await;
+            return response;
+        };
+        let Ok(response) = tokio::select! {
+            response = answering => response,
+            () = pass.ended() => return Status::from(RequestError::unauthenticated()).into_http(),
         };
         response.map(|body| Body::new(Held::new(body, pass)))
     }
@@ -406,14 +397,6 @@ fn foreign(request: &Request<Body>) -> Option<Response<Body>> {
         response.headers_mut().insert(header::ALLOW, HeaderValue::from_static("POST"));
     }
     Some(response)
-}
-
-/// What cannot fail.
-fn sure<T>(result: Result<T, std::convert::Infallible>) -> T {
-    match result {
-        Ok(value) => value,
-        Err(never) => match never {},
-    }
 }
 
 #[cfg(test)]

@@ -15,7 +15,7 @@ use super::RequestError;
 pub struct Budget {
     /// Below 0 where results took more than was left.
     left: Arc<AtomicI64>,
-    /// Told how much is taken, for who looks at what else the process holds.
+    /// The bytes that are taken.
     held: Arc<AtomicI64>,
 }
 
@@ -34,7 +34,7 @@ impl Budget {
         Share { budget: self.clone(), taken: 0 }
     }
 
-    /// Whether so many bytes are left.
+    /// Whether `bytes` are left.
     pub fn has(&self, bytes: u64) -> bool {
         self.left.load(Ordering::Acquire) >= signed(bytes)
     }
@@ -65,7 +65,7 @@ pub struct Share {
 }
 
 impl Share {
-    /// Takes `bytes` more, if so many are left.
+    /// Takes `bytes` more, if they are left.
     pub fn grow(&mut self, bytes: u64) -> Result<(), RequestError> {
         let take = |left: i64| left.checked_sub(signed(bytes)).filter(|left| *left >= 0);
         self.budget.left.fetch_update(Ordering::AcqRel, Ordering::Acquire, take).map_err(|left| {

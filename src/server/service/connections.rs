@@ -1,9 +1,8 @@
-//! The transport: who may connect, for how long, and what becomes of connections at the end.
+//! The transport: accepts connections, limits them and closes them at the end.
 //!
-//! Purpose: [`serve`] accepts connections and runs each on a task of its own. Invariant: whatever strangers do, there is
-//! room for who asks for something: connections are limited in number, in all and from each peer, and silent ones go
-//! first; nothing that waits for a peer waits without a limit; where descriptors run out, accepting waits instead of
-//! spinning. Must not know: messages, jobs.
+//! Purpose: [`serve`] accepts connections and runs each on a task of its own. Invariant: there is always room for a client
+//! with a request: connections are limited in number, in all and from each peer, and silent ones go first; every wait for a
+//! peer has a limit; where descriptors run out, accepting waits instead of spinning. Must not know: messages, jobs.
 
 mod account;
 mod arriving;
@@ -14,11 +13,9 @@ mod frames;
 mod handshake;
 mod line;
 mod places;
-mod seldom;
 mod socket;
 mod tls;
 mod unpacking;
-mod unread;
 mod web;
 
 use std::io;
@@ -38,13 +35,12 @@ use self::connection::State;
 use self::handshake::Handshakes;
 use self::line::Line;
 use self::places::{Full, Places};
-use self::seldom::Seldom;
-use self::socket::Socket;
 use super::Phase;
 use super::access::Guarded;
 use super::budget::Budget;
 use crate::config::Limits;
 use crate::metrics::{Calls, Metrics, Refused};
+use telemetry::Seldom;
 
 /// Between the last answer and the end of its connection. A connection that closes while its client still
 /// acknowledges data is reset, and what the client has not read yet is lost.
@@ -62,11 +58,11 @@ const LONGEST_PAUSE: Duration = Duration::from_secs(1);
 pub(super) enum Spoken {
     /// The services, over HTTP/2.
     Grpc(Arc<Grpc>),
-    /// Another door, over HTTP/1.1 and HTTP/2.
+    /// The HTTP interface, over HTTP/1.1 and HTTP/2.
     Web(Router),
 }
 
-/// The services, and who counts their calls.
+/// The services and the counters of their calls.
 pub(super) struct Grpc {
     pub(super) routes: Guarded,
     pub(super) calls: Calls,
@@ -125,7 +121,7 @@ pub(super) async fn serve(
         async move {
             match &common.handshakes {
                 // One port has the files looked at, for all.
-                Some(handshakes) if !is_web => Arc::clone(handshakes.tls()).follow().await,
+                Some(handshakes) if !is_web => Arc::clone(&handshakes.tls).follow().await,
                 _ => std::future::pending().await,
             }
         }
@@ -236,10 +232,10 @@ async fn establish(
     common: &Common,
     phase: watch::Receiver<Phase>,
 ) -> Option<Line> {
-    let socket = Socket::new(stream, state.traffic()).ok()?;
+    let socket = socket::open(stream, Arc::clone(&state.traffic)).ok()?;
     match &common.handshakes {
-        None => Some(Line::Clear(socket)),
-        Some(handshakes) => Some(Line::Tls(Box::new(handshakes.shake(socket, state, phase).await?))),
+        None => Some(Box::new(socket)),
+        Some(handshakes) => Some(Box::new(handshakes.shake(socket, state, phase).await?)),
     }
 }
 

@@ -1,9 +1,9 @@
-//! Health, as it is.
+//! Health of the server.
 //!
-//! Purpose: [`Told`] tells `grpc.health.v1` and the metrics what [`Readiness`] says. [`follow_engine`] and [`probes`] find out
-//! how the engine is, [`follow_blobs`] how the store of blobs is.
-//! Invariant: a fault is told within a second of being found, and taken back once a probe has passed. Work that is under way
-//! proves the device; only an idle one is probed. Must not know: how a probe is done.
+//! Purpose: [`Told`] passes changes of [`Readiness`] to `grpc.health.v1` and the metrics. [`follow_engine`], [`probes`] and
+//! [`follow_blobs`] check the engine and the store of blobs.
+//! Invariant: a fault shows within a second of being found, until a probe has passed. Work under way proves the device; only
+//! an idle one is probed. Must not know: how a probe is done.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -25,24 +25,24 @@ const PROBE_AGAIN: Duration = Duration::from_secs(5);
 /// Between two looks at the store of blobs.
 const LOOK_AT_BLOBS: Duration = Duration::from_secs(5);
 
-/// Health, told for every service and for all of them.
+/// Health of each service and of the server.
 pub(super) struct Told {
     health: HealthReporter,
     names: &'static [&'static str],
     metrics: Metrics,
-    /// What was told last.
+    /// The last condition that was published.
     last: Mutex<Option<Condition>>,
 }
 
 impl Told {
-    /// Nothing is told yet.
+    /// Nothing is published yet.
     pub(super) fn new(health: HealthReporter, names: &'static [&'static str], metrics: Metrics) -> Self {
         Self { health, names, metrics, last: Mutex::default() }
     }
 
-    /// Tells a condition: to whoever watches a service, if it makes a difference for that service.
+    /// Publishes a condition, for each service whose health it changes.
     pub(super) async fn tell(&self, condition: Condition) {
-        // Held until all is told: two who tell at once do not mix.
+        // Held to the end: two calls at once do not mix.
         let mut last = self.last.lock().await;
         self.metrics.condition(condition);
         for name in self.names.iter().chain([&""]) {
@@ -54,7 +54,7 @@ impl Told {
         *last = Some(condition);
     }
 
-    /// Tells every change.
+    /// Publishes every change.
     pub(super) async fn follow(self: Arc<Self>, readiness: Readiness) {
         let mut condition = readiness.watch();
         loop {
@@ -132,7 +132,7 @@ pub(super) async fn probes(engine: Engine, readiness: Readiness, metrics: Metric
         tokio::time::sleep(if has_failed { every.min(PROBE_AGAIN) } else { every }).await;
         match *engine.watch_device().borrow() {
             Device::Gone | Device::Missing => return,
-            // Whoever makes it anew has it probed.
+            // Probed once it is made anew.
             Device::Lost => continue,
             Device::Ready | Device::Replaced => {}
         }
@@ -142,7 +142,7 @@ pub(super) async fn probes(engine: Engine, readiness: Readiness, metrics: Metric
     }
 }
 
-/// Tells what blobs take, and whether more can be stored.
+/// Publishes the bytes of blobs, and whether more can be stored.
 pub(super) async fn follow_blobs(
     blobs: Arc<dyn BlobStore>,
     mut storage: watch::Receiver<Option<BlobError>>,
@@ -160,7 +160,7 @@ pub(super) async fn follow_blobs(
         readiness.set(Reason::DiskFull, trouble == Some(BlobError::StorageFull));
         readiness.set(Reason::StoreAway, trouble.is_some_and(|error| error != BlobError::StorageFull));
         tokio::select! {
-            // Who never changes his mind is asked for the usage alone.
+            // A closed channel leaves the timer.
             Ok(()) = storage.changed() => {}
             () = tokio::time::sleep(LOOK_AT_BLOBS) => {}
         }

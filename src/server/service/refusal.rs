@@ -1,4 +1,4 @@
-//! Which errors are refusals, for who counts them.
+//! Errors that count as refusals.
 //!
 //! Invariant: what is wrong with a request is no refusal; what a retry, another server or an operator mends is one.
 //! Must not know: how refusals are counted, status codes of our own errors.
@@ -12,7 +12,7 @@ use jobs::JobError;
 use jobs::blob::BlobError;
 use jobs::executor::api::JobApiError;
 
-/// Why somebody is refused by this error, if he is.
+/// The refusal that an error stands for, if any.
 pub(super) fn of(error: &RequestError) -> Option<Refused> {
     match error {
         RequestError::Memory { .. } => Some(Refused::Memory),

@@ -3,6 +3,8 @@
 //! Purpose: a [`Fault`] in gRPC's words: its code, and google.rpc details. Invariant: nothing is decided here that `fault` has
 //! not decided. Must not know: which error it was.
 
+use tonic::body::Body;
+use tonic::codegen::http::Response;
 use tonic::{Code, Status};
 use tonic_types::{ErrorDetails, StatusExt};
 
@@ -68,5 +70,34 @@ fn of_inbound(status: Status) -> Status {
         // Whatever is wrong with what a client sends is no fault of the server.
         Code::Internal => Status::invalid_argument(status.message()),
         _ => status,
+    }
+}
+
+/// An answer from before the handler, with the documented code: a request that cannot be read is the client's fault.
+pub(super) fn of_unread(response: Response<Body>) -> Response<Body> {
+    match Status::from_header_map(response.headers()) {
+        // The transport's words for a message that is no protobuf, is missing, ends too early or is longer than it may be.
+        Some(status) if matches!(status.code(), Code::Internal | Code::OutOfRange) => of_inbound(status).into_http(),
+        _ => response,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_cannot_be_read_is_the_client_s_fault() {
+        for (from, to) in [
+            (Code::Internal, Code::InvalidArgument),
+            (Code::OutOfRange, Code::ResourceExhausted),
+            (Code::Unauthenticated, Code::Unauthenticated),
+            (Code::Unimplemented, Code::Unimplemented),
+        ] {
+            let answer = of_unread(Status::new(from, "words").into_http());
+            let status = Status::from_header_map(answer.headers()).unwrap();
+            assert_eq!((status.code(), status.message()), (to, "words"));
+        }
+        assert!(Status::from_header_map(of_unread(Response::new(Body::empty())).headers()).is_none());
     }
 }

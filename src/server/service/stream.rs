@@ -31,7 +31,7 @@ const OUTBOX_MESSAGES: usize = 4;
 /// Between two looks whether memory for a message is free.
 const MEMORY_PAUSE: Duration = Duration::from_millis(20);
 
-/// What is admitted, each counted for itself: whoever watches jobs takes no place from who has work.
+/// Kinds of calls. Each has places of its own: watches of jobs take none from work.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Kind {
     /// Uploads, downloads, work.
@@ -94,7 +94,7 @@ impl Gate {
         }
     }
 
-    /// Ready once the server is at least so far on its way out.
+    /// Ready once the server has reached this phase.
     pub async fn reached(&self, phase: Phase) {
         let _ = self.phase.clone().wait_for(|now| *now >= phase).await;
     }
@@ -257,7 +257,7 @@ where
         };
         drop(work);
         let result = result.map_err(|error| match error {
-            RequestError::ClientGone if exchange.is_some_and(|e| e.stalled()) => {
+            RequestError::ClientGone if exchange.is_some_and(|e| e.stalled.is_set()) => {
                 RequestError::Stalled(gate.limits.stall)
             }
             other => other,

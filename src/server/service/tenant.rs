@@ -1,19 +1,16 @@
-//! Whose a call is.
+//! The tenant of a call.
 //!
-//! Purpose: [`of`] reads the tenant of a call: that of its key, else what the caller says, else the address it comes from.
-//! Invariant: what a caller with a key says beside it counts for nothing here; `access` has looked at it. A tenant is 1 to 128 printable ASCII characters without spaces. Two callers from different networks that say
-//! nothing are never the same tenant. Must not know: what tenants have.
+//! Purpose: [`of`] reads it: the tenant of the call's key, else the named one, else the address that the call comes from.
+//! Invariant: of a call with a key `access` has checked the name, and only the key's tenant counts here. Callers from
+//! different networks that name no tenant are never the same one. Must not know: what tenants have.
 
 use tonic::Extensions;
 use tonic::codegen::http::HeaderMap;
 use tonic::metadata::MetadataMap;
 
-use super::access::{Caller, TENANT};
+use super::access::{Caller, TENANT, tenant};
 use super::connections::Peer;
 use wire::WireError;
-
-/// The longest name, bytes.
-const LONGEST: usize = 128;
 
 /// The tenant of a call.
 pub(super) fn of(metadata: &MetadataMap, extensions: &Extensions) -> Result<String, WireError> {
@@ -26,13 +23,10 @@ pub(crate) fn of_headers(headers: &HeaderMap, extensions: &Extensions) -> Result
         return Ok(caller.tenant.clone());
     }
     let wrong = |reason: &str| WireError::field(TENANT, reason);
-    if let Some(value) = headers.get(TENANT) {
-        let name = value.to_str().unwrap_or_default();
-        let is_good = (1..=LONGEST).contains(&name.len()) && name.bytes().all(|byte| byte.is_ascii_graphic());
-        return match is_good {
-            true => Ok(name.to_owned()),
-            false => Err(wrong("is no name: take 1 to 128 printable ASCII characters without spaces")),
-        };
+    let named = tenant(headers);
+    let named = named.map_err(|_| wrong("is no name: take 1 to 128 printable ASCII characters without spaces"))?;
+    if let Some(name) = named {
+        return Ok(name);
     }
     let peer = extensions.get::<Peer>().ok_or_else(|| wrong("is missing, and the caller's address is not known"))?;
     Ok(peer.to_string())

@@ -18,15 +18,15 @@ use tokio::task::spawn_blocking;
 
 use super::LOCKS;
 use crate::blob::chunk::{Chunk, UploadId, UploadStatus};
-use crate::blob::error::object;
-use crate::blob::facts::BlobInfo;
+use crate::blob::error::found;
 use crate::blob::options::BlobOptions;
 use crate::blob::place::path_of;
 use crate::blob::quota::Ledger;
 use crate::blob::reader::bytes_of;
 use crate::blob::staging::{Part, Staging};
-use crate::blob::upload::{Slot, Upload, Uploads, lock};
-use crate::blob::{BlobError, ByteStream, Digest};
+use crate::blob::upload::{Slot, Upload, Uploads};
+use crate::blob::{BlobError, BlobInfo, ByteStream, Digest};
+use crate::lock;
 
 /// Removals and questions to the store that run at once.
 const AT_ONCE: usize = 16;
@@ -36,7 +36,7 @@ const AT_ONCE: usize = 16;
 pub(super) enum Kind {
     /// The files remember when they were used last. The lock keeps other processes out.
     Folder { files: Arc<LocalFileSystem>, _lock: File },
-    /// Nobody else sees it.
+    /// Seen by this process alone.
     Memory,
     /// Other processes may add and remove blobs and continue uploads.
     Shared,
@@ -79,7 +79,7 @@ impl Inner {
         Self { objects, staging, ledger: Mutex::new(ledger), uploads, locks, options, kind }
     }
 
-    /// Waits until nobody else shows or removes the bytes of a blob.
+    /// Waits for the lock under which the bytes of a blob are shown and removed.
     pub(super) async fn lock_bytes(&self, digest: &Digest) -> MutexGuard<'_, ()> {
         self.locks[usize::from(digest.as_bytes()[0]) % LOCKS].lock().await
     }
@@ -95,20 +95,15 @@ impl Inner {
         self.stored_in_turn(digest).await
     }
 
-    /// The same for who holds the lock of its bytes.
+    /// As [`Self::stored`]; the caller holds the lock of its bytes.
     pub(super) async fn stored_in_turn(&self, digest: Digest) -> Result<Option<BlobInfo>, BlobError> {
         let known = lock(&self.ledger).get(&digest);
         if known.is_some() || !matches!(self.kind, Kind::Shared) {
             return Ok(known);
         }
-        match self.objects.head(&path_of(&digest)).await {
-            Ok(found) => {
-                let kept = lock(&self.ledger).seen(digest, found.size, stamp_of(&found));
-                Ok(kept.then_some(BlobInfo { digest, size_bytes: found.size }))
-            }
-            Err(object_store::Error::NotFound { .. }) => Ok(None),
-            Err(error) => Err(object("look for a blob")(error)),
-        }
+        let Some(meta) = found("look for a blob", self.objects.head(&path_of(&digest)).await)? else { return Ok(None) };
+        let kept = lock(&self.ledger).seen(digest, meta.size, stamp_of(&meta));
+        Ok(kept.then_some(BlobInfo { digest, size_bytes: meta.size }))
     }
 
     /// A blob that is used now, if it is stored.
@@ -178,7 +173,7 @@ impl Inner {
         Ok(())
     }
 
-    /// Waits for the turn to change an upload, and reads it if nobody has. `None` if there is none.
+    /// Waits for the turn to change an upload, and reads it if that is still to be done. `None` if there is none.
     async fn turn(&self, id: UploadId) -> Result<Option<(Arc<Upload>, OwnedMutexGuard<Slot>)>, BlobError> {
         loop {
             let Some(upload) = self.uploads.get(&id) else {
@@ -205,16 +200,16 @@ impl Inner {
 
     /// Takes over an upload that another process began. Whether there is one.
     async fn adopt(&self, id: UploadId) -> Result<bool, BlobError> {
-        // Looked for first: what nobody began counts for nothing, whatever size is named.
+        // Looked for first: an upload that was never begun must not count against the quota.
         if self.staging.load(id).await?.is_none() {
             return Ok(false);
         }
         let admit = |_| {
-            lock(&self.ledger).found_upload(id.size_bytes());
+            lock(&self.ledger).found_upload(id.size_bytes);
             Ok(())
         };
         if let Some((mut slot, ())) = self.uploads.add(id, self.options.uploads, admit)? {
-            // Whoever has the turn reads it again.
+            // The next turn reads it again.
             *slot = Slot::Kept;
         }
         Ok(true)
@@ -223,23 +218,22 @@ impl Inner {
     /// The upload is no more, and its room is free.
     fn drop_upload(&self, id: UploadId, slot: &mut Slot) {
         self.uploads.remove(&id, slot);
-        lock(&self.ledger).release(id.size_bytes());
+        lock(&self.ledger).release(id.size_bytes);
     }
 
-    /// The blob of an upload, if it is stored and the upload's owner has it; it is used now. For who does not have it, it is
-    /// not there.
+    /// The blob of an upload, if it is stored and the upload's owner has it. Counts as a use.
     async fn own(&self, id: UploadId) -> Result<Option<BlobInfo>, BlobError> {
-        match id.owner() {
-            Some(owner) if !self.is_owned(owner, id.digest()).await? => Ok(None),
-            _ => self.used(id.digest()).await,
+        match id.owner {
+            Some(owner) if !self.is_owned(owner, id.digest).await? => Ok(None),
+            _ => self.used(id.digest).await,
         }
     }
 
-    /// What to say of an upload that is not under way: complete, if the blob is there.
+    /// The blob of an upload that is not under way any more.
     async fn whole(&self, id: UploadId) -> Result<BlobInfo, BlobError> {
         match self.own(id).await? {
-            Some(info) if info.size_bytes == id.size_bytes() => Ok(info),
-            _ => Err(BlobError::UploadNotFound { digest: id.digest() }),
+            Some(info) if info.size_bytes == id.size_bytes => Ok(info),
+            _ => Err(BlobError::UploadNotFound { digest: id.digest }),
         }
     }
 
@@ -247,15 +241,15 @@ impl Inner {
     /// up though others have them.
     fn reserve(&self, id: UploadId, promised: Option<u64>, own_limit: Option<u64>) -> Result<Reserved, BlobError> {
         let mut ledger = lock(&self.ledger);
-        let given_up = match (id.owner(), own_limit) {
-            (Some(owner), Some(limit)) => ledger.own_room(owner, id.size_bytes(), promised.unwrap_or(0), limit)?,
+        let given_up = match (id.owner, own_limit) {
+            (Some(owner), Some(limit)) => ledger.own_room(owner, id.size_bytes, promised.unwrap_or(0), limit)?,
             _ => Vec::new(),
         };
-        let mut victims = ledger.reserve(id.size_bytes(), promised)?;
+        let mut victims = ledger.reserve(id.size_bytes, promised)?;
         let mut unmarked = Vec::new();
         for digest in given_up {
             // It may be among the victims by now.
-            let Some(owner) = id.owner() else { break };
+            let Some(owner) = id.owner else { break };
             match ledger.disown(&digest, owner) {
                 Ok(Some(orphan)) => victims.push(orphan),
                 Ok(None) => unmarked.push(digest),
@@ -266,7 +260,7 @@ impl Inner {
     }
 
     pub(super) async fn begin(&self, id: UploadId, own_limit: Option<u64>) -> Result<UploadStatus, BlobError> {
-        let (digest, size_bytes) = (id.digest(), id.size_bytes());
+        let (digest, size_bytes) = (id.digest, id.size_bytes);
         loop {
             if let Some(BlobInfo { size_bytes: actual_bytes, .. }) = self.own(id).await? {
                 if actual_bytes == size_bytes {
@@ -300,7 +294,7 @@ impl Inner {
             };
             match self.new_part(id, reserved).await {
                 Ok(part) => {
-                    let kept_bytes = part.kept_bytes();
+                    let kept_bytes = part.tally().bytes();
                     *slot = Slot::Open(part);
                     return Ok(UploadStatus { kept_bytes, complete: false });
                 }
@@ -312,11 +306,13 @@ impl Inner {
         }
     }
 
-    /// Gives the place of an upload that nobody continues to another; says whether there was one. Whoever was displaced begins
-    /// anew.
+    /// Removes the upload that was idle for the longest, to make place for another. Returns whether there was one; its client
+    /// begins again.
     async fn displace(&self, id: UploadId) -> Result<bool, BlobError> {
         let time = self.options.keep_crowded_uploads;
-        let Some(stalest) = id.is_owned().then(|| self.uploads.stalest(&id, time)).flatten() else { return Ok(false) };
+        let Some(stalest) = id.owner.is_some().then(|| self.uploads.stalest(&id, time)).flatten() else {
+            return Ok(false);
+        };
         match self.abandon(stalest, time).await {
             // It ended just now.
             Err(BlobError::UploadNotFound { .. }) => Ok(true),
@@ -327,7 +323,7 @@ impl Inner {
     /// Makes room, then a part. Another process may have begun it.
     async fn new_part(&self, id: UploadId, reserved: Reserved) -> Result<Box<dyn Part>, BlobError> {
         let Reserved { victims, unmarked } = reserved;
-        if let Some(owner) = id.owner() {
+        if let Some(owner) = id.owner {
             let unmarking = stream::iter(unmarked).map(|digest| self.unmark(digest, owner)).buffer_unordered(AT_ONCE);
             unmarking.collect::<Vec<_>>().await.into_iter().collect::<Result<(), _>>()?;
         }
@@ -340,12 +336,12 @@ impl Inner {
         self.staging.create(id).await
     }
 
-    /// Removes the bytes of a blob that is out of the books, while nobody waits.
+    /// Removes the bytes of a blob that is out of the books, in a task of its own.
     pub(super) fn remove_later(inner: &Arc<Self>, blob: BlobInfo) {
         let inner = Arc::clone(inner);
         tokio::spawn(async move {
             if let Err(error) = inner.remove(blob).await {
-                tracing::warn!(digest = %blob.digest, %error, "a blob that nobody has was not removed; it is the next to go");
+                tracing::warn!(digest = %blob.digest, %error, "a blob without owners was not removed; it is the next to go");
             }
         });
     }
@@ -355,18 +351,13 @@ impl Inner {
         let digest = blob.digest;
         let _turn = self.lock_bytes(&digest).await;
         if lock(&self.ledger).get(&digest).is_some() {
-            // It has come back, to others than had it.
+            // It has come back, with other owners.
             return self.unmark_others(digest).await;
         }
-        let removed = self.objects.delete(&path_of(&digest)).await;
+        let removed = found("remove a blob", self.objects.delete(&path_of(&digest)).await);
         lock(&self.ledger).left(&digest);
-        match removed {
-            Ok(()) | Err(object_store::Error::NotFound { .. }) => self.unmark_others(digest).await,
-            Err(error) => {
-                lock(&self.ledger).found(digest, blob.size_bytes, 0);
-                Err(object("remove a blob")(error))
-            }
-        }
+        removed.inspect_err(|_| lock(&self.ledger).found(digest, blob.size_bytes, 0))?;
+        self.unmark_others(digest).await
     }
 
     pub(super) async fn status(&self, id: UploadId) -> Result<UploadStatus, BlobError> {
@@ -379,7 +370,7 @@ impl Inner {
         if let Some((_, slot)) = self.turn(id).await?
             && let Slot::Open(part) = &*slot
         {
-            return Ok(UploadStatus { kept_bytes: part.kept_bytes(), complete: false });
+            return Ok(UploadStatus { kept_bytes: part.tally().bytes(), complete: false });
         }
         // It ended just now.
         self.whole(id).await.map(complete)
@@ -391,18 +382,18 @@ impl Inner {
             let info = self.whole(id).await?;
             return Ok(UploadStatus { kept_bytes: info.size_bytes, complete: true });
         };
-        let Slot::Open(part) = &mut *slot else { return Err(BlobError::UploadNotFound { digest: id.digest() }) };
-        chunk.check(part.kept_bytes(), id.size_bytes())?;
+        let Slot::Open(part) = &mut *slot else { return Err(BlobError::UploadNotFound { digest: id.digest }) };
+        chunk.check(part.tally().bytes(), id.size_bytes)?;
         if let Err(error) = part.append(chunk.bytes, chunk.crc32c).await {
             *slot = Slot::Kept;
             return Err(error);
         }
         upload.touch();
-        Ok(UploadStatus { kept_bytes: part.kept_bytes(), complete: false })
+        Ok(UploadStatus { kept_bytes: part.tally().bytes(), complete: false })
     }
 
     pub(super) async fn finish(&self, id: UploadId, pin: Option<&str>) -> Result<BlobInfo, BlobError> {
-        let digest = id.digest();
+        let digest = id.digest;
         let gone = BlobError::UploadNotFound { digest };
         let Some((_upload, mut slot)) = self.turn(id).await? else {
             let info = self.whole(id).await?;
@@ -412,30 +403,30 @@ impl Inner {
             return Ok(info);
         };
         let Slot::Open(part) = &mut *slot else { return Err(gone) };
-        let missing = (part.kept_bytes() != id.size_bytes())
-            .then_some(BlobError::Incomplete { kept_bytes: part.kept_bytes(), size_bytes: id.size_bytes() });
-        let actual = part.digest();
+        let missing = (part.tally().bytes() != id.size_bytes)
+            .then_some(BlobError::Incomplete { kept_bytes: part.tally().bytes(), size_bytes: id.size_bytes });
+        let actual = part.tally().digest();
         if missing.is_none() && actual != digest {
             self.discard(id).await;
             self.drop_upload(id, &mut slot);
             return Err(BlobError::DigestMismatch { expected: digest, actual });
         }
-        // Who has the blob need not send it again.
-        let has = match id.owner() {
+        // An owner of the blob need not send it again.
+        let has = match id.owner {
             Some(owner) => self.is_owned(owner, digest).await?,
             None => true,
         };
         let turn = self.lock_bytes(&digest).await;
-        if has && self.stored_in_turn(digest).await?.is_some_and(|info| info.size_bytes == id.size_bytes()) {
+        if has && self.stored_in_turn(digest).await?.is_some_and(|info| info.size_bytes == id.size_bytes) {
             // Another stream was faster, and the caller may have been told so.
             self.discard(id).await;
         } else if let Some(error) = missing {
             return Err(error);
         } else {
-            if let Some(owner) = id.owner() {
+            if let Some(owner) = id.owner {
                 self.mark(&digest, owner).await?;
             }
-            let wrong = lock(&self.ledger).get(&digest).is_some_and(|info| info.size_bytes != id.size_bytes());
+            let wrong = lock(&self.ledger).get(&digest).is_some_and(|info| info.size_bytes != id.size_bytes);
             if wrong {
                 // Another program changed what is stored: the right bytes take its place.
                 lock(&self.ledger).forget(&digest);
@@ -446,14 +437,14 @@ impl Inner {
                 return Err(error);
             }
         }
-        let stamp = lock(&self.ledger).publish(digest, id.size_bytes(), pin);
-        if let Some(owner) = id.owner() {
+        let stamp = lock(&self.ledger).publish(digest, id.size_bytes, pin);
+        if let Some(owner) = id.owner {
             self.give(digest, owner).await?;
         }
         drop(turn);
         self.uploads.remove(&id, &mut slot);
         self.stamp(vec![(digest, stamp)]).await;
-        Ok(BlobInfo { digest, size_bytes: id.size_bytes() })
+        Ok(BlobInfo { digest, size_bytes: id.size_bytes })
     }
 
     /// Removes what is staged of an upload that has ended. What stays after a fault is an idle upload to the next
@@ -466,7 +457,7 @@ impl Inner {
 
     /// Removes an upload, unless somebody continued it less than `idle` ago; says whether.
     pub(super) async fn abandon(&self, id: UploadId, idle: Duration) -> Result<bool, BlobError> {
-        let gone = BlobError::UploadNotFound { digest: id.digest() };
+        let gone = BlobError::UploadNotFound { digest: id.digest };
         let upload = self.uploads.get(&id).ok_or_else(|| gone.clone())?;
         let mut slot = upload.lock().await;
         if matches!(*slot, Slot::Gone) {
@@ -495,10 +486,8 @@ impl Inner {
 
     /// Whether the stored bytes have their digest.
     async fn is_sound(&self, digest: Digest) -> Result<bool, BlobError> {
-        let opened = match self.objects.get(&path_of(&digest)).await {
-            Err(object_store::Error::NotFound { .. }) => return Ok(false),
-            opened => opened.map_err(object("open a blob"))?,
-        };
+        let opened = found("open a blob", self.objects.get(&path_of(&digest)).await)?;
+        let Some(opened) = opened else { return Ok(false) };
         match bytes_of(opened, Some(digest)).try_for_each(async |_| Ok(())).await {
             Err(BlobError::Damaged { .. }) => Ok(false),
             read => read.map(|()| true),
@@ -519,7 +508,7 @@ impl Inner {
         guarded.boxed()
     }
 
-    /// Removes a blob whose bytes are wrong, whoever needs it: nobody is served by them.
+    /// Removes a blob whose bytes are wrong, pinned or not.
     pub(super) async fn reject(&self, digest: Digest) -> Result<(), BlobError> {
         tracing::error!(%digest, "a blob is damaged; it is removed, and can be uploaded again");
         let Some(blob) = lock(&self.ledger).forget(&digest) else { return Ok(()) };

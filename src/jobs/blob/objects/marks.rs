@@ -1,19 +1,19 @@
-//! Marks beside the blobs: who has which.
+//! Marks of owners beside the blobs.
 //!
 //! Purpose: an empty object `owners/AB/DIGEST-OWNER` for each owner of a blob, so that the books outlive the process.
-//! Invariant: a mark is written before its owner is told that it has the blob, and removed before it is told that it does not
-//! have it any more. Marks of a blob go with its bytes; one that stayed after a crash is removed at the next start.
-//! Must not know: who owners are, pins.
+//! Invariant: a mark is written before the call that makes its owner returns, and removed before the call that disowns it
+//! returns. Marks of a blob go with its bytes; one that stayed after a crash is removed at the next start.
+//! Must not know: the names of owners, pins.
 
 use futures_util::{StreamExt, TryStreamExt, future, stream};
 use object_store::path::Path;
 use object_store::{ObjectStore, ObjectStoreExt, PutPayload};
 
 use super::changes::{Inner, Kind};
-use crate::blob::error::object;
+use crate::blob::error::{found, object};
 use crate::blob::quota::Ledger;
-use crate::blob::upload::lock;
 use crate::blob::{BlobError, Digest, Owner};
+use crate::lock;
 
 /// Folder of the marks.
 const OWNERS: &str = "owners";
@@ -65,16 +65,13 @@ pub(super) async fn scan(objects: &dyn ObjectStore, ledger: &mut Ledger, alone: 
 
 async fn remove(objects: &dyn ObjectStore, marks: Vec<(Digest, Owner)>) -> Result<(), BlobError> {
     let removals = marks.into_iter().map(|(digest, owner)| async move {
-        match objects.delete(&path_of(&digest, owner)).await {
-            Ok(()) | Err(object_store::Error::NotFound { .. }) => Ok(()),
-            Err(error) => Err(object("remove the mark of an owner")(error)),
-        }
+        found("remove the mark of an owner", objects.delete(&path_of(&digest, owner)).await).map(drop)
     });
     stream::iter(removals).buffer_unordered(AT_ONCE).collect::<Vec<_>>().await.into_iter().collect()
 }
 
 impl Inner {
-    /// Writes a mark. The books are changed by who calls.
+    /// Writes a mark. The caller changes the books.
     pub(super) async fn mark(&self, digest: &Digest, owner: Owner) -> Result<(), BlobError> {
         let put = self.objects.put(&path_of(digest, owner), PutPayload::new()).await;
         put.map(drop).map_err(object("mark the owner of a blob"))
@@ -85,7 +82,7 @@ impl Inner {
         remove(&*self.objects, vec![(digest, owner)]).await
     }
 
-    /// Removes the marks of those who do not have a blob any more. To be called in the turn of its bytes.
+    /// Removes the marks of former owners of a blob. The caller holds the lock of its bytes.
     pub(super) async fn unmark_others(&self, digest: Digest) -> Result<(), BlobError> {
         // Whatever comes before the first mark of this blob.
         let before = folder_of(&digest).join(format!("{digest}-"));
@@ -100,7 +97,7 @@ impl Inner {
         remove(&*self.objects, others).await
     }
 
-    /// Whether a blob is stored and this owner has it. Another process may have given it to him.
+    /// Whether a blob is stored and this owner has it. Another process may have made it one.
     pub(super) async fn is_owned(&self, owner: Owner, digest: Digest) -> Result<bool, BlobError> {
         if lock(&self.ledger).has(&digest, owner) {
             return Ok(true);
@@ -108,13 +105,9 @@ impl Inner {
         if !matches!(self.kind, Kind::Shared) {
             return Ok(false);
         }
-        // The mark first: nothing is told of a blob to who has none.
-        match self.objects.head(&path_of(&digest, owner)).await {
-            Ok(_) => {}
-            Err(object_store::Error::NotFound { .. }) => return Ok(false),
-            Err(error) => return Err(object("look for the owner of a blob")(error)),
-        }
-        if self.stored(digest).await?.is_none() {
+        // The mark first: the answer to another tenant must not depend on the blob.
+        let mark = found("look for the owner of a blob", self.objects.head(&path_of(&digest, owner)).await)?;
+        if mark.is_none() || self.stored(digest).await?.is_none() {
             return Ok(false);
         }
         self.give(digest, owner).await?;
@@ -123,8 +116,8 @@ impl Inner {
 
     /// Puts an owner whose mark is written into the books.
     pub(super) async fn give(&self, digest: Digest, owner: Owner) -> Result<(), BlobError> {
-        let other = lock(&self.ledger).give(&digest, owner);
-        match other {
+        let replaced = lock(&self.ledger).give(&digest, owner);
+        match replaced {
             Some(other) => self.unmark(digest, other).await,
             None => Ok(()),
         }
@@ -145,7 +138,8 @@ impl Inner {
         Ok(())
     }
 
-    /// Takes a blob from its owner. Gives it if its bytes are to go: whoever waited for that would learn whether others have it.
+    /// Takes a blob from its owner. Returns it if its bytes are to be removed: a caller that waited for that would learn
+    /// whether others have the blob.
     pub(super) async fn disown(&self, owner: Owner, digest: Digest) -> Result<Option<super::BlobInfo>, BlobError> {
         self.is_owned(owner, digest).await?;
         let orphan = lock(&self.ledger).disown(&digest, owner)?;

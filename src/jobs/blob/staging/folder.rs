@@ -23,9 +23,9 @@ use super::{Part, Staging};
 use crate::blob::chunk::{MAX_CHUNK_BYTES, UploadId};
 use crate::blob::digest::Tally;
 use crate::blob::error::{io, join, object};
-use crate::blob::{BlobError, BlobOptions, Digest};
+use crate::blob::{BlobError, BlobOptions};
 
-/// The disk is told to write after so many bytes, so that the end of a large upload need not wait for all of them.
+/// Bytes after which the disk is asked to write, so that the end of a large upload need not wait for all of them.
 const SYNC_BYTES: u64 = 32 << 20;
 
 /// A line of the sums: the end of a chunk (8 bytes) and its CRC-32C (4 bytes), little-endian.
@@ -45,9 +45,6 @@ pub(in crate::blob) struct Folder {
 
 impl Folder {
     /// Parts under `prefix` of `root`, which `objects` serves. `reserve_bytes` of the disk stay free.
-    ///
-    /// # Errors
-    /// `StorageFull`, `Unavailable`.
     pub(in crate::blob) fn new(
         objects: Arc<LocalFileSystem>,
         root: &Path,
@@ -78,7 +75,7 @@ impl Folder {
     }
 }
 
-/// Whether the disk of `folder` has room for so many bytes, and `reserve_bytes` stay free.
+/// Checks that the disk of `folder` has room for `bytes`, with `reserve_bytes` left free.
 fn room(folder: &Path, bytes: u64, reserve_bytes: u64) -> Result<(), BlobError> {
     match free_bytes(folder) {
         Some(free) if free < bytes.saturating_add(reserve_bytes) => Err(BlobError::StorageFull),
@@ -127,7 +124,7 @@ impl Staging for Folder {
     }
 
     async fn create(&self, id: UploadId) -> Result<Box<dyn Part>, BlobError> {
-        room(&self.uploads, id.size_bytes(), self.reserve_bytes)?;
+        room(&self.uploads, id.size_bytes, self.reserve_bytes)?;
         let files = self.files(id);
         let made = spawn_blocking(move || {
             // A part without sums counts as empty, sums without a part are removed: any order will do.
@@ -140,7 +137,7 @@ impl Staging for Folder {
 
     async fn load(&self, id: UploadId) -> Result<Option<Box<dyn Part>>, BlobError> {
         let files = self.files(id);
-        let loaded = spawn_blocking(move || files.load(id.size_bytes()));
+        let loaded = spawn_blocking(move || files.load(id.size_bytes));
         let tally = loaded.await.map_err(join)?.map_err(io("go on with an upload"))?;
         Ok(tally.map(|tally| self.open(id, tally)))
     }
@@ -257,12 +254,8 @@ impl Growing {
 
 #[async_trait]
 impl Part for Growing {
-    fn kept_bytes(&self) -> u64 {
-        self.tally.bytes()
-    }
-
-    fn digest(&self) -> Digest {
-        self.tally.digest()
+    fn tally(&self) -> &Tally {
+        &self.tally
     }
 
     async fn append(&mut self, bytes: Bytes, crc32c: u32) -> Result<(), BlobError> {

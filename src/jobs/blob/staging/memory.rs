@@ -12,10 +12,10 @@ use object_store::path::Path;
 use object_store::{ObjectStore, ObjectStoreExt};
 
 use super::{Part, Staging};
+use crate::blob::BlobError;
 use crate::blob::chunk::UploadId;
 use crate::blob::digest::Tally;
 use crate::blob::error::{join, object};
-use crate::blob::{BlobError, Digest};
 
 /// See the module's head.
 #[derive(Debug)]
@@ -35,7 +35,7 @@ impl Staging for Memory {
 
     async fn create(&self, id: UploadId) -> Result<Box<dyn Part>, BlobError> {
         let state = Default::default();
-        Ok(Box::new(Buffer { objects: Arc::clone(&self.0), size_bytes: id.size_bytes(), state }))
+        Ok(Box::new(Buffer { objects: Arc::clone(&self.0), size_bytes: id.size_bytes, state }))
     }
 
     async fn load(&self, _: UploadId) -> Result<Option<Box<dyn Part>>, BlobError> {
@@ -53,12 +53,8 @@ impl Staging for Memory {
 
 #[async_trait]
 impl Part for Buffer {
-    fn kept_bytes(&self) -> u64 {
-        self.state.1.bytes()
-    }
-
-    fn digest(&self) -> Digest {
-        self.state.1.digest()
+    fn tally(&self) -> &Tally {
+        &self.state.1
     }
 
     async fn append(&mut self, bytes: Bytes, _: u32) -> Result<(), BlobError> {

@@ -9,7 +9,6 @@
 //! Multipart uploads whose note was never written cost room until the store removes them: give the bucket a rule that
 //! aborts incomplete multipart uploads after some days.
 
-use std::fmt;
 use std::sync::Arc;
 use std::time::SystemTime;
 
@@ -23,27 +22,24 @@ use serde::{Deserialize, Serialize};
 use tokio::task::spawn_blocking;
 
 use super::{Part, Staging};
+use crate::blob::BlobError;
 use crate::blob::chunk::UploadId;
 use crate::blob::digest::Tally;
-use crate::blob::error::{join, object};
+use crate::blob::error::{found, join, object};
 use crate::blob::place::path_of;
-use crate::blob::{BlobError, Digest};
 
 /// Bytes of a part. S3 takes 5 MiB to 5 GiB, and 10,000 parts.
 const PART_BYTES: usize = 8 << 20;
 
 /// See the module's head.
-#[derive(Clone, Debug)]
+#[derive(Clone)]
 pub(in crate::blob) struct Multipart {
-    objects: Arc<dyn ObjectStore>,
-    parts: Arc<dyn Parts>,
-    prefix: Path,
+    pub(in crate::blob) objects: Arc<dyn ObjectStore>,
+    /// The same store.
+    pub(in crate::blob) parts: Arc<dyn MultipartStore>,
+    /// Folder of the notes.
+    pub(in crate::blob) prefix: Path,
 }
-
-/// [`MultipartStore`] that can be shown.
-pub(in crate::blob) trait Parts: MultipartStore + fmt::Debug {}
-
-impl<T: MultipartStore + fmt::Debug> Parts for T {}
 
 /// How far an upload is.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
@@ -56,20 +52,14 @@ struct Note {
 }
 
 impl Multipart {
-    /// Notes under `prefix`.
-    pub(in crate::blob) fn new(objects: Arc<dyn ObjectStore>, parts: Arc<dyn Parts>, prefix: &str) -> Self {
-        Self { objects, parts, prefix: Path::from(prefix) }
-    }
-
     fn note_path(&self, id: UploadId) -> Path {
         self.prefix.clone().join(format!("{id}.json"))
     }
 
     async fn note(&self, id: UploadId) -> Result<Option<Note>, BlobError> {
-        let bytes = match self.objects.get(&self.note_path(id)).await {
-            Err(object_store::Error::NotFound { .. }) => return Ok(None),
-            found => found.map_err(object("find an upload"))?.bytes().await.map_err(object("find an upload"))?,
-        };
+        let note = found("find an upload", self.objects.get(&self.note_path(id)).await)?;
+        let Some(note) = note else { return Ok(None) };
+        let bytes = note.bytes().await.map_err(object("find an upload"))?;
         let note = serde_json::from_slice(&bytes).map_err(|e| BlobError::storage("read the note of an upload", &e))?;
         Ok(Some(note))
     }
@@ -92,7 +82,7 @@ impl Staging for Multipart {
     }
 
     async fn create(&self, id: UploadId) -> Result<Box<dyn Part>, BlobError> {
-        let multipart = self.parts.create_multipart(&path_of(&id.digest())).await.map_err(object("begin an upload"))?;
+        let multipart = self.parts.create_multipart(&path_of(&id.digest)).await.map_err(object("begin an upload"))?;
         let tally = Tally::default();
         let note = Note { multipart, parts: Vec::new(), bytes: 0, hash: tally.save() };
         let part = self.part(id, note, tally);
@@ -108,24 +98,18 @@ impl Staging for Multipart {
     }
 
     async fn check(&self) -> Result<(), BlobError> {
-        match self.objects.head(&self.prefix.clone().join("check")).await {
-            Ok(_) | Err(object_store::Error::NotFound { .. }) => Ok(()),
-            Err(error) => Err(object("ask whether it is there")(error)),
-        }
+        found("ask whether it is there", self.objects.head(&self.prefix.clone().join("check")).await).map(drop)
     }
 
     async fn discard(&self, id: UploadId) -> Result<(), BlobError> {
         if let Some(note) = self.note(id).await? {
             // Whether the store still has it or not: it is of no use.
-            let aborted = self.parts.abort_multipart(&path_of(&id.digest()), &note.multipart).await;
+            let aborted = self.parts.abort_multipart(&path_of(&id.digest), &note.multipart).await;
             if let Err(error) = aborted {
                 tracing::debug!(%id, %error, "multipart upload not aborted");
             }
         }
-        match self.objects.delete(&self.note_path(id)).await {
-            Err(object_store::Error::NotFound { .. }) | Ok(()) => Ok(()),
-            Err(error) => Err(object("remove an upload")(error)),
-        }
+        found("remove an upload", self.objects.delete(&self.note_path(id)).await).map(drop)
     }
 }
 
@@ -160,7 +144,7 @@ impl Parted {
     /// Stores the tail as the next part, and notes it.
     async fn put_part(&mut self) -> Result<(), BlobError> {
         let bytes = std::mem::take(&mut self.tail).freeze();
-        let (store, path) = (&self.staging.parts, path_of(&self.id.digest()));
+        let (store, path) = (&self.staging.parts, path_of(&self.id.digest));
         let index = self.note.parts.len();
         let part = store.put_part(&path, &self.note.multipart, index, bytes.into()).await;
         self.note.parts.push(part.map_err(object("store a part"))?.content_id);
@@ -171,12 +155,8 @@ impl Parted {
 
 #[async_trait]
 impl Part for Parted {
-    fn kept_bytes(&self) -> u64 {
-        self.tally.bytes()
-    }
-
-    fn digest(&self) -> Digest {
-        self.tally.digest()
+    fn tally(&self) -> &Tally {
+        &self.tally
     }
 
     async fn append(&mut self, mut bytes: Bytes, _: u32) -> Result<(), BlobError> {

@@ -14,7 +14,6 @@ use tonic::codegen::Bytes;
 use tonic::codegen::http::HeaderMap;
 
 use super::super::RequestError;
-use super::Refusal;
 use super::table::Pass;
 
 /// See the module's head.
@@ -44,11 +43,11 @@ impl http_body::Body for Held {
         }
         if self.ended.as_mut().poll(context).is_ready() {
             self.is_cut = true;
-            // Whatever works for the answer hears that nobody wants it any more.
+            // The work for the answer sees that its client is gone.
             self.body = Body::empty();
             let mut trailers = HeaderMap::new();
             // A status that is no header cannot be: its text is plain.
-            let _ = Status::from(RequestError::Access(Refusal::Unauthenticated)).add_header(&mut trailers);
+            let _ = Status::from(RequestError::unauthenticated()).add_header(&mut trailers);
             return Poll::Ready(Some(Ok(Frame::trailers(trailers))));
         }
         Pin::new(&mut self.body).poll_frame(context)

@@ -41,14 +41,14 @@ impl Table {
                 let limit = NonZeroU32::new(key.limits.rate?)?;
                 Some(Arc::new(DefaultDirectRateLimiter::direct(Quota::per_second(limit))))
             };
-            let entry = match old {
-                Some(old) => Entry {
-                    key: key.clone(),
-                    open: Arc::clone(&old.open),
-                    rate: if old.key.limits.rate == key.limits.rate { old.rate.clone() } else { limiter() },
-                    ended: Arc::clone(&old.ended),
+            let entry = Entry {
+                key: key.clone(),
+                open: old.map(|old| Arc::clone(&old.open)).unwrap_or_default(),
+                rate: match old {
+                    Some(old) if old.key.limits.rate == key.limits.rate => old.rate.clone(),
+                    _ => limiter(),
                 },
-                None => Entry { key: key.clone(), open: Arc::default(), rate: limiter(), ended: Arc::default() },
+                ended: old.map(|old| Arc::clone(&old.ended)).unwrap_or_default(),
             };
             next.names.insert(key.name.clone());
             next.keys.insert(key.id.clone(), Arc::new(entry));

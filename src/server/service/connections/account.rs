@@ -45,7 +45,8 @@ fn code(headers: &HeaderMap) -> Option<&'static str> {
 pub(super) struct Account {
     call: Call,
     exchange: Arc<Exchange>,
-    span: Span,
+    /// The span of the call's work.
+    pub(super) span: Span,
 }
 
 impl Account {
@@ -68,11 +69,6 @@ impl Account {
         (Self { call, exchange: Arc::clone(exchange), span }, context)
     }
 
-    /// The span of the call's work.
-    pub(super) fn span(&self) -> Span {
-        self.span.clone()
-    }
-
     /// The answer begins.
     pub(super) fn begun(&self, status: StatusCode, headers: &HeaderMap) {
         match code(headers) {
@@ -92,9 +88,9 @@ impl Ending for Account {
 
 impl Drop for Account {
     fn drop(&mut self) {
-        if self.exchange.stalled() {
+        if self.exchange.stalled.is_set() {
             self.call.end("ABORTED");
-        } else if self.exchange.is_cut() {
+        } else if self.exchange.is_cut.is_set() {
             self.call.end("UNAVAILABLE");
         }
         self.span.record("rpc.response.status_code", self.call.status());
@@ -113,7 +109,7 @@ mod tests {
     fn counted(what: impl FnOnce(&Account, &Exchange)) -> String {
         let metrics = Metrics::default();
         let calls = metrics.calls([METHOD.to_owned()]);
-        let exchange = Arc::new(Exchange::new(Budget::new(1)));
+        let exchange = Arc::new(Exchange::new(Budget::new(1), false));
         let request = Request::builder().uri(format!("http://host/{METHOD}")).body(()).unwrap();
         let (account, _) = Account::open(&calls, &request, &exchange);
         assert!(metrics.text(Format::Text).contains("tessera_open_streams{rpc_method=\"a.B/C\"} 1\n"));

@@ -9,35 +9,35 @@ use std::convert::Infallible;
 use std::fmt;
 use std::future::Future;
 use std::pin::Pin;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard};
 use std::time::{Duration, Instant};
 
 use hyper::body::Incoming;
-use hyper::server::conn::http2;
 use hyper_util::rt::{TokioIo, TokioTimer};
+use hyper_util::server::conn::auto;
 use tokio::sync::{Notify, watch};
 use tonic::Status;
 use tonic::body::Body;
 use tonic::codegen::http::{HeaderMap, Request, Response};
 
-use super::super::{Phase, RequestError};
+use super::super::{Phase, RequestError, status};
 use super::account::Account;
 use super::arriving::Arriving;
-use super::exchange::{Answer, Exchange, Farewell};
-use super::frames::Metered;
-use super::line::Line;
+use super::exchange::{Answer, Ending, Exchange, Farewell};
+use super::frames::Meter;
+use super::line::{Line, Tapped};
 use super::places::{Guest, Peer, Standing};
 use super::socket::Traffic;
-use super::{Common, Grpc, LINGER, unread};
+use super::{Common, Grpc, LINGER};
 use crate::config::{Limits, Transport};
 use telemetry::trace;
 
 /// Flow-control windows of uploads, bytes: per stream and per connection.
-pub(super) const STREAM_WINDOW: u32 = 1 << 20;
-pub(super) const CONNECTION_WINDOW: u32 = 4 << 20;
+const STREAM_WINDOW: u32 = 1 << 20;
+const CONNECTION_WINDOW: u32 = 4 << 20;
 
 /// Bytes of a stream's answer that may wait for the socket.
-pub(super) const SEND_BUFFER: usize = 128 << 10;
+const SEND_BUFFER: usize = 128 << 10;
 
 /// How the paths of the services begin that take uploads.
 const OURS: &str = "/tessera.v1.";
@@ -60,11 +60,12 @@ const LOOK_EVERY_AT_THE_END: Duration = Duration::from_millis(25);
 
 /// State of a connection.
 pub(super) struct State {
-    peer: Peer,
+    pub(super) peer: Peer,
     opened: Instant,
-    traffic: Arc<Traffic>,
+    pub(super) traffic: Arc<Traffic>,
     streams: Mutex<Streams>,
-    evicted: Notify,
+    /// Notified once it has to go.
+    pub(super) evicted: Notify,
 }
 
 struct Streams {
@@ -84,16 +85,6 @@ impl State {
         Self { peer, opened, traffic, streams: Mutex::new(streams), evicted: Notify::new() }
     }
 
-    /// The peer of the connection.
-    pub(super) fn peer(&self) -> Peer {
-        self.peer
-    }
-
-    /// The traffic of the socket.
-    pub(super) fn traffic(&self) -> Arc<Traffic> {
-        Arc::clone(&self.traffic)
-    }
-
     /// Registers a request.
     pub(super) fn take(&self, exchange: &Arc<Exchange>) {
         let mut streams = self.lock();
@@ -103,19 +94,14 @@ impl State {
         streams.taken = Some(Arc::clone(exchange));
     }
 
-    /// Nothing works on a request any more.
-    pub(super) fn end(&self, exchange: &Exchange) {
-        exchange.end();
+    /// The work on a request has ended.
+    fn end(&self, exchange: &Exchange) {
+        exchange.ended.set();
         self.lock().last = Instant::now();
     }
 
-    /// Ready once it has to go.
-    pub(super) async fn until_evicted(&self) {
-        self.evicted.notified().await;
-    }
-
     fn lock(&self) -> MutexGuard<'_, Streams> {
-        self.streams.lock().unwrap_or_else(PoisonError::into_inner)
+        jobs::lock(&self.streams)
     }
 }
 
@@ -123,10 +109,10 @@ impl Guest for State {
     fn standing(&self) -> Standing {
         let streams = self.lock();
         match streams.requests {
-            0 if !self.traffic.received() => Standing::Silent,
+            0 if !self.traffic.received.is_set() => Standing::Silent,
             0 => Standing::Greeted,
             // A health watch may last forever and needs no key: it occupies no place.
-            _ if streams.all.iter().all(|stream| stream.ended() || stream.is_question()) => {
+            _ if streams.all.iter().all(|stream| stream.ended.is_set() || stream.is_question) => {
                 Standing::Idle(streams.last.elapsed())
             }
             _ => Standing::Busy,
@@ -157,10 +143,23 @@ pub(super) async fn serve(
     phase: watch::Receiver<Phase>,
 ) {
     let service = Answerer { state: Arc::clone(&state), common: Arc::clone(&common), grpc, phase: phase.clone() };
-    let limits = &common.limits;
+    let builder = builder(&common.limits, &state).http2_only();
+    let connection = builder.serve_connection(metered(line, &common.limits, &state), service);
+    run(connection, auto::Connection::graceful_shutdown, &state, &common, phase).await;
+}
+
+/// A line whose control frames are counted. HTTP/1.1 has none.
+pub(super) fn metered(line: Line, limits: &Limits, state: &State) -> TokioIo<Tapped<Line, Meter>> {
+    let tap = Meter::new(limits.transport.control_frames, Arc::clone(&state.traffic));
+    TokioIo::new(Tapped { stream: line, tap })
+}
+
+/// A builder of connections with the limits of HTTP/2.
+pub(super) fn builder(limits: &Limits, state: &Arc<State>) -> auto::Builder<Spawner> {
     let transport = limits.transport;
-    let line = Metered::new(line, transport.control_frames, state.traffic());
-    let connection = http2::Builder::new(Spawner(Arc::clone(&state)))
+    let mut builder = auto::Builder::new(Spawner(Arc::clone(state)));
+    builder
+        .http2()
         .timer(TokioTimer::new())
         .initial_stream_window_size(STREAM_WINDOW)
         .initial_connection_window_size(CONNECTION_WINDOW)
@@ -170,9 +169,8 @@ pub(super) async fn serve(
         .max_pending_accept_reset_streams(transport.pending_resets)
         .max_local_error_reset_streams(transport.fault_resets)
         .keep_alive_interval(transport.ping_every)
-        .keep_alive_timeout(limits.stall.max(transport.ping_timeout))
-        .serve_connection(TokioIo::new(line), service);
-    run(connection, http2::Connection::graceful_shutdown, &state, &common, phase).await;
+        .keep_alive_timeout(limits.stall.max(transport.ping_timeout));
+    builder
 }
 
 /// Runs a connection, whatever HTTP is spoken on it, until it ends, has to go, or breaks a limit; `finish` has it end once it
@@ -201,21 +199,21 @@ pub(super) async fn run<C, E>(
         let pause = if now == Phase::Serving && leaving.finish.is_none() { look_every } else { LOOK_EVERY_AT_THE_END };
         tokio::select! {
             result = connection.as_mut() => {
-                if state.traffic.flooded() {
+                if state.traffic.flooded.is_set() {
                     common.closes("a flood of frames that carry nothing");
                 } else if let Err(error) = result {
                     tracing::debug!(%error, "a connection failed");
                 }
                 break;
             }
-            () = state.until_evicted() => break,
+            () = state.evicted.notified() => break,
             () = tokio::time::sleep(pause) => {}
             Ok(()) = phase.changed() => {}
         }
         match leaving.look(state, common, *phase.borrow()) {
             Verdict::Stays => {}
             Verdict::Finish(why) => {
-                tracing::debug!(why, "a connection is told to go");
+                tracing::debug!(why, "a connection has to go");
                 leaving.finish = Some(Instant::now());
                 finish(connection.as_mut());
             }
@@ -240,7 +238,7 @@ impl Common {
 }
 
 /// Streams that a client may have open.
-pub(super) fn streams(limits: &Limits) -> u32 {
+fn streams(limits: &Limits) -> u32 {
     let all = limits.max_streams.saturating_add(Transport::EXTRA_STREAMS);
     limits.transport.streams.unwrap_or(u32::try_from(all).unwrap_or(u32::MAX))
 }
@@ -260,20 +258,20 @@ impl Leaving {
     fn look(&mut self, state: &State, common: &Common, phase: Phase) -> Verdict {
         let limits = &common.limits;
         let mut streams = state.lock();
-        streams.all.retain(|stream| !stream.ended() || stream.waiting() > 0);
+        streams.all.retain(|stream| !stream.ended.is_set() || stream.waiting() > 0);
         if state.traffic.blocked_for() >= limits.stall {
             return Verdict::Close("the client reads nothing");
         }
         for stream in &streams.all {
             if stream.unmoved_for() >= limits.stall {
-                if stream.ended() {
+                if stream.ended.is_set() {
                     return Verdict::Close("the client takes no end of an answer");
                 }
                 if !stream.cut_stalled() && stream.unmoved_for() >= limits.stall + CUT_TIME {
                     return Verdict::Close("a stream could not be reset");
                 }
             }
-            if !stream.admitted() && !stream.answered() && stream.age() >= limits.first_request {
+            if !stream.admitted.is_set() && !stream.answered.is_set() && stream.age() >= limits.first_request {
                 stream.cut();
             }
         }
@@ -284,7 +282,7 @@ impl Leaving {
             }
             if since.elapsed() >= LINGER {
                 // Enough time for a client to read the end of such an answer.
-                let idle = streams.all.iter().filter(|stream| !stream.admitted() && stream.age() >= LINGER);
+                let idle = streams.all.iter().filter(|stream| !stream.admitted.is_set() && stream.age() >= LINGER);
                 idle.for_each(|stream| stream.cut());
             }
         }
@@ -301,7 +299,7 @@ impl Leaving {
             }
             return Verdict::Stays;
         }
-        if !state.traffic.received() && state.opened.elapsed() >= limits.transport.first_byte {
+        if !state.traffic.received.is_set() && state.opened.elapsed() >= limits.transport.first_byte {
             return Verdict::Close("nothing came");
         }
         if streams.requests == 0 && state.opened.elapsed() >= limits.first_request {
@@ -333,17 +331,21 @@ where
         tokio::spawn(async move {
             tokio::select! {
                 biased;
-                () = end.exchange.until_cut() => {}
+                () = end.exchange.cut.notified() => {}
                 _ = work => {}
             }
         });
     }
 }
 
-/// Whatever ends a stream's work, a panic too, its connection knows.
-struct EndOnDrop {
-    state: Arc<State>,
-    exchange: Arc<Exchange>,
+/// Registers the end of a stream's work at its connection, also after a panic.
+pub(super) struct EndOnDrop {
+    pub(super) state: Arc<State>,
+    pub(super) exchange: Arc<Exchange>,
+}
+
+impl Ending for EndOnDrop {
+    fn end(&self, _: &HeaderMap) {}
 }
 
 impl Drop for EndOnDrop {
@@ -367,8 +369,7 @@ impl hyper::service::Service<Request<Incoming>> for Answerer {
 
     fn call(&self, mut request: Request<Incoming>) -> Self::Future {
         let uploads = request.uri().path().starts_with(OURS);
-        let exchange = Exchange::new(self.common.budget.clone());
-        let exchange = Arc::new(if uploads { exchange } else { exchange.of_question() });
+        let exchange = Arc::new(Exchange::new(self.common.budget.clone(), !uploads));
         let (account, trace) = Account::open(&self.grpc.calls, &request, &exchange);
         self.state.take(&exchange);
         request.extensions_mut().insert(Arc::clone(&exchange));
@@ -378,26 +379,26 @@ impl hyper::service::Service<Request<Incoming>> for Answerer {
         let budget = self.common.budget.clone();
         let routes = self.grpc.routes.clone();
         let mut phase = self.phase.clone();
-        let span = account.span();
+        let span = account.span.clone();
         let work = async move {
             let response =
                 routes.call(request.map(|body| Body::new(Arriving::new(body, budget, most, encoding)))).await;
-            let response = if exchange.admitted() { response } else { unread::told(response) };
-            exchange.answer();
+            let response = if exchange.admitted.is_set() { response } else { status::of_unread(response) };
+            exchange.answered.set();
             account.begun(response.status(), response.headers());
-            let farewell = (!exchange.admitted()).then(|| Farewell {
+            let farewell = (!exchange.admitted.is_set()).then(|| Farewell {
                 time: Box::pin(async move {
                     let _ = phase.wait_for(|now| *now >= Phase::Draining).await;
                 }),
                 trailers: farewell(),
             });
-            Ok(response.map(|body| Answer::new(body, exchange, farewell).told(account)))
+            Ok(response.map(|body| Answer::new(body, exchange, farewell).with_ending(account)))
         };
         Box::pin(trace::within(trace, span, work))
     }
 }
 
-/// How answers end that no work stands behind, when the server drains.
+/// The end of answers without work, such as health watches, when the server drains.
 fn farewell() -> HeaderMap {
     let mut trailers = HeaderMap::new();
     // A status that is no header cannot be: its text is plain.

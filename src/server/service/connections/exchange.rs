@@ -19,6 +19,21 @@ use tonic::codegen::{Body, Bytes, http::HeaderMap};
 
 use super::super::budget::Budget;
 
+/// A state that is reached once.
+#[derive(Debug, Default)]
+pub(crate) struct Flag(AtomicBool);
+
+impl Flag {
+    /// Sets it. Returns whether it was not set before.
+    pub(crate) fn set(&self) -> bool {
+        !self.0.swap(true, Ordering::AcqRel)
+    }
+
+    pub(crate) fn is_set(&self) -> bool {
+        self.0.load(Ordering::Acquire)
+    }
+}
+
 /// See the module's head.
 #[derive(Debug)]
 pub(crate) struct Exchange {
@@ -28,74 +43,43 @@ pub(crate) struct Exchange {
     moved_ms: AtomicU64,
     /// Bytes that wait for the client.
     waiting: AtomicU64,
-    is_question: bool,
-    admitted: AtomicBool,
-    answered: AtomicBool,
-    ended: AtomicBool,
-    stalled: AtomicBool,
-    /// Reset by the server, for whatever reason.
-    is_cut: AtomicBool,
-    cut: Notify,
+    /// Of a request for health or reflection, which does no work.
+    pub(super) is_question: bool,
+    /// The request is work that was admitted: a shutdown lets it end.
+    pub(super) admitted: Flag,
+    /// The service has begun its answer.
+    pub(super) answered: Flag,
+    /// Its work has ended. Bytes may still wait.
+    pub(super) ended: Flag,
+    /// The server reset it, since its client took nothing.
+    pub(crate) stalled: Flag,
+    /// The server reset it, for any reason.
+    pub(super) is_cut: Flag,
+    /// Notified once its work has to end.
+    pub(super) cut: Notify,
 }
 
 impl Exchange {
     /// Starts an exchange for a request.
-    pub(super) fn new(budget: Budget) -> Self {
+    pub(super) fn new(budget: Budget, is_question: bool) -> Self {
         Self {
             began: Instant::now(),
             budget,
             moved_ms: AtomicU64::new(0),
             waiting: AtomicU64::new(0),
-            is_question: false,
-            admitted: AtomicBool::new(false),
-            answered: AtomicBool::new(false),
-            ended: AtomicBool::new(false),
-            stalled: AtomicBool::new(false),
-            is_cut: AtomicBool::new(false),
+            is_question,
+            admitted: Flag::default(),
+            answered: Flag::default(),
+            ended: Flag::default(),
+            stalled: Flag::default(),
+            is_cut: Flag::default(),
             cut: Notify::new(),
         }
     }
 
-    /// Marks a request for health or reflection, which does no work.
-    pub(super) fn of_question(self) -> Self {
-        Self { is_question: true, ..self }
-    }
-
-    /// See [`Self::of_question`].
-    pub(super) fn is_question(&self) -> bool {
-        self.is_question
-    }
-
     /// The request is work that was admitted: a shutdown lets it end.
     pub(crate) fn admit(&self) {
-        self.admitted.store(true, Ordering::Release);
-    }
-
-    /// Whether it was reset since its client took nothing.
-    pub(crate) fn stalled(&self) -> bool {
-        self.stalled.load(Ordering::Acquire)
-    }
-
-    pub(super) fn admitted(&self) -> bool {
-        self.admitted.load(Ordering::Acquire)
-    }
-
-    /// The service has begun its answer.
-    pub(super) fn answer(&self) {
-        self.answered.store(true, Ordering::Release);
-    }
-
-    pub(super) fn answered(&self) -> bool {
-        self.answered.load(Ordering::Acquire)
-    }
-
-    /// Nothing works on it any more. Bytes may still wait.
-    pub(super) fn end(&self) {
-        self.ended.store(true, Ordering::Release);
-    }
-
-    pub(super) fn ended(&self) -> bool {
-        self.ended.load(Ordering::Acquire)
+        self.admitted.set();
     }
 
     pub(super) fn age(&self) -> Duration {
@@ -117,7 +101,7 @@ impl Exchange {
 
     /// Ends the work on it, which resets the stream.
     pub(super) fn cut(&self) {
-        self.is_cut.store(true, Ordering::Release);
+        self.is_cut.set();
         self.cut.notify_one();
     }
 
@@ -126,21 +110,11 @@ impl Exchange {
         self.cut.notify_one();
     }
 
-    /// Whether the server reset it.
-    pub(super) fn is_cut(&self) -> bool {
-        self.is_cut.load(Ordering::Acquire)
-    }
-
-    /// As [`Self::cut`], since the client takes nothing. Gives whether this is the first time.
+    /// As [`Self::cut`], since the client takes nothing. Returns whether this is the first time.
     pub(super) fn cut_stalled(&self) -> bool {
-        let first = !self.stalled.swap(true, Ordering::AcqRel);
+        let first = self.stalled.set();
         self.cut();
         first
-    }
-
-    /// Ready when the exchange is cut.
-    pub(super) async fn until_cut(&self) {
-        self.cut.notified().await;
     }
 
     fn moved(&self) {
@@ -224,8 +198,8 @@ impl<B> Answer<B> {
         Self { inner, exchange, farewell, ended: false, ending: None }
     }
 
-    /// The call is over when this is dropped.
-    pub(super) fn told(mut self, ending: impl Ending + 'static) -> Self {
+    /// `ending` receives the end of the answer, and is dropped with it.
+    pub(super) fn with_ending(mut self, ending: impl Ending + 'static) -> Self {
         self.ending = Some(Box::new(ending));
         self
     }
@@ -309,7 +283,7 @@ mod tests {
     #[test]
     fn bytes_are_counted_until_they_are_dropped() {
         let budget = Budget::new(1 << 20);
-        let exchange = Arc::new(Exchange::new(budget.clone()));
+        let exchange = Arc::new(Exchange::new(budget.clone(), false));
         let data: Vec<u8> = (0..50_000).map(|i| (i % 251) as u8).collect();
         let mut body = Answer::new(Frames(vec![data.clone().into()]), Arc::clone(&exchange), None);
         let mut all = next(&mut body).and_then(|frame| frame.into_data().ok()).unwrap();
@@ -331,7 +305,7 @@ mod tests {
     #[test]
     fn a_body_that_goes_early_gives_back_what_it_held() {
         let budget = Budget::new(1 << 20);
-        let exchange = Arc::new(Exchange::new(budget.clone()));
+        let exchange = Arc::new(Exchange::new(budget.clone(), false));
         let mut body = Answer::new(Frames(vec![vec![0; 50_000].into()]), Arc::clone(&exchange), None);
         let first = next(&mut body);
         assert!(!budget.has(1 << 20));
@@ -342,7 +316,7 @@ mod tests {
 
     #[test]
     fn an_answer_without_work_ends_when_it_is_time() {
-        let exchange = Arc::new(Exchange::new(Budget::new(1 << 20)));
+        let exchange = Arc::new(Exchange::new(Budget::new(1 << 20), false));
         let mut trailers = HeaderMap::new();
         trailers.insert("grpc-status", "14".parse().unwrap());
         let farewell = Farewell { time: Box::pin(std::future::ready(())), trailers };

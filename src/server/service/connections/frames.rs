@@ -1,18 +1,16 @@
 //! Frames of HTTP/2 that carry neither a request nor its bytes: pings, settings, resets, windows.
 //!
-//! Purpose: [`Metered`] counts control frames and ends a connection that sends too many. Each takes time to read, and many
+//! Purpose: [`Meter`] counts control frames and ends a connection that sends too many. Each takes time to read, and many
 //! need an answer, even without a request.
 //! Invariant: the frames that a client needs to read answers are free: written bytes earn frames.
 //! Must not know: requests, HTTP/2 beyond the head of a frame.
 
-use std::io::{self, IoSlice};
-use std::pin::Pin;
+use std::io;
 use std::sync::Arc;
-use std::task::{Context, Poll};
+use std::task::Poll;
 use std::time::Instant;
 
-use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
-
+use super::line::Tap;
 use super::socket::Traffic;
 
 /// The client's preface of HTTP/2.
@@ -108,70 +106,34 @@ impl Allowance {
     }
 }
 
-/// A line that counts arriving control frames. See the module's head.
-pub(super) struct Metered<L> {
-    line: L,
+/// See the module's head.
+pub(super) struct Meter {
     heads: Heads,
     allowance: Allowance,
     traffic: Arc<Traffic>,
 }
 
-impl<L> Metered<L> {
+impl Meter {
     /// Allows `rate` control frames a second.
-    pub(super) fn new(line: L, rate: u32, traffic: Arc<Traffic>) -> Self {
-        Self { line, heads: Heads::new(), allowance: Allowance::new(rate, Instant::now()), traffic }
+    pub(super) fn new(rate: u32, traffic: Arc<Traffic>) -> Self {
+        Self { heads: Heads::new(), allowance: Allowance::new(rate, Instant::now()), traffic }
+    }
+}
+
+impl Tap for Meter {
+    fn read(&mut self, bytes: &[u8]) -> io::Result<()> {
+        let count = self.heads.idle_frames(bytes);
+        if count > 0 && !self.allowance.take(count, Instant::now()) {
+            self.traffic.flooded.set();
+            return Err(io::Error::other("too many frames that carry nothing"));
+        }
+        Ok(())
     }
 
     fn wrote(&mut self, outcome: &Poll<io::Result<usize>>) {
         if let Poll::Ready(Ok(bytes)) = outcome {
             self.allowance.earn(*bytes as f64 / BYTES_A_FRAME);
         }
-    }
-}
-
-impl<L: AsyncRead + Unpin> AsyncRead for Metered<L> {
-    fn poll_read(self: Pin<&mut Self>, cx: &mut Context<'_>, buf: &mut ReadBuf<'_>) -> Poll<io::Result<()>> {
-        let this = self.get_mut();
-        let before = buf.filled().len();
-        let outcome = Pin::new(&mut this.line).poll_read(cx, buf);
-        let count = this.heads.idle_frames(&buf.filled()[before..]);
-        if count > 0 && !this.allowance.take(count, Instant::now()) {
-            this.traffic.flood();
-            return Poll::Ready(Err(io::Error::other("too many frames that carry nothing")));
-        }
-        outcome
-    }
-}
-
-impl<L: AsyncWrite + Unpin> AsyncWrite for Metered<L> {
-    fn poll_write(self: Pin<&mut Self>, cx: &mut Context<'_>, buf: &[u8]) -> Poll<io::Result<usize>> {
-        let this = self.get_mut();
-        let outcome = Pin::new(&mut this.line).poll_write(cx, buf);
-        this.wrote(&outcome);
-        outcome
-    }
-
-    fn poll_write_vectored(
-        self: Pin<&mut Self>,
-        cx: &mut Context<'_>,
-        bufs: &[IoSlice<'_>],
-    ) -> Poll<io::Result<usize>> {
-        let this = self.get_mut();
-        let outcome = Pin::new(&mut this.line).poll_write_vectored(cx, bufs);
-        this.wrote(&outcome);
-        outcome
-    }
-
-    fn is_write_vectored(&self) -> bool {
-        self.line.is_write_vectored()
-    }
-
-    fn poll_flush(self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<io::Result<()>> {
-        Pin::new(&mut self.get_mut().line).poll_flush(cx)
-    }
-
-    fn poll_shutdown(self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<io::Result<()>> {
-        Pin::new(&mut self.get_mut().line).poll_shutdown(cx)
     }
 }
 

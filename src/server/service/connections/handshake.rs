@@ -8,7 +8,7 @@
 
 use std::collections::BTreeMap;
 use std::io;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
@@ -19,10 +19,11 @@ use tokio_rustls::server::TlsStream;
 use super::super::Phase;
 use super::connection::State;
 use super::places::Guest;
-use super::seldom::Seldom;
 use super::socket::Socket;
 use super::tls::Tls;
 use crate::config::Transport;
+use jobs::lock;
+use telemetry::Seldom;
 
 /// A handshake that has had this long may be given up for a newcomer. An honest one takes a few round trips.
 const FAIR: Duration = Duration::from_secs(1);
@@ -36,7 +37,8 @@ const LOOK_EVERY: Duration = Duration::from_millis(50);
 
 /// See the module's head.
 pub(super) struct Handshakes {
-    tls: Arc<Tls>,
+    /// The certificates.
+    pub(super) tls: Arc<Tls>,
     /// Whether HTTP/1.1 is spoken too.
     web: bool,
     limits: Transport,
@@ -66,11 +68,6 @@ impl Handshakes {
         Self { tls, web, limits, turns, open: Mutex::default(), failed: Seldom::default(), given_up: Seldom::default() }
     }
 
-    /// The certificates.
-    pub(super) fn tls(&self) -> &Arc<Tls> {
-        &self.tls
-    }
-
     /// Performs the handshake; `None` if it fails.
     pub(super) async fn shake(
         &self,
@@ -79,7 +76,7 @@ impl Handshakes {
         mut phase: watch::Receiver<Phase>,
     ) -> Option<TlsStream<Socket>> {
         let shaking = async {
-            tokio::time::timeout(self.limits.first_byte, socket.readable())
+            tokio::time::timeout(self.limits.first_byte, socket.stream.readable())
                 .await
                 .map_err(|_| io::Error::new(io::ErrorKind::TimedOut, "nothing came"))??;
             let turn = self.turn(state).await?;
@@ -99,10 +96,10 @@ impl Handshakes {
                 Ok(Err(error)) => error,
                 Err(_) => io::Error::new(io::ErrorKind::TimedOut, "the handshake took too long"),
             },
-            () = state.until_evicted() => return None,
+            () = state.evicted.notified() => return None,
             _ = phase.wait_for(|now| *now >= Phase::Draining) => return None,
         };
-        let (peer, why) = (state.peer(), reason(&error));
+        let (peer, why) = (state.peer, reason(&error));
         tracing::debug!(%peer, why, "a TLS handshake failed");
         if let Some(times) = self.failed.count() {
             tracing::info!(times, %peer, why, "TLS handshakes failed; this is the last of them");
@@ -115,25 +112,26 @@ impl Handshakes {
         let acquiring = Arc::clone(&self.turns).acquire_owned();
         tokio::pin!(acquiring);
         let permit = loop {
+            self.give_up_oldest();
             tokio::select! {
                 biased;
                 permit = acquiring.as_mut() => break permit.map_err(io::Error::other)?,
-                () = tokio::time::sleep(self.give_up_oldest()) => {}
+                () = tokio::time::sleep(LOOK_EVERY) => {}
             }
         };
-        let mut open = self.lock();
+        let mut open = lock(&self.open);
         let id = open.next;
         open.next += 1;
         open.all.insert(id, (Instant::now(), Arc::clone(state)));
         Ok(Turn { of: self, id, _permit: permit })
     }
 
-    /// Has the oldest handshake end, if it has had its time; gives when to look again.
-    fn give_up_oldest(&self) -> Duration {
+    /// Ends the oldest handshake if all turns are taken and it has had its time.
+    fn give_up_oldest(&self) {
         if self.turns.available_permits() > 0 {
-            return LOOK_EVERY;
+            return;
         }
-        let mut open = self.lock();
+        let mut open = lock(&self.open);
         if let Some(entry) = open.all.first_entry()
             && entry.get().0.elapsed() >= FAIR
         {
@@ -142,11 +140,6 @@ impl Handshakes {
                 tracing::warn!(times, "gave up TLS handshakes that stalled, to make room for new ones");
             }
         }
-        LOOK_EVERY
-    }
-
-    fn lock(&self) -> MutexGuard<'_, Open> {
-        self.open.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
@@ -180,6 +173,6 @@ async fn part(mut socket: Socket) {
 
 impl Drop for Turn<'_> {
     fn drop(&mut self) {
-        self.of.lock().all.remove(&self.id);
+        lock(&self.of.open).all.remove(&self.id);
     }
 }

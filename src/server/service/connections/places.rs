@@ -8,10 +8,12 @@
 use std::collections::HashMap;
 use std::fmt;
 use std::net::{IpAddr, Ipv6Addr, SocketAddr};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 use tokio::sync::Notify;
+
+use jobs::lock;
 
 /// How long a connection must have been without a request before it may be asked to go.
 const IDLE: Duration = Duration::from_secs(1);
@@ -76,7 +78,7 @@ impl<G: Guest> Places<G> {
     /// A place for a new connection, or which limit it would pass.
     pub(super) fn claim(self: &Arc<Self>, peer: SocketAddr, guest: &Arc<G>) -> Result<Place<G>, Full> {
         let peer = network(peer.ip());
-        let mut table = self.lock();
+        let mut table = lock(&self.table);
         if table.guests.values().filter(|(of, _)| *of == peer).count() >= self.most_per_peer {
             return Err(Full::Peer);
         }
@@ -97,7 +99,7 @@ impl<G: Guest> Places<G> {
         freed.as_mut().enable();
         let peer = peer.map(|peer| network(peer.ip()));
         let least = {
-            let table = self.lock();
+            let table = lock(&self.table);
             let candidates = table.guests.iter().filter(|(_, (of, _))| full == Full::All || Some(*of) == peer);
             let ranked = candidates.filter_map(|(id, (_, guest))| Some((rank(guest.standing())?, *id, guest)));
             ranked.min_by_key(|(rank, id, _)| (*rank, *id)).map(|(_, _, guest)| Arc::clone(guest))
@@ -110,7 +112,7 @@ impl<G: Guest> Places<G> {
 
     /// Asks all to close at once.
     pub(super) fn evict_all(&self) {
-        self.lock().guests.values().for_each(|(_, guest)| guest.evict());
+        lock(&self.table).guests.values().for_each(|(_, guest)| guest.evict());
     }
 
     /// Ready when no connection is open.
@@ -119,21 +121,17 @@ impl<G: Guest> Places<G> {
             let freed = self.freed.notified();
             tokio::pin!(freed);
             freed.as_mut().enable();
-            if self.lock().guests.is_empty() {
+            if lock(&self.table).guests.is_empty() {
                 return;
             }
             freed.await;
         }
     }
-
-    fn lock(&self) -> MutexGuard<'_, Table<G>> {
-        self.table.lock().unwrap_or_else(PoisonError::into_inner)
-    }
 }
 
 impl<G> Drop for Place<G> {
     fn drop(&mut self) {
-        self.places.table.lock().unwrap_or_else(PoisonError::into_inner).guests.remove(&self.id);
+        lock(&self.places.table).guests.remove(&self.id);
         self.places.freed.notify_waiters();
     }
 }

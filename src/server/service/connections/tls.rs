@@ -7,7 +7,7 @@
 
 mod material;
 
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 use rustls::ServerConfig;
@@ -18,6 +18,7 @@ use self::material::Material;
 pub use self::material::TlsError;
 use crate::config::TlsFiles;
 use jobs::blob::Digest;
+use jobs::lock;
 
 /// The log warns of a certificate that ends within this time.
 const WARN_BEFORE: Duration = Duration::from_secs(14 * 24 * 3600);
@@ -74,7 +75,7 @@ impl Tls {
 
     /// The configuration of a new handshake; `web` offers HTTP/1.1 too.
     pub(super) fn current(&self, web: bool) -> Arc<ServerConfig> {
-        let state = self.lock();
+        let state = lock(&self.state);
         Arc::clone(if web { &state.web } else { &state.config })
     }
 
@@ -102,8 +103,8 @@ impl Tls {
             Ok(material) => material.digest(),
             Err(error) => Digest::of(error.to_string().as_bytes()),
         };
-        if self.lock().active == digest {
-            self.lock().complained = None;
+        if lock(&self.state).active == digest {
+            lock(&self.state).complained = None;
             return;
         }
         let made = read.and_then(|material| {
@@ -113,7 +114,7 @@ impl Tls {
                 false => Ok((config, validity)),
             }
         });
-        let mut state = self.lock();
+        let mut state = lock(&self.state);
         match made {
             Ok((config, validity)) => {
                 let until = validity.as_ref().map(until);
@@ -131,7 +132,7 @@ impl Tls {
 
     /// Tells ahead of time that the certificate ends.
     fn warn(&self) {
-        let mut state = self.lock();
+        let mut state = lock(&self.state);
         let Some(validity) = state.validity.clone() else { return };
         let is_long = validity.time_to_expiration().is_some_and(|left| left >= WARN_BEFORE);
         if is_long || state.warned.is_some_and(|last| last.elapsed() < WARN_EVERY) {
@@ -143,10 +144,6 @@ impl Tls {
             true => tracing::warn!(%file, until, "the certificate ends soon; put a new one there"),
             false => tracing::error!(%file, until, "the certificate is out of date: clients will refuse it"),
         }
-    }
-
-    fn lock(&self) -> MutexGuard<'_, State> {
-        self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 

@@ -163,8 +163,8 @@ impl Blobs {
         }
         let UploadStatus { kept_bytes, complete } = status;
         Ok(proto::WriteResponse {
-            digest: upload.digest().to_string(),
-            size_bytes: upload.size_bytes(),
+            digest: upload.digest.to_string(),
+            size_bytes: upload.size_bytes,
             kept_bytes,
             complete,
         })
@@ -210,10 +210,10 @@ async fn store(
 /// Later messages may name the blob again, and no other.
 fn check_same(upload: UploadId, message: &proto::WriteRequest) -> Result<(), WireError> {
     let at = At::Top("digest");
-    if !message.digest.is_empty() && digest(&at, &message.digest)? != upload.digest() {
+    if !message.digest.is_empty() && digest(&at, &message.digest)? != upload.digest {
         return Err(WireError::field("digest", "is another than in the first message; a stream is one upload"));
     }
-    if message.size_bytes != 0 && message.size_bytes != upload.size_bytes() {
+    if message.size_bytes != 0 && message.size_bytes != upload.size_bytes {
         return Err(WireError::field("size_bytes", "is another than in the first message"));
     }
     Ok(())

@@ -4,8 +4,7 @@
 //! cryptography: ring.
 //! Must not know: when files are read.
 
-use std::fs::File;
-use std::io::{self, Read};
+use std::io;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -18,6 +17,7 @@ use x509_parser::certificate::{Validity, X509Certificate};
 use x509_parser::prelude::FromDer;
 
 use crate::config::TlsFiles;
+use crate::keys::read_regular;
 use jobs::blob::Digest;
 
 /// No chain of certificates is longer; a device that never ends is none.
@@ -135,19 +135,7 @@ impl Material {
 
 /// All of a file.
 fn bytes(file: &Path) -> Result<Vec<u8>, TlsError> {
-    let mut bytes = Vec::new();
-    // A pipe would be waited for.
-    let regular = std::fs::metadata(file).and_then(|found| match found.is_file() {
-        true => Ok(()),
-        false => Err(std::io::Error::other("it is no regular file")),
-    });
-    let read = regular.and_then(|()| File::open(file)?.take(LONGEST_BYTES + 1).read_to_end(&mut bytes));
-    let read = read.and_then(|_| match bytes.len() as u64 > LONGEST_BYTES {
-        true => Err(std::io::Error::other(format!("it has more than {LONGEST_BYTES} bytes"))),
-        false => Ok(()),
-    });
-    read.map_err(|cause| TlsError::Read { file: file.to_owned(), cause })?;
-    Ok(bytes)
+    read_regular(file, LONGEST_BYTES).map_err(|cause| TlsError::Read { file: file.to_owned(), cause })
 }
 
 /// The certificates in a file, at least one.
