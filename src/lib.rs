@@ -105,7 +105,8 @@ pub mod remesh {
 
     #[doc(inline)]
     pub use geometry::remesh::{
-        Observer, Placement, Provenance, Refine, Remesh, RemeshError, RemeshOptions, Report, Seeds, remesh, report,
+        Observer, Placement, Provenance, Refine, Remesh, RemeshError, RemeshOptions, Report, Seeds, Tolerance, remesh,
+        report,
     };
 }
 
@@ -124,7 +125,7 @@ pub use mesh::{MeshError, TriMesh};
 #[doc(inline)]
 pub use picture;
 #[doc(inline)]
-pub use remesh::{Observer, Placement, Refine, Remesh, RemeshError, RemeshOptions, Report, Seeds, remesh};
+pub use remesh::{Observer, Placement, Refine, Remesh, RemeshError, RemeshOptions, Report, Seeds, Tolerance, remesh};
 #[doc(inline)]
 pub use rvd::{Backend, BackendChoice, BackendKind, BackendOptions, Cells, Diagram, RvdError, auto_backend};
 #[doc(inline)]

@@ -6,7 +6,7 @@ use tessera::mesh::sample::sample;
 use tessera::mesh::shapes::Shape;
 use tessera::{
     Backend, BackendChoice, BackendKind, BackendOptions, DensityOptions, DensitySource, Diagram, Placement, Refine,
-    RemeshError, RemeshOptions, RvdError, Seeds, Stopped, Token, TriMesh, auto_backend, remesh,
+    RemeshError, RemeshOptions, RvdError, Seeds, Stopped, Token, Tolerance, TriMesh, auto_backend, remesh,
 };
 
 fn parallel() -> std::sync::Arc<dyn Backend> {
@@ -22,7 +22,7 @@ fn a_surface_is_remeshed_in_one_call() {
         .with_newton(3)
         .with_density(density)
         .with_placement(Placement::Fitted)
-        .with_refine(Refine::new(0.05, 400));
+        .with_refine(Refine::new(Tolerance::Length(0.05)).with_max_points(800));
     let result = remesh(&surface, &options, auto_backend().unwrap().as_ref(), &mut (), &Token::default()).unwrap();
     assert_eq!(result.report.result.topology.euler, 0);
     let token = Token::default();

@@ -164,8 +164,8 @@ export default async function job() {
     const digest = await put(bytesOf(`${head}comment k6 ${begin} ${number}\n${rest}`));
     blobs.push(digest);
     upload.add(Date.now() - begin);
-    const seeds = { drawn: { points: String(POINTS), randomSeed: String(number) } };
-    const spec = { mesh: { file: { digest, format: 'MESH_FORMAT_PLY' } }, remesh: { seeds } };
+    const remesh = { points: POINTS, seed: String(number) };
+    const spec = { mesh: { file: { digest, format: 'MESH_FORMAT_PLY' } }, remesh };
     id = (await ask('JobService/CreateJob', { spec })).job.id;
     await stream('JobService/WatchJob', [{ id }]);
     const { job: ended } = await ask('JobService/GetJob', { id });

@@ -1,7 +1,7 @@
 //! What is asked of a diagram, and what comes back.
 //!
 //! Purpose: the same for one that is computed here and for a server's. Invariant: pieces are not collected; a [`Sink`] takes them.
-//! Must not know: who computes.
+//! Must not know: where it is computed.
 
 use anyhow::Result;
 use glam::DVec3;

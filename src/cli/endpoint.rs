@@ -39,7 +39,7 @@ impl fmt::Display for ServerUrl {
 const CLEAR: &str = "http://";
 const TLS: &str = "https://";
 
-/// An example, for who has to write it anew.
+/// An example for error messages.
 const EXAMPLE: &str = "http://127.0.0.1:50051";
 
 impl FromStr for ServerUrl {

@@ -4,7 +4,6 @@
 //! and nothing else: an id, a table, a line an event, or JSON. Must not know: how calls are made (`remote`).
 
 mod fetch;
-mod given;
 mod show;
 mod spec;
 
@@ -25,7 +24,7 @@ use fetch::FetchArgs;
 use geometry::remesh::RemeshOptions;
 pub(crate) use server::config::count;
 use spec::{Asked, RemeshWork, RvdWork};
-use wire::proto::{CreateJobRequest, EstimateJobRequest, Job, JobState, ListJobsRequest, job_seeds, job_spec};
+use wire::proto::{CreateJobRequest, EstimateJobRequest, Job, JobState, ListJobsRequest, job_spec};
 
 pub(crate) use spec::digest;
 
@@ -138,7 +137,7 @@ struct ListArgs {
     /// Only jobs with this label; may be given several times.
     #[arg(long = "label", value_name = "K=V", value_parser = label)]
     labels: Vec<(String, String)>,
-    /// At most so many.
+    /// The most jobs to list.
     #[arg(long, value_name = "N", default_value_t = 100, value_parser = count, allow_negative_numbers = true)]
     limit: u32,
 }
@@ -291,7 +290,7 @@ fn delete(id: &str, server: &ServerArgs) -> Result<()> {
 fn watch(id: &str, after: u64, server: &ServerArgs) -> Result<()> {
     let mut print = |event: &_| {
         let line = if server.json { show::json_of_event(event).to_string() } else { show::line_of_event(event) };
-        // Whoever reads no more needs no more events.
+        // A reader that is gone needs no more events.
         Ok(say::try_line(format_args!("{line}"))?)
     };
     session(server, async |session| session.watch(id, after, &mut print).await)
@@ -322,21 +321,19 @@ fn wait(id: &str, server: &ServerArgs) -> Result<()> {
 
 /// About what a job takes. The size of its surface is not known here.
 fn plan(job: &Job) -> Plan {
-    let points = |seeds: Option<&wire::proto::JobSeeds>| match seeds.and_then(|seeds| seeds.source.as_ref()) {
-        Some(job_seeds::Source::Drawn(drawn)) => drawn.points.unwrap_or(10_000) as usize,
-        Some(job_seeds::Source::Given(array)) => array.count as usize,
-        None => 10_000,
-    };
+    let given =
+        job.spec.as_ref().and_then(|spec| spec.arrays.as_ref()?.seeds.as_ref()).map(|seeds| seeds.count as usize);
+    let points = |drawn: Option<u32>| given.or(drawn.map(|points| points as usize)).unwrap_or(10_000);
     let usual = RemeshOptions::usual();
     match job.spec.as_ref().and_then(|spec| spec.work.as_ref()) {
         Some(job_spec::Work::Rvd(work)) => {
-            let points = points(work.seeds.as_ref());
+            let points = points(work.points);
             Plan::rvd(points.saturating_mul(2), points, true)
         }
         Some(job_spec::Work::Remesh(work)) => {
-            let points = points(work.seeds.as_ref());
+            let points = points(work.points);
             let steps = |given: Option<u32>, usual: usize| given.map_or(usual, |steps| steps as usize);
-            let steps = steps(work.lloyd_steps, usual.lloyd).saturating_add(steps(work.newton_steps, usual.newton));
+            let steps = steps(work.lloyd, usual.lloyd).saturating_add(steps(work.newton, usual.newton));
             Plan::remesh(points.saturating_mul(2), points, steps, true)
         }
         _ => Plan::remesh(10_000, 10_000, usual.lloyd + usual.newton, true),

@@ -39,7 +39,7 @@ enum JournalCommand {
 /// Runs it.
 pub(crate) fn run(args: &JournalArgs) -> Result<()> {
     let folder = data_dir(args.data_dir.as_ref())?;
-    // The database's code may panic on a page of noise. It is caught and told as a fault; a trace of it helps nobody.
+    // The database's code may panic on a page of noise. It is caught and reported as a fault, without its trace.
     std::panic::set_hook(Box::new(|_| {}));
     let found = match args.command {
         JournalCommand::Check => check(&folder),

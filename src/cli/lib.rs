@@ -22,6 +22,7 @@ pub(crate) mod doctor;
 mod endpoint;
 mod exit;
 mod files;
+mod given;
 mod health;
 mod http_get;
 mod info;

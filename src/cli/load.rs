@@ -53,10 +53,10 @@ use wire::proto::GetServerInfoResponse;
 #[derive(Args, Debug)]
 #[command(group(ArgGroup::new("loop").required(true).args(["clients", "rate"])))]
 pub(crate) struct LoadArgs {
-    /// Closed loop: so many clients, each of which asks again once it has its answer.
+    /// Closed loop: number of clients, each of which calls again once it has its answer.
     #[arg(long, value_name = "N", value_parser = clients, help_heading = "Load")]
     clients: Option<u32>,
-    /// Open loop: so many calls a second at random times (Poisson), whatever the server does.
+    /// Open loop: calls a second, at random times (Poisson), whatever the server does.
     #[arg(long, value_name = "R", value_parser = rate, help_heading = "Load")]
     rate: Option<f64>,
     /// Seconds to measure.
@@ -247,7 +247,7 @@ impl LoadArgs {
         all.collect::<Result<_, String>>().map_err(|why| Usage(format!("--tenants: {why}")).into())
     }
 
-    /// Connects. A door is a connection and a tenant; every connection and every tenant has one.
+    /// Connects: one channel for each connection and tenant.
     async fn doors(&self, server: &Server) -> Result<Doors> {
         let wanted = match (self.clients, self.connections) {
             (_, Some(connections)) => connections,
@@ -297,7 +297,7 @@ impl LoadArgs {
         let schedule = self.schedule();
         let uploaded = self.upload(&caller, &doors, &schedule.mix).await?;
         let view = View::new(schedule.window().end, self.quiet);
-        // Kept until the end: nobody stops a run whose sender is gone.
+        // Kept until the end: without the sender a run cannot be stopped.
         let stopper = tokio::spawn(async move {
             let _ = signals.await;
             let _ = stop.send(true);

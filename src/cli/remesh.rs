@@ -27,6 +27,7 @@ use geometry::token::Token;
 use jobs::memory;
 use summary::Told;
 use tasks::Task;
+use wire::proto;
 
 /// Runs it.
 pub(crate) fn run(args: &RemeshArgs) -> Result<()> {
@@ -38,7 +39,7 @@ pub(crate) fn run(args: &RemeshArgs) -> Result<()> {
     })
 }
 
-/// Who does the work.
+/// Where the work is done.
 struct Worker {
     /// The server that does it.
     server: Option<Server>,
@@ -62,11 +63,11 @@ impl Worker {
         &mut self,
         args: &RemeshArgs,
         mesh: &TriMesh,
-        options: &RemeshOptions,
+        (message, options): &(proto::RemeshOptions, RemeshOptions),
         progress: &mut Progress,
     ) -> Result<RemeshDone> {
         if let Some(server) = &self.server {
-            let job = remote::RemeshJob { mesh, options, backend: args.backend.backend };
+            let job = remote::RemeshJob { mesh, message, options, backend: args.backend.backend };
             return remote::remesh(server, &job, progress);
         }
         let backend = match &self.backend {
@@ -110,7 +111,7 @@ fn alone(args: &RemeshArgs, task: &Task, mut worker: Worker) -> Result<()> {
     Ok(())
 }
 
-/// Reads, remeshes and writes a file. Ctrl-C ends the process until the work begins if `listen` says that nobody listens yet.
+/// Reads, remeshes and writes a file. Ctrl-C ends the process until the work begins, if `listen` says that no handler is there yet.
 fn one(args: &RemeshArgs, task: &Task, worker: &mut Worker, progress: &mut Progress, listen: bool) -> Result<Remeshed> {
     let start = Instant::now();
     let Loaded { mesh, attributes, notes } = match args.files.no_attributes {
@@ -118,14 +119,15 @@ fn one(args: &RemeshArgs, task: &Task, worker: &mut Worker, progress: &mut Progr
         false => task.input.read_loaded()?,
     };
     notes.iter().for_each(|note| progress.note(note));
-    let options = args.options(&mesh, attributes)?;
+    let asked = args.options(&mesh, attributes)?;
+    let options = &asked.1;
     let read_ms = ms(start);
     if worker.server.is_none() && listen {
         worker.listen()?;
     }
     let steps = options.lloyd + options.newton;
-    progress.plan(Plan::remesh(mesh.facets().len(), points(&mesh, &options), steps, worker.server.is_some()));
-    let RemeshDone { mesh, curve_edges, mut report, attributes } = worker.remesh(args, &mesh, &options, progress)?;
+    progress.plan(Plan::remesh(mesh.facets().len(), points(&mesh, options), steps, worker.server.is_some()));
+    let RemeshDone { mesh, curve_edges, mut report, attributes } = worker.remesh(args, &mesh, &asked, progress)?;
     let writing = Instant::now();
     progress.stage("write", 0, 0);
     let left_out = task.output.write(&mesh, attributes.as_ref())?;

@@ -28,7 +28,7 @@ use super::server::Server;
 use checks::{Expected, Pieces};
 pub(crate) use faults::is_lost;
 use faults::wrong;
-use geometry::cvt::density::{DensityOptions, DensitySource};
+use geometry::cvt::density::DensitySource;
 use geometry::mesh::TriMesh;
 use geometry::mesh::attributes::Attributes;
 use geometry::remesh::{RemeshOptions, Seeds};
@@ -40,20 +40,22 @@ use link::{Link, Patience, Sent};
 pub(crate) use server::config::BackendArg;
 pub(crate) use session::{Session, session};
 use wire::arrays::Arrays;
+use wire::attributes;
 use wire::cells::batch;
 use wire::chunks::{facet_chunks, index_chunks, number_chunks, point_chunks};
-use wire::counts::MeshCounts;
+use wire::counts::{MeshCounts, mesh_header};
 use wire::proto::remesh_service_client::RemeshServiceClient;
 use wire::proto::{self, ArrayKind, Chunk};
-use wire::{attributes, options};
 
 /// A remesh to ask for.
 pub(crate) struct RemeshJob<'a> {
     /// The surface.
     pub(crate) mesh: &'a TriMesh,
-    /// What to do.
+    /// What to do, as the server is asked.
+    pub(crate) message: &'a proto::RemeshOptions,
+    /// The same with the arrays.
     pub(crate) options: &'a RemeshOptions,
-    /// Who should do it.
+    /// The backend to use.
     pub(crate) backend: BackendArg,
 }
 
@@ -74,22 +76,23 @@ pub(crate) fn remesh(server: &Server, job: &RemeshJob<'_>, progress: &Progress) 
     use proto::remesh_request::Message as Ask;
     use proto::remesh_response::Message as Answer;
     let options = job.options;
-    let header = options::remesh_header(job.mesh, options, choice(job.backend));
-    let announced = header.attributes.clone();
+    let lengths = if let DensitySource::Sizes(sizes) = &options.density.source { &sizes[..] } else { &[] };
+    let announced = options.attributes.as_ref().map(attributes::headers).unwrap_or_default();
+    let mesh = proto::MeshHeader {
+        edge_lengths: lengths.len() as u64,
+        creases: options.creases.len() as u64,
+        attributes: announced.clone(),
+        ..mesh_header(job.mesh)
+    };
+    let header = proto::RemeshHeader {
+        mesh: Some(mesh),
+        seeds: 0,
+        backend: choice(job.backend).into(),
+        options: Some(*job.message),
+    };
     let mut messages = vec![Ask::Header(header)];
     messages.extend(mesh_chunks(job.mesh).map(Ask::Chunk));
-    match &options.density.source {
-        DensitySource::Sizes(sizes) => {
-            messages.extend(number_chunks(ArrayKind::EdgeLengths, sizes).map(Ask::Chunk));
-        }
-        DensitySource::Weights(weights) => {
-            messages.extend(number_chunks(ArrayKind::Weights, weights).map(Ask::Chunk));
-        }
-        DensitySource::Uniform | DensitySource::Curvature | DensitySource::FeatureSize => {}
-    }
-    if let Seeds::Given(seeds) = &options.seeds {
-        messages.extend(point_chunks(ArrayKind::Seeds, seeds).map(Ask::Chunk));
-    }
+    messages.extend(number_chunks(ArrayKind::EdgeLengths, lengths).map(Ask::Chunk));
     if !options.creases.is_empty() {
         messages.extend(index_chunks(ArrayKind::Creases, options.creases.as_flattened()).map(Ask::Chunk));
     }
@@ -98,8 +101,7 @@ pub(crate) fn remesh(server: &Server, job: &RemeshJob<'_>, progress: &Progress) 
     messages.extend(carried.into_iter().flatten().map(Ask::Chunk));
     messages.push(Ask::Finish(proto::Finish {}));
     let requests = messages.into_iter().map(|m| proto::RemeshRequest { message: Some(m) }).collect::<Vec<_>>();
-    let points = if let Seeds::Given(seeds) = &options.seeds { seeds.len() } else { 0 };
-    let patience = Patience::with(job.mesh.positions().len() + job.mesh.facets().len() + points);
+    let patience = Patience::with(job.mesh.positions().len() + job.mesh.facets().len());
     block_on(async {
         progress.stage("connect", 0, 0);
         let link = Link::open(server, patience).await?;
@@ -150,7 +152,7 @@ pub(crate) struct RvdJob<'a> {
     pub(crate) seeds: Seeds,
     /// What is to come back.
     pub(crate) wants: Wants,
-    /// Who should do it.
+    /// The backend to use.
     pub(crate) backend: BackendArg,
 }
 
@@ -159,25 +161,26 @@ pub(crate) fn rvd(server: &Server, job: RvdJob<'_>, progress: &Progress, sink: S
     use proto::compute_rvd_request::Message as Ask;
     use proto::compute_rvd_response::Message as Answer;
     let RvdJob { mesh, seeds, wants, backend } = job;
-    let source = options::seed_source(&seeds);
-    let count = match &seeds {
-        Seeds::Given(points) => points.len(),
-        Seeds::Sample { points, .. } => *points,
-        Seeds::Implied { .. } => 0,
-    } as u64;
-    let points = if let Seeds::Given(points) = seeds { points } else { Vec::new() };
-    let mut outputs = Vec::new();
+    let mut options = proto::DiagramOptions::default();
+    let (count, points) = match seeds {
+        Seeds::Given(points) => (points.len() as u64, points),
+        Seeds::Sample { points, seed } => {
+            (options.points, options.seed) = (u32::try_from(points).ok(), Some(seed));
+            (points as u64, Vec::new())
+        }
+        Seeds::Implied { .. } => (0, Vec::new()),
+    };
     if wants.cells {
-        outputs.push(proto::RvdOutput::Cells.into());
+        options.outputs.push(proto::RvdOutput::Cells.into());
     }
     if wants.centroids {
-        outputs.push(proto::RvdOutput::Centroids.into());
+        options.outputs.push(proto::RvdOutput::Centroids.into());
     }
     let header = proto::ComputeRvdHeader {
-        mesh: Some(options::mesh_header(mesh, &DensityOptions::default())),
-        seeds: Some(source),
+        mesh: Some(mesh_header(mesh)),
+        seeds: points.len() as u64,
         backend: choice(backend).into(),
-        outputs,
+        options: Some(options),
     };
     let mut messages = vec![Ask::Header(header)];
     messages.extend(mesh_chunks(mesh).map(Ask::Chunk));
@@ -239,7 +242,7 @@ fn block_on<R>(work: impl Future<Output = Result<R>>) -> Result<R> {
     })
 }
 
-/// Messages, whose leaving is told.
+/// Messages, counted as they leave.
 fn counted<T: Send + 'static>(
     messages: Vec<T>,
     progress: &Progress,

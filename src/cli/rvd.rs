@@ -64,7 +64,7 @@ pub(super) struct SeedArgs {
     /// The seeds, `x y z` a line.
     #[arg(long, value_name = "FILE.xyz")]
     pub(super) seeds: Option<PathBuf>,
-    /// Draw so many seeds instead.
+    /// Number of seeds to draw instead.
     #[arg(long, value_name = "N", value_parser = count, allow_negative_numbers = true)]
     pub(super) points: Option<u32>,
     /// Random seed of the points.

@@ -23,8 +23,7 @@ use jobs::executor::api::JobApiError;
 use jobs::memory;
 use jobs::store::StoreError;
 use jobs::{
-    Backends, BlobRoom, Ceilings, Engine, EngineOptions, Executor, ExecutorOptions, JobBounds, JobError, LossPolicy,
-    Stores,
+    Backends, BlobRoom, Ceilings, Engine, EngineOptions, Executor, ExecutorOptions, JobError, LossPolicy, Stores,
 };
 use server::admin::{self, Admin};
 pub(crate) use server::config::{JobCeilings, Limits, OnLoss, SecurityArgs, ServeArgs, ServeConfig};
@@ -33,6 +32,7 @@ use server::lifecycle::{self, LifeCycle, Step, TooLong};
 use server::metrics::Metrics;
 use server::readiness::{Readiness, Reason};
 use server::service::{self, About, Access, AccessOptions, Door, Jobs, Parts, ServeError, Tls};
+use wire::counts::Bounds;
 
 /// Opens what is kept, and says where that is.
 async fn stores(config: &ServeConfig) -> Result<Stores> {
@@ -55,7 +55,7 @@ async fn stores(config: &ServeConfig) -> Result<Stores> {
     Ok(stores)
 }
 
-/// Who may call.
+/// Keys and roles of callers.
 fn access(args: &ServeArgs, config: &ServeConfig) -> Result<Access> {
     let &SecurityArgs { require_keys, reflection, health_needs_key, ref allow_host, .. } = &args.security;
     // The name that the listeners have may resolve to a loopback address too.
@@ -160,7 +160,7 @@ async fn serve(args: &ServeArgs, config: ServeConfig, tls: Option<Arc<Tls>>, met
     };
     let by = engine.backend(BackendChoice::Auto)?;
     let Limits { max_vertices, max_facets, max_seeds, max_iterations, .. } = config.limits;
-    let bounds = JobBounds { max_vertices, max_facets, max_seeds, max_iterations };
+    let bounds = Bounds { max_vertices, max_facets, max_seeds, max_iterations };
     let options = ExecutorOptions {
         waiting_jobs: config.waiting_jobs,
         keep_results: config.keep.0,
@@ -184,7 +184,7 @@ async fn serve(args: &ServeArgs, config: ServeConfig, tls: Option<Arc<Tls>>, met
     outln!("tessera listens on {address}")?;
     let readiness = Readiness::new();
     readiness.set(Reason::Starting, true);
-    // Ends with this, after the server: who looks while it drains sees that it does.
+    // Ends with this, after the server: its state is visible while it drains.
     let _admin = open_admin(&config, &engine, &metrics, &readiness).await?;
     let door = open_door(&config).await?;
     let about = About {
@@ -198,7 +198,7 @@ async fn serve(args: &ServeArgs, config: ServeConfig, tls: Option<Arc<Tls>>, met
     let limits = config.limits;
     let parts = Parts { engine, worker, limits, jobs, tls, access, metrics, readiness, about, door };
     let shutdown = async {
-        // A sender that is gone means that nobody can signal; go on serving.
+        // Without a sender no signal can come; go on serving.
         if signals.await.is_err() {
             std::future::pending::<()>().await;
         }
@@ -212,7 +212,7 @@ async fn serve(args: &ServeArgs, config: ServeConfig, tls: Option<Arc<Tls>>, met
     served.context("serving")
 }
 
-/// Opens the HTTP door, if it is to be.
+/// Opens the HTTP listener, if there is one.
 async fn open_door(config: &ServeConfig) -> Result<Option<Door>> {
     if config.http.is_empty() {
         return Ok(None);

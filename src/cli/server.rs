@@ -17,12 +17,12 @@ use super::say;
 use super::trust::{Trust, TrustArgs};
 use server::keys::Secret;
 
-/// A server, and what it is told of who asks.
+/// A server, and the credentials for it.
 #[derive(Clone, Debug)]
 pub(crate) struct Server {
     /// Where it is.
     pub(crate) url: ServerUrl,
-    /// Whose jobs are meant; whoever the server takes us for if not given.
+    /// Tenant of the jobs; without it, the tenant of the key or of this host.
     pub(crate) tenant: Option<Tenant>,
     /// Whom a client trusts over TLS, and what it shows.
     pub(crate) trust: Trust,
@@ -77,7 +77,7 @@ impl EndpointArgs {
     }
 }
 
-/// Which server is meant, and who asks.
+/// The server, and the credentials for it.
 #[derive(Args, Debug)]
 #[command(next_help_heading = "Server")]
 pub(crate) struct CallArgs {

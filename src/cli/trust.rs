@@ -1,4 +1,4 @@
-//! Whom a client trusts, and how it shows who it is, over TLS.
+//! Trust and identity of a client over TLS.
 //!
 //! Purpose: the options of every command that asks a server, and [`Trust`] with what their files hold. Invariant: files are
 //! read before any work, and a key is never shown. Must not know: connections.
@@ -18,7 +18,7 @@ pub(crate) struct TrustArgs {
     /// File with the authorities that vouch for the server, in PEM; those of the system if not given. For https:// alone.
     #[arg(long, value_name = "FILE", global = true, env = "TESSERA_CA")]
     pub(crate) ca: Option<PathBuf>,
-    /// File with the certificate that shows the server who calls, in PEM.
+    /// File with the client's certificate, in PEM.
     #[arg(long, value_name = "FILE", global = true, env = "TESSERA_CLIENT_CERT")]
     pub(crate) client_cert: Option<PathBuf>,
     /// File with that certificate's private key, in PEM.

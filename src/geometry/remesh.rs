@@ -94,24 +94,61 @@ pub enum Placement {
 /// added to them. [`report::RefineFigures::ended`] says what ended it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Refine {
-    /// The largest distance between input and result, caller's units. The report's `refine.out_of_tolerance` counts the
-    /// samples that are farther away.
-    pub tolerance: f64,
-    /// The most seeds in all: at least as many as there are at first.
-    pub max_points: usize,
+    /// The largest distance between input and result. The report's `refine.out_of_tolerance` counts the samples that are
+    /// farther away.
+    pub tolerance: Tolerance,
+    /// The most seeds in all: at least as many as there are at first; twice as many if not set.
+    pub max_points: Option<usize>,
+}
+
+/// How far a result may be from its input, above 0.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Tolerance {
+    /// Caller's units.
+    Length(f64),
+    /// Percent of the diagonal of the input's bounding box.
+    DiagonalPercent(f64),
+}
+
+impl Tolerance {
+    /// Caller's units, for `mesh`.
+    fn length(self, mesh: &TriMesh) -> f64 {
+        match self {
+            Self::Length(length) => length,
+            Self::DiagonalPercent(percent) => {
+                // Scaled, so that no square overflows.
+                let (low, high) = mesh.bounds();
+                let extent = (high - low).max_element();
+                percent / 100.0 * (((high - low) / extent).length() * extent)
+            }
+        }
+    }
 }
 
 impl Refine {
-    /// Adds points until nothing is farther than `tolerance` away, or until there are twice as many as the `points` at first.
-    pub fn new(tolerance: f64, points: usize) -> Self {
-        Self { tolerance, max_points: points.saturating_mul(2) }
+    /// Adds points until nothing is farther away than `tolerance`, or until there are twice as many as at first.
+    pub fn new(tolerance: Tolerance) -> Self {
+        Self { tolerance, max_points: None }
     }
 
-    /// With another [`Self::max_points`].
+    /// With this [`Self::max_points`].
     #[must_use]
     pub fn with_max_points(mut self, max_points: usize) -> Self {
-        self.max_points = max_points;
+        self.max_points = Some(max_points);
         self
+    }
+}
+
+/// A [`Refine`] whose numbers are known.
+#[derive(Clone, Copy, Debug)]
+struct Limits {
+    tolerance: f64,
+    max_points: usize,
+}
+
+impl From<Limits> for Refine {
+    fn from(Limits { tolerance, max_points }: Limits) -> Self {
+        Self::new(Tolerance::Length(tolerance)).with_max_points(max_points)
     }
 }
 

@@ -12,7 +12,7 @@ use estimate::{Counts, Need};
 
 use crate::engine::{AdmissionRequest, Engine};
 
-/// What the queue is told of a tenant's job with these counts and this need.
+/// The admission request of a tenant's job with these counts and this need.
 pub fn request(engine: &Engine, tenant: &str, counts: &Counts, need: &Need) -> AdmissionRequest {
     AdmissionRequest {
         tenant: tenant.into(),

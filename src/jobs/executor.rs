@@ -3,7 +3,7 @@
 //! Purpose: [`Executor`] is the [`JobApi`] of one server: it keeps jobs in a [`JobStore`], queues them for the engine, does
 //! them and stores their results; and it takes them up again after a restart.
 //! Invariant: an acknowledged job is in the store. A job's input is pinned from before it is acknowledged until it has
-//! ended, and its result from before it is visible until it expires or is deleted. A job is done by whoever claimed it: what
+//! ended, and its result from before it is visible until it expires or is deleted. A job is done by the executor that claimed it: what
 //! becomes of one that was cancelled or expired meanwhile is thrown away. Must not know: messages, streams, which store.
 
 pub mod api;
@@ -33,20 +33,20 @@ use crate::observe::preview::{PreviewReceiver, Previews};
 use crate::record::Bytes;
 use crate::record::event::{Events, Progress};
 use crate::record::state::State;
-use crate::record::{Change, FailureKind, Job, JobId, JobSpec, Outcome, Time, ValidSpec};
+use crate::record::{Change, FailureKind, Job, JobId, Outcome, Spec, Time};
 use crate::store::{
     Created, JobStore, MAX_CRASHES, MemoryStore, NewJob, Orphans, Page, Query, RedbOptions, RedbStore, Retention,
     StoreError,
 };
 use crate::{JobError, admission};
-pub use input::JobBounds;
 use storage::Storage;
+use wire::counts::Bounds;
 
 /// How often jobs that are over are looked for.
 const SWEEP: Duration = Duration::from_secs(1);
 /// How often a storage that is well is checked, in sweeps.
 const STORAGE_CHECK: u32 = 5;
-/// How often uploads that nobody continues are looked for, in sweeps.
+/// Sweeps between two looks for abandoned uploads.
 const SWEEP_UPLOADS: u32 = 600;
 /// Jobs that one sweep removes at most.
 const SWEEP_BATCH: usize = 1000;
@@ -67,12 +67,12 @@ pub struct ExecutorOptions {
     /// Times that a job may be at work when the process goes down; then it fails.
     pub max_crashes: u32,
     /// What a job may ask for.
-    pub bounds: JobBounds,
+    pub bounds: Bounds,
 }
 
 impl ExecutorOptions {
     /// The defaults, with these bounds.
-    pub fn new(bounds: JobBounds) -> Self {
+    pub fn new(bounds: Bounds) -> Self {
         Self {
             waiting_jobs: 100_000,
             keep_results: Duration::from_secs(24 * 3600),
@@ -287,7 +287,7 @@ impl Inner {
                 let digests: Vec<_> = result.blobs.values().copied().collect();
                 let owner = Owner::of(&job.spec.tenant);
                 self.pin_again(owner, &result_pin(job.id), &digests).await?;
-                // Blobs that an earlier version stored are nobody's.
+                // Blobs of earlier versions have no owner.
                 self.stores.blobs.claim(owner, &digests).await?;
             }
             query.token = page.next;
@@ -297,7 +297,7 @@ impl Inner {
         }
         for id in &recovered.queued {
             let job = jobs.get(*id).await?;
-            let (owner, digests) = (Owner::of(&job.spec.tenant), job.spec.blobs());
+            let (owner, digests) = (Owner::of(&job.spec.tenant), job.spec.task().blobs());
             self.pin_again(owner, &input_pin(*id), &digests).await?;
             self.stores.blobs.claim(owner, &digests).await?;
         }
@@ -339,12 +339,12 @@ impl Inner {
         };
         let request = AdmissionRequest {
             weight: self.engine.weights().of(&job.spec.tenant),
-            priority: job.spec.priority.unwrap_or(0),
+            priority: job.spec.task().priority,
             kept: Some(job.id),
             origin: counts.as_ref().map(|counts| counts.origin(Some(job.id))),
             ..request
         };
-        let token = self.engine.token_within(job.spec.deadlines.run_ms.map(Duration::from_millis));
+        let token = self.engine.token_within(job.spec.task().deadlines.run);
         let mut work = running::Work::new(Arc::downgrade(self), job.id);
         Ok(self.engine.submit_kept(token, request, move |backends, context| work.run(backends, context))?)
     }
@@ -383,10 +383,10 @@ impl Inner {
         let bounds = &self.options.bounds;
         for (field, what, count, most) in [
             // An STL file is counted with three vertices a facet.
-            ("mesh", "vertices", counts.vertices, bounds.max_vertices.saturating_mul(3)),
-            ("mesh", "facets", counts.facets, bounds.max_facets),
-            ("work", "seeds", counts.points, bounds.max_seeds),
-            ("work", "steps", counts.steps, bounds.max_iterations.into()),
+            ("spec.mesh", "vertices", counts.vertices, bounds.max_vertices.saturating_mul(3)),
+            ("spec.mesh", "facets", counts.facets, bounds.max_facets),
+            ("spec", "seeds", counts.points, bounds.max_seeds),
+            ("spec", "steps", counts.steps, bounds.max_iterations.into()),
         ] {
             if count > most {
                 let problem = format!("asks for {count} {what}; this server takes at most {most}");
@@ -397,12 +397,12 @@ impl Inner {
     }
 
     /// The blobs that a job names must be its tenant's: those of others do not exist for it.
-    async fn check_input(&self, spec: &JobSpec) -> Result<(), JobApiError> {
-        let missing = self.stores.blobs.find_missing_of(Owner::of(&spec.tenant), &spec.blobs()).await?;
+    async fn check_input(&self, spec: &Spec) -> Result<(), JobApiError> {
+        let missing = self.stores.blobs.find_missing_of(Owner::of(&spec.tenant), &spec.task().blobs()).await?;
         missing.first().map_or(Ok(()), |digest| Err(BlobError::NotFound { digest: *digest }.into()))
     }
 
-    /// Whether one more job of a tenant may wait. Asks no store, so that who comes in excess is refused at once.
+    /// Whether one more job of a tenant may wait. Asks no store, so that excess calls are refused at once.
     fn has_place(&self, tenant: &str) -> Result<(), JobError> {
         if self.is_draining() {
             return Err(JobError::Draining);
@@ -417,9 +417,9 @@ impl Inner {
     }
 
     /// Checks all that can be checked before a job is kept; gives the memory that it needs.
-    async fn admit(&self, spec: &ValidSpec) -> Result<Bytes, JobApiError> {
+    async fn admit(&self, spec: &Spec) -> Result<Bytes, JobApiError> {
         self.has_place(&spec.tenant)?;
-        self.engine.backend(spec.choice())?;
+        self.engine.backend(spec.task().backend)?;
         let counts = self.forecast.counts(spec, None).await?;
         self.within_bounds(&counts)?;
         let need = self.forecast.need(&counts);
@@ -430,8 +430,8 @@ impl Inner {
 
 #[async_trait]
 impl JobApi for Executor {
-    async fn create(&self, spec: JobSpec) -> Result<Created, JobApiError> {
-        self.inner.create(spec.check()?).await
+    async fn create(&self, spec: Spec) -> Result<Created, JobApiError> {
+        self.inner.create(spec).await
     }
 
     async fn get(&self, tenant: &str, id: JobId) -> Result<Job, JobApiError> {
@@ -478,14 +478,8 @@ impl JobApi for Executor {
         Ok(())
     }
 
-    async fn estimate(
-        &self,
-        spec: JobSpec,
-        vertices: Option<u64>,
-        facets: Option<u64>,
-    ) -> Result<Estimate, JobApiError> {
-        let spec = spec.check()?;
-        self.inner.engine.backend(spec.choice())?;
+    async fn estimate(&self, spec: Spec, vertices: Option<u64>, facets: Option<u64>) -> Result<Estimate, JobApiError> {
+        self.inner.engine.backend(spec.task().backend)?;
         let given = vertices.zip(facets);
         let counts = self.inner.forecast.counts(&spec, given).await?;
         let need = self.inner.forecast.need(&counts);
@@ -523,7 +517,7 @@ impl JobApi for Executor {
 }
 
 impl Inner {
-    async fn create(self: &Arc<Self>, spec: ValidSpec) -> Result<Created, JobApiError> {
+    async fn create(self: &Arc<Self>, spec: Spec) -> Result<Created, JobApiError> {
         // Its input may be gone by now, and is not needed.
         if !spec.request_id.is_empty()
             && let Some(job) = self.stores.jobs.requested(spec.clone()).await?
@@ -535,7 +529,7 @@ impl Inner {
         let pin = input_pin(JobId::new(Time(0), random));
         self.check_input(&spec).await?;
         // Before anything is promised: from here on nothing evicts the input.
-        self.stores.blobs.pin_for(Owner::of(&spec.tenant), &pin, &spec.blobs()).await?;
+        self.stores.blobs.pin_for(Owner::of(&spec.tenant), &pin, &spec.task().blobs()).await?;
         let created = match self.admit(&spec).await {
             Ok(needs) => self.stores.jobs.create(NewJob { random, spec, needs }).await.map_err(JobApiError::from),
             Err(error) => Err(error),
@@ -556,7 +550,7 @@ impl Inner {
     }
 }
 
-/// A number that nobody else has.
+/// A unique random number.
 fn getrandom_u128() -> Result<u128, JobApiError> {
     let mut bytes = [0; 16];
     getrandom::fill(&mut bytes).map_err(|error| {

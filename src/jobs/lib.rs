@@ -7,7 +7,7 @@
 //! A piece is short or checks its [`Token`], and never waits for a client: state that outlives a piece (a session) moves out
 //! and in again.
 //! Invariant: every submitted piece is answered exactly once or its caller has gone; a panic ends
-//! the piece and not the thread; work of a caller who has gone is skipped or cancelled.
+//! the piece and not the thread; work of a caller that is gone is skipped or cancelled.
 //! Must not know: gRPC, messages, the command line.
 
 #![warn(unreachable_pub)]
@@ -31,7 +31,7 @@ use geometry::token::{Stopped, Token};
 
 pub use engine::{Admission, AdmissionRequest, Bytes, Ceilings, Engine, EngineOptions, LossPolicy, Retry, Weights};
 pub use engine::{Device, Pending, Reservation, Timed, Work, WorkContext};
-pub use executor::{BlobRoom, Executor, ExecutorOptions, JobBounds, Stores};
+pub use executor::{BlobRoom, Executor, ExecutorOptions, Stores};
 
 /// Locks a mutex whose content is never left half changed, so that it is good even after a panic.
 pub fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
@@ -57,7 +57,7 @@ pub struct Backends {
 }
 
 impl Backends {
-    /// What a job sees: `host` in place of `parallel`, and the GPU through the gate. Passes are told of.
+    /// What a job sees: `host` in place of `parallel`, and the GPU through the gate. Passes are counted and traced.
     fn for_job(
         &self,
         gate: &Arc<engine::Gate>,
@@ -90,7 +90,7 @@ impl Backends {
     }
 }
 
-/// Who does the work, as it is told to callers.
+/// The backend, as callers see it.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct BackendInfo {
     /// Which backend.
@@ -165,7 +165,7 @@ impl From<Stopped> for JobError {
     }
 }
 
-/// Cancels when dropped: whoever waits for work holds one, so that going away stops the work.
+/// Cancels when dropped: a caller that waits for work holds one, so that going away stops the work.
 #[derive(Debug)]
 pub struct CancelOnDrop(Option<Token>);
 

@@ -1,16 +1,17 @@
 //! A job as data: what is asked for, and where it stands.
 //!
-//! Purpose: [`Job`] is a [`ValidSpec`] and a [`Status`]; both can be kept, sent and read again by another process.
+//! Purpose: [`Job`] is a [`Spec`] and a [`Status`]; both can be kept, sent and read again by another process.
 //! Invariant: the specification never changes; the status changes only by [`Change`], along the machine of
 //! [`state`]. Times are given from outside: there is no clock here.
 //! Must not know: stores, queues, messages, how a job is done.
 
 mod bytes;
-mod check;
 pub mod event;
+mod legacy;
 mod names;
 mod spec;
 pub mod state;
+mod task;
 
 use std::fmt;
 use std::str::FromStr;
@@ -22,13 +23,10 @@ use crate::blob::Digest;
 use crate::record::state::{State, Transition};
 
 pub use bytes::Bytes;
-pub use check::{SpecError, ValidSpec};
 pub use names::Kind;
-pub use spec::{
-    ArrayForm, ArrayRef, AttributeKind, AttributeRef, BackendName, BoundaryRule, CvtCommand, CvtWork, Deadlines,
-    DensityKind, DensitySpec, JobSpec, MeasureRule, MeshSource, PlacementRule, ProjectionRule, RefineSpec, RemeshWork,
-    ResultFormat, RvdOutput, RvdWork, SeedChange, SeedSource, SendSeeds, StepKindName, ThinRule, Tolerance, WorkSpec,
-};
+pub use spec::Spec;
+pub(crate) use task::steps;
+pub use task::{ArrayRef, Arrays, AttributeRef, Command, Deadlines, MeshSource, Operation, ResultFormat, Task};
 
 /// Milliseconds since 1970, UTC.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
@@ -112,7 +110,7 @@ pub struct Job {
     /// Its name.
     pub id: JobId,
     /// What is asked for.
-    pub spec: ValidSpec,
+    pub spec: Spec,
     /// Where it stands.
     pub status: Status,
 }
@@ -123,7 +121,7 @@ pub struct Job {
 pub struct Status {
     /// Where it is in its life.
     pub state: State,
-    /// Rises with every change of the state. Who changes a job says which version it has seen.
+    /// Rises with every change of the state. A change names the version that it has seen.
     pub version: u64,
     /// When it was created.
     pub created: Time,
@@ -139,7 +137,7 @@ pub struct Status {
     /// When it expires unless its state changes before.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub due: Option<Time>,
-    /// Who has it, while it runs.
+    /// The process that has it, while it runs.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub holder: Option<Holder>,
     /// How it ended, once it has.
@@ -147,7 +145,7 @@ pub struct Status {
     pub outcome: Option<Outcome>,
 }
 
-/// Who runs a job.
+/// The process that runs a job.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Holder {
@@ -197,7 +195,7 @@ pub enum FailureKind {
     MissingInput,
     /// It needs more memory or time than it may have.
     TooLarge,
-    /// Nobody could do the work, such as a device that is gone: another try may succeed.
+    /// The work could not be done now, as without a device: another try may succeed.
     Unavailable,
     /// The process went down while the job was running, more than once.
     Crashed,
@@ -253,7 +251,7 @@ impl Change {
 
 impl Status {
     /// That of a job which has just been created.
-    pub fn new(spec: &JobSpec, now: Time) -> Self {
+    pub fn new(deadlines: Deadlines, now: Time) -> Self {
         Self {
             state: State::Queued,
             version: 1,
@@ -262,7 +260,7 @@ impl Status {
             started: None,
             attempts: 0,
             crashes: 0,
-            due: spec.deadlines.queue_ms.map(|ms| now.after(Duration::from_millis(ms))),
+            due: deadlines.queue.map(|limit| now.after(limit)),
             holder: None,
             outcome: None,
         }
@@ -280,19 +278,18 @@ impl Status {
     ) -> Result<Self, crate::record::state::TransitionError> {
         let state = crate::record::state::apply(self.state, change.transition())?;
         let mut next = Self { state, version: self.version + 1, changed: now, due: None, holder: None, ..self.clone() };
-        let by = |from: Time, ms: Option<u64>| ms.map(|ms| from.after(Duration::from_millis(ms)));
         match change {
             Change::Claim(holder) => {
                 next.attempts += 1;
                 next.started = Some(now);
-                next.due = by(now, deadlines.run_ms);
+                next.due = deadlines.run.map(|limit| now.after(limit));
                 next.holder = Some(holder);
             }
             // The deadline of the queue counts from the time that the job last began to wait.
-            Change::Release => next.due = by(now, deadlines.queue_ms),
+            Change::Release => next.due = deadlines.queue.map(|limit| now.after(limit)),
             Change::Orphan => {
                 next.crashes += 1;
-                next.due = by(now, deadlines.queue_ms);
+                next.due = deadlines.queue.map(|limit| now.after(limit));
             }
             Change::Succeed(result) => next.outcome = Some(Outcome::Succeeded(result)),
             Change::Fail(failure) => {

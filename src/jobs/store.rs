@@ -2,7 +2,7 @@
 //!
 //! Purpose: [`JobStore`], what a store of jobs can do; [`MemoryStore`] and [`RedbStore`] are two.
 //! Invariant: an answer that is not an error says what is kept: in a journal it is on the disk. An operation that gets an error
-//! has changed nothing, except [`StoreError::Broken`] and [`StoreError::Closed`], after which nobody knows until the store
+//! has changed nothing, except [`StoreError::Broken`] and [`StoreError::Closed`], after which it is unknown until the store
 //! is opened again. A state changes only from the version that its changer has seen. Nothing here needs the caller to be
 //! the only process. Only the store's own clock decides on times, leases and deadlines.
 //! Must not know: messages, how jobs are done, in which order they should be.
@@ -25,7 +25,7 @@ use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use crate::record::event::{Events, Progress};
 use crate::record::state::{State, TransitionError};
-use crate::record::{Bytes, Change, Job, JobId, JobIdError, Time, ValidSpec};
+use crate::record::{Bytes, Change, Job, JobId, JobIdError, Spec, Time};
 
 pub use self::redb::repair::{Findings, check, repair};
 pub use self::redb::{RedbOptions, RedbStore};
@@ -46,7 +46,7 @@ pub trait JobStore: Send + Sync {
     ///
     /// # Errors
     /// `AlreadyExists` if that request had another body.
-    fn requested(&self, spec: ValidSpec) -> Answer<'_, Option<Job>>;
+    fn requested(&self, spec: Spec) -> Answer<'_, Option<Job>>;
 
     /// A job.
     ///
@@ -124,7 +124,7 @@ pub struct NewJob {
     /// For its name, if the request did not come before: a number from a source that others do not have.
     pub random: u128,
     /// What is asked for.
-    pub spec: ValidSpec,
+    pub spec: Spec,
     /// Memory that it is expected to need.
     pub needs: Bytes,
 }

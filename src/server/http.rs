@@ -1,6 +1,6 @@
-//! The HTTP door: a mesh in, a mesh out, and jobs and blobs for whoever speaks no gRPC.
+//! The HTTP interface: a mesh in, a mesh out, and jobs and blobs for clients without gRPC.
 //!
-//! Purpose: [`door`] makes a way into a server that answers the routes of [`ROUTES`]. Invariant: every route is in that table
+//! Purpose: [`door`] makes a listener of a server that answers the routes of [`ROUTES`]. Invariant: every route is in that table
 //! with the role that it needs, and in `openapi.json`; what is asked is done by the same jobs, blobs, keys and limits as over
 //! gRPC, and refused for the same reasons, by the names that options have here. Must not know: gRPC, messages, connections,
 //! how a surface is remeshed.
@@ -25,10 +25,9 @@ use axum::http::header::CONTENT_TYPE;
 use axum::middleware::from_fn_with_state;
 use axum::response::{IntoResponse, Response};
 use axum::routing::{MethodRouter, delete, get, post};
-use geometry::remesh::RemeshOptions;
-use serde_json::Value;
+use serde_json::{Value, json};
 use tokio::net::TcpListener;
-use wire::names;
+use wire::fields;
 
 #[cfg(feature = "ui")]
 use self::guard::Open;
@@ -37,7 +36,8 @@ use crate::keys::Role;
 use crate::service::{Desk, Door, Kind};
 use geometry::mesh::io::Format;
 
-/// The HTTP interface, as OpenAPI 3.1. Formats and media types come from [`Format`], defaults of options from the library.
+/// The HTTP interface, as OpenAPI 3.1. Formats and media types come from [`Format`], options and specifications of jobs from
+/// the schema of messages.
 pub static OPENAPI: LazyLock<String> = LazyLock::new(|| {
     let formats = Format::ALL.map(|format| format!("\"{}\"", format.extension())).join(", ");
     let types = Format::ALL.map(|format| format!("\"{}\": {{}}", media::media_type(format))).join(", ");
@@ -45,16 +45,15 @@ pub static OPENAPI: LazyLock<String> = LazyLock::new(|| {
     let text = text.replace("\"$media_types\": {}", &types);
     // Tests read the file, so that it is JSON.
     let Ok(mut document) = serde_json::from_str::<Value>(&text) else { return text };
-    let usual = RemeshOptions::usual();
-    let defaults = names::OPTIONS.iter().chain(names::OTHERS).map(|row| (row.name, (row.default)(&usual)));
-    for (name, default) in defaults.filter(|(_, default)| !default.is_null()) {
+    for field in fields::all() {
+        let schema = field.schema();
+        let parameter = json!({ "name": field.name, "in": "query", "schema": schema });
         let parameters = document.pointer_mut("/paths/~1v1~1remesh/post/parameters").and_then(Value::as_array_mut);
-        if let Some(parameter) = parameters.into_iter().flatten().find(|parameter| parameter["name"] == name) {
-            parameter["schema"]["default"] = default.clone();
-        }
-        if let Some(property) = document.pointer_mut(&format!("/components/schemas/Options/properties/{name}")) {
-            property["default"] = default;
-        }
+        parameters.into_iter().for_each(|parameters| parameters.push(parameter.clone()));
+        document["components"]["schemas"]["Options"]["properties"][&field.name] = schema;
+    }
+    for (name, schema) in wire::schema::of::<wire::proto::JobSpec>("#/components/schemas/") {
+        document["components"]["schemas"][name] = schema;
     }
     format!("{document:#}\n")
 });
@@ -99,7 +98,7 @@ pub const ROUTES: &[Route] = &[
     route("GET", "/v1/openapi.json", Role::Read, Kind::Call, || get(openapi)),
 ];
 
-/// A door that listens there.
+/// A listener at this address.
 pub fn door(listener: TcpListener) -> Door {
     Door::new(listener, routes)
 }

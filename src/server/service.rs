@@ -1,6 +1,6 @@
 //! The service: three streams over gRPC, blobs and jobs, health and reflection.
 //!
-//! Purpose: [`run`] serves on a listener until it is told to end, then drains.
+//! Purpose: [`run`] serves on a listener until its shutdown, then drains.
 //! Invariant: nothing waits without a limit; every error leaves through `status` and nowhere else;
 //! a stream that ends in any way gives back its memory and its place. Must not know: how a diagram
 //! is computed, how messages look (`wire`), the command line.
@@ -83,7 +83,7 @@ pub struct Parts {
     pub jobs: Option<Jobs>,
     /// The certificates, if TLS is spoken.
     pub tls: Option<Arc<Tls>>,
-    /// Who may call.
+    /// Keys and roles of callers.
     pub access: Access,
     /// Counts. Give the engine the same.
     pub metrics: Metrics,
@@ -215,7 +215,7 @@ pub enum Phase {
 const CUT_TIME: Duration = Duration::from_secs(2);
 
 /// Takes the upload of a recorded `Remesh` stream as the service would, without a server: fuzzers call it, and
-/// so may whoever has a recording that was refused. A recording is every request after its length
+/// so may a caller with a recording that was refused. A recording is every request after its length
 /// as a varint, up to the one that finishes the upload.
 ///
 /// # Errors
@@ -313,10 +313,10 @@ pub async fn run(
         }
         lost = health::follow_engine(&engine, &readiness, &metrics) => lost,
     };
-    // Whoever waits for work that never ends would wait in vain.
+    // A wait for work that never ends would be in vain.
     let grace = if lost.is_some() { Duration::ZERO } else { limits.grace };
     tracing::info!(grace_s = grace.as_secs_f64(), "shutting down: no new streams, open ones may end");
-    // Before the phase: whoever watches is told, and then his stream ends.
+    // Before the phase: watchers get the status, and then their stream ends.
     readiness.set(Reason::Draining, true);
     health.tell(readiness.condition()).await;
     phase.send_replace(Phase::Draining);
@@ -413,7 +413,7 @@ fn reflection(names: &[&str]) -> Result<tonic_reflection::server::Builder<'stati
         // Each version lists the other, and so has to describe it: clients ask about all that is listed.
         .register_encoded_file_descriptor_set(tonic_reflection::pb::v1::FILE_DESCRIPTOR_SET)
         .register_encoded_file_descriptor_set(tonic_reflection::pb::v1alpha::FILE_DESCRIPTOR_SET);
-    // Named, since the descriptors tell of services that may not be served.
+    // Named, since the descriptors have services that may not be served.
     let others =
         ["grpc.health.v1.Health", "grpc.reflection.v1.ServerReflection", "grpc.reflection.v1alpha.ServerReflection"];
     Ok(names.iter().copied().chain(others).fold(builder, tonic_reflection::server::Builder::with_service_name))

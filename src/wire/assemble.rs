@@ -1,17 +1,17 @@
 //! Arrays put together from chunks.
 //!
 //! Purpose: [`Assembly`] checks chunks, takes them in order and gives a mesh and seeds at the end.
-//! Invariant: memory grows with what has arrived, and its owner is asked before it does; nothing is used before every
-//! announced byte is there. Must not know: who owns the memory, streams, jobs.
+//! Invariant: memory grows with what has arrived, and its budget is asked before it does; nothing is used before every
+//! announced byte is there. Must not know: budgets, streams, jobs.
 
 use std::borrow::Cow;
 
 use glam::DVec3;
 
-use super::WireError;
 use super::attributes::{AttributeCounts, UploadedAttribute};
-use super::counts::{MeshCounts, SeedCounts};
+use super::counts::MeshCounts;
 use super::proto::{ArrayKind, Chunk};
+use super::{WireError, unknown_enum};
 
 /// What was uploaded, complete.
 #[derive(Debug)]
@@ -58,7 +58,7 @@ enum Store {
 
 impl Assembly {
     /// Nothing has arrived yet.
-    pub fn new(mesh: MeshCounts, seeds: SeedCounts) -> Self {
+    pub fn new(mesh: MeshCounts) -> Self {
         let points = mesh.coordinate_bytes;
         let array = Array::new;
         Self {
@@ -66,7 +66,7 @@ impl Assembly {
                 array(ArrayKind::Positions, points, 3, mesh.vertices, Store::Points(Vec::new())),
                 array(ArrayKind::Facets, 4, 3, mesh.facets, Store::Triples(Vec::new())),
                 array(ArrayKind::Weights, 8, 1, mesh.weights, Store::Numbers(Vec::new())),
-                array(ArrayKind::Seeds, points, 3, seeds.uploaded(), Store::Points(Vec::new())),
+                array(ArrayKind::Seeds, points, 3, mesh.seeds, Store::Points(Vec::new())),
                 array(ArrayKind::EdgeLengths, 8, 1, mesh.edge_lengths, Store::Numbers(Vec::new())),
                 array(ArrayKind::Creases, 4, 2, mesh.creases, Store::Pairs(Vec::new())),
             ],
@@ -106,11 +106,13 @@ impl Assembly {
         chunk: &Chunk,
         grow: impl FnOnce(u64) -> Result<(), E>,
     ) -> Result<(), E> {
-        let kind = ArrayKind::try_from(chunk.kind).map_err(|_| WireError::unknown_enum("chunk.kind", chunk.kind))?;
+        let kind = ArrayKind::try_from(chunk.kind).map_err(|_| unknown_enum("chunk.kind", chunk.kind))?;
         let Some(array) = self.array(kind, chunk.attribute) else {
             let name = kind.as_str_name();
             let text = match kind {
-                ArrayKind::Scalars => format!("is {name}, and header.attributes[{}] is no scalar", chunk.attribute),
+                ArrayKind::Scalars => {
+                    format!("is {name}, and header.mesh.attributes[{}] is no scalar", chunk.attribute)
+                }
                 _ => format!(
                     "is {name}; upload POSITIONS, FACETS, WEIGHTS, SEEDS, EDGE_LENGTHS, CREASES or an array of an attribute in the header"
                 ),
@@ -181,7 +183,7 @@ impl Array {
         self.announced * self.element_bytes
     }
 
-    /// Bytes that so many wire bytes need once they are stored.
+    /// Bytes of memory for `wire` bytes of a message.
     fn memory_bytes(&self, wire: u64) -> u64 {
         match self.store {
             Store::Points(_) | Store::Numbers(_) => 8 / self.number_bytes * wire,
@@ -281,8 +283,9 @@ mod tests {
     }
 
     fn assembly() -> Assembly {
-        let mesh = MeshCounts { vertices: 3, facets: 1, weights: 3, coordinate_bytes: 4, edge_lengths: 0, creases: 0 };
-        Assembly::new(mesh, SeedCounts::Uploaded(1))
+        let counts =
+            MeshCounts { vertices: 3, facets: 1, weights: 3, coordinate_bytes: 4, seeds: 1, ..Default::default() };
+        Assembly::new(counts)
     }
 
     fn chunk(kind: ArrayKind, offset: u64, data: &[u8]) -> Chunk {
@@ -330,9 +333,8 @@ mod tests {
 
     #[test]
     fn memory_is_taken_for_what_arrives() {
-        let mesh =
-            MeshCounts { vertices: 1 << 30, facets: 1, weights: 0, coordinate_bytes: 8, edge_lengths: 0, creases: 0 };
-        let mut a = Assembly::new(mesh, SeedCounts::Sampled { points: 1, seed: 0 });
+        let counts = MeshCounts { vertices: 1 << 30, facets: 1, coordinate_bytes: 8, ..MeshCounts::default() };
+        let mut a = Assembly::new(counts);
         let mut left = 30;
         let mut grow = |bytes: u64| {
             left = u64::checked_sub(left, bytes).ok_or(WireError::Order("no memory"))?;

@@ -7,10 +7,11 @@
 
 use glam::{DVec2, DVec3};
 
-use super::WireError;
 use super::chunks::{chunks as cut, facet_chunks, number_chunks, point_chunks};
-use super::counts::{MeshCounts, within};
+use super::counts::MeshCounts;
+use super::options::within;
 use super::proto::{ArrayKind, AttributeHeader, AttributeKind, AttributeType, Chunk};
+use super::{WireError, unknown_enum};
 use geometry::mesh::TriMesh;
 use geometry::mesh::attributes::{
     AttributeError, Attributes, ColourDepth, Colours, Normals, PerCorner, Scalar, check_name,
@@ -56,14 +57,14 @@ pub struct UploadedAttribute {
 /// Checks what is said of a mesh before anything of it arrives.
 pub fn check(headers: &[AttributeHeader], mesh: MeshCounts) -> Result<Vec<AttributeCounts>, WireError> {
     if headers.len() > MOST {
-        return Err(WireError::field("header.attributes", format!("has {} entries; {MOST} may be", headers.len())));
+        return Err(WireError::field("attributes", format!("has {} entries; {MOST} may be", headers.len())));
     }
     let mut all: Vec<AttributeCounts> = Vec::with_capacity(headers.len());
     for (i, header) in headers.iter().enumerate() {
         let counts = check_one(i, header, mesh)?;
         if all.iter().any(|other| (other.kind, &other.name) == (counts.kind, &counts.name)) {
             let text = "is a second one of its kind and name";
-            return Err(WireError::field(format!("header.attributes[{i}]"), text));
+            return Err(WireError::field(format!("attributes[{i}]"), text));
         }
         all.push(counts);
     }
@@ -71,8 +72,8 @@ pub fn check(headers: &[AttributeHeader], mesh: MeshCounts) -> Result<Vec<Attrib
 }
 
 fn check_one(i: usize, header: &AttributeHeader, mesh: MeshCounts) -> Result<AttributeCounts, WireError> {
-    let path = |field: &str| format!("header.attributes[{i}].{field}");
-    let unknown = |field: &str, value: i32| WireError::unknown_enum(&path(field), value);
+    let path = |field: &str| format!("attributes[{i}].{field}");
+    let unknown = |field: &str, value: i32| unknown_enum(path(field), value);
     let AttributeHeader { kind, name, r#type, values, by_corner } = header.clone();
     let kind = match AttributeKind::try_from(kind) {
         Ok(AttributeKind::Unspecified) | Err(_) => return Err(unknown("kind", kind)),
@@ -130,11 +131,11 @@ pub fn collect(mesh: &TriMesh, uploaded: Vec<UploadedAttribute>) -> Result<Attri
         };
         taken.map_err(|error| {
             let path = match &error {
-                AttributeError::NonFinite { index, .. } => format!("mesh.attributes[{i}].values[{index}]"),
+                AttributeError::NonFinite { index, .. } => format!("attributes[{i}].values[{index}]"),
                 AttributeError::IndexOutOfRange { facet, corner, .. } => {
-                    format!("mesh.attributes[{i}].corners[{facet}][{corner}]")
+                    format!("attributes[{i}].corners[{facet}][{corner}]")
                 }
-                _ => format!("mesh.attributes[{i}]"),
+                _ => format!("attributes[{i}]"),
             };
             WireError::field(path, error.to_string())
         })?;
@@ -168,9 +169,9 @@ pub fn headers(attributes: &Attributes) -> Vec<AttributeHeader> {
 }
 
 /// Headers of all that there is, in the order in which a request named it.
-pub fn headers_like(attributes: &Attributes, request: &[AttributeHeader]) -> Vec<AttributeHeader> {
+pub fn headers_like(attributes: &Attributes, request: &[AttributeCounts]) -> Vec<AttributeHeader> {
     let all = headers(attributes);
-    let same = |a: &AttributeHeader, b: &AttributeHeader| (a.kind, &a.name) == (b.kind, &b.name);
+    let same = |a: &AttributeHeader, b: &AttributeCounts| (a.kind(), &a.name) == (b.kind, &b.name);
     request.iter().filter_map(|asked| all.iter().find(|header| same(header, asked)).cloned()).collect()
 }
 
@@ -232,14 +233,14 @@ mod tests {
         let scalar = header(AttributeKind::Scalar, 4);
         let all = [header(AttributeKind::TextureCoordinates, 6), scalar.clone(), header(AttributeKind::Colours, 4)];
         assert_eq!(check(&all, mesh).unwrap().len(), 3);
-        assert_eq!(path(&[scalar.clone(), scalar.clone()]), "header.attributes[1]");
-        assert_eq!(path(&[header(AttributeKind::Normals, 3)]), "header.attributes[0].values");
-        assert_eq!(path(&[header(AttributeKind::TextureCoordinates, 7)]), "header.attributes[0].values");
-        assert_eq!(path(&[header(AttributeKind::TextureCoordinates, 0)]), "header.attributes[0].values");
-        assert_eq!(path(&[header(AttributeKind::Unspecified, 4)]), "header.attributes[0].kind");
-        assert_eq!(path(&[AttributeHeader { name: "a b".into(), ..scalar.clone() }]), "header.attributes[0].name");
-        assert_eq!(path(&[AttributeHeader { r#type: 3, ..scalar.clone() }]), "header.attributes[0].type");
-        assert_eq!(path(&[AttributeHeader { r#type: 9, ..scalar.clone() }]), "header.attributes[0].type");
-        assert_eq!(path(&vec![scalar; 257]), "header.attributes");
+        assert_eq!(path(&[scalar.clone(), scalar.clone()]), "attributes[1]");
+        assert_eq!(path(&[header(AttributeKind::Normals, 3)]), "attributes[0].values");
+        assert_eq!(path(&[header(AttributeKind::TextureCoordinates, 7)]), "attributes[0].values");
+        assert_eq!(path(&[header(AttributeKind::TextureCoordinates, 0)]), "attributes[0].values");
+        assert_eq!(path(&[header(AttributeKind::Unspecified, 4)]), "attributes[0].kind");
+        assert_eq!(path(&[AttributeHeader { name: "a b".into(), ..scalar.clone() }]), "attributes[0].name");
+        assert_eq!(path(&[AttributeHeader { r#type: 3, ..scalar.clone() }]), "attributes[0].type");
+        assert_eq!(path(&[AttributeHeader { r#type: 9, ..scalar.clone() }]), "attributes[0].type");
+        assert_eq!(path(&vec![scalar; 257]), "attributes");
     }
 }

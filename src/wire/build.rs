@@ -1,4 +1,4 @@
-//! Compiles `proto/` to Rust without a system `protoc`, and leaves the descriptors for reflection.
+//! Compiles `proto/` to Rust without a system `protoc`, and leaves the descriptors for reflection, with their comments.
 
 use prost::Message;
 
@@ -10,6 +10,9 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     )?;
     let out = std::path::PathBuf::from(std::env::var("OUT_DIR")?);
     std::fs::write(out.join("tessera.bin"), descriptors.encode_to_vec())?;
-    tonic_prost_build::configure().bytes(".").emit_rerun_if_changed(false).compile_fds(descriptors)?;
+    let mut config = tonic_prost_build::Config::new();
+    config.enable_type_names();
+    let builder = tonic_prost_build::configure().bytes(".").emit_rerun_if_changed(false);
+    builder.compile_fds_with_config(descriptors, config)?;
     Ok(())
 }

@@ -5,105 +5,42 @@
 
 use glam::DVec3;
 
-use super::{WireError, proto};
-use geometry::cvt::{Iteration, Projection, SeedEdit, StepKind};
-use geometry::remesh::Placement;
+use super::WireError;
+use super::options::choice;
+use super::proto::{self, SeedsWanted};
+use geometry::cvt::{Iteration, SeedEdit, StepKind};
 use geometry::remesh::report::{RefineEnd, RvdFigures};
 use geometry::rvd::{BackendChoice, BackendKind};
 
 /// The backend that a header asks for.
 pub fn backend(value: i32) -> Result<BackendChoice, WireError> {
-    match proto::BackendChoice::try_from(value) {
-        Ok(proto::BackendChoice::Unspecified | proto::BackendChoice::Auto) => Ok(BackendChoice::Auto),
-        Ok(proto::BackendChoice::Gpu) => Ok(BackendChoice::Only(BackendKind::Gpu)),
-        Ok(proto::BackendChoice::Parallel) => Ok(BackendChoice::Only(BackendKind::Parallel)),
-        Ok(proto::BackendChoice::Serial) => Ok(BackendChoice::Only(BackendKind::Serial)),
-        Err(_) => Err(WireError::unknown_enum("header.backend", value)),
-    }
-}
-
-pub fn projection(value: i32) -> Result<Option<Projection>, WireError> {
-    match proto::Projection::try_from(value) {
-        Ok(proto::Projection::Unspecified) => Ok(None),
-        Ok(proto::Projection::Free) => Ok(Some(Projection::Free)),
-        Ok(proto::Projection::OnSurface) => Ok(Some(Projection::OnSurface)),
-        Err(_) => Err(WireError::unknown_enum("header.projection", value)),
-    }
-}
-
-/// Whether shape and distance are measured.
-pub fn measure(value: i32) -> Result<Option<bool>, WireError> {
-    match proto::Measure::try_from(value) {
-        Ok(proto::Measure::Unspecified) => Ok(None),
-        Ok(proto::Measure::Full) => Ok(Some(true)),
-        Ok(proto::Measure::Topology) => Ok(Some(false)),
-        Err(_) => Err(WireError::unknown_enum("header.measure", value)),
-    }
-}
-
-pub fn placement(value: i32) -> Result<Option<Placement>, WireError> {
-    match proto::Placement::try_from(value) {
-        Ok(proto::Placement::Unspecified) => Ok(None),
-        Ok(proto::Placement::Fitted) => Ok(Some(Placement::Fitted)),
-        Ok(proto::Placement::Surface) => Ok(Some(Placement::Surface)),
-        Ok(proto::Placement::Centroids) => Ok(Some(Placement::Centroids)),
-        Err(_) => Err(WireError::unknown_enum("header.placement", value)),
-    }
-}
-
-/// Whether boundaries are kept.
-pub fn boundaries(value: i32) -> Result<Option<bool>, WireError> {
-    match proto::BoundaryRule::try_from(value) {
-        Ok(proto::BoundaryRule::Unspecified) => Ok(None),
-        Ok(proto::BoundaryRule::Keep) => Ok(Some(true)),
-        Ok(proto::BoundaryRule::Free) => Ok(Some(false)),
-        Err(_) => Err(WireError::unknown_enum("header.boundaries", value)),
-    }
-}
-
-/// Whether edges become shorter where the surface is thin.
-pub fn thin(value: i32) -> Result<Option<bool>, WireError> {
-    match proto::ThinRule::try_from(value) {
-        Ok(proto::ThinRule::Unspecified) => Ok(None),
-        Ok(proto::ThinRule::Finer) => Ok(Some(true)),
-        Ok(proto::ThinRule::Even) => Ok(Some(false)),
-        Err(_) => Err(WireError::unknown_enum("header.thin", value)),
-    }
+    Ok(match choice("backend", value)? {
+        proto::BackendChoice::Unspecified | proto::BackendChoice::Auto => BackendChoice::Auto,
+        proto::BackendChoice::Gpu => BackendChoice::Only(BackendKind::Gpu),
+        proto::BackendChoice::Parallel => BackendChoice::Only(BackendKind::Parallel),
+        proto::BackendChoice::Serial => BackendChoice::Only(BackendKind::Serial),
+    })
 }
 
 pub fn step_kind(value: i32) -> Result<StepKind, WireError> {
-    match proto::StepKind::try_from(value) {
-        Ok(proto::StepKind::Unspecified | proto::StepKind::Lloyd) => Ok(StepKind::Lloyd),
-        Ok(proto::StepKind::Lbfgs) => Ok(StepKind::Lbfgs),
-        Err(_) => Err(WireError::unknown_enum("step.kind", value)),
-    }
+    Ok(match choice("kind", value)? {
+        proto::StepKind::Unspecified | proto::StepKind::Lloyd => StepKind::Lloyd,
+        proto::StepKind::Lbfgs => StepKind::Lbfgs,
+    })
 }
 
-/// What of a diagram is to be sent.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Outputs {
-    pub cells: bool,
-    pub centroids: bool,
-    pub sums: bool,
-}
-
-pub fn outputs(values: &[i32]) -> Result<Outputs, WireError> {
-    let mut outputs = Outputs { cells: values.is_empty(), ..Outputs::default() };
-    for (i, &value) in values.iter().enumerate() {
-        match proto::RvdOutput::try_from(value) {
-            Ok(proto::RvdOutput::Cells) => outputs.cells = true,
-            Ok(proto::RvdOutput::Centroids) => outputs.centroids = true,
-            Ok(proto::RvdOutput::Sums) => outputs.sums = true,
-            _ => return Err(WireError::unknown_enum(&format!("header.outputs[{i}]"), value)),
-        }
-    }
-    Ok(outputs)
+/// When a command wants the seeds.
+pub fn seeds_wanted(value: i32) -> Result<SeedsWanted, WireError> {
+    Ok(match choice("seeds", value)? {
+        SeedsWanted::Unspecified => SeedsWanted::Never,
+        wanted => wanted,
+    })
 }
 
 pub fn edits(edits: &[proto::SeedEdit]) -> Result<Vec<SeedEdit>, WireError> {
     let point = |p: &proto::Point| DVec3::new(p.x, p.y, p.z);
     let one = |(i, edit): (usize, &proto::SeedEdit)| {
-        let missing = |what: &str| WireError::field(format!("edit.edits[{i}]{what}"), "is missing");
+        let missing = |what: &str| WireError::field(format!("edits[{i}]{what}"), "is missing");
         match &edit.edit {
             Some(proto::seed_edit::Edit::Move(m)) => {
                 let to = m.to.as_ref().ok_or_else(|| missing(".move.to"))?;
@@ -115,9 +52,26 @@ pub fn edits(edits: &[proto::SeedEdit]) -> Result<Vec<SeedEdit>, WireError> {
         }
     };
     if edits.is_empty() {
-        return Err(WireError::field("edit.edits", "is empty; give at least one change"));
+        return Err(WireError::field("edits", "is empty; give at least one change"));
     }
     edits.iter().enumerate().map(one).collect()
+}
+
+/// A duration in milliseconds, rounded up.
+pub fn duration_ms(duration: prost_types::Duration) -> Result<u64, WireError> {
+    match u64::try_from(duration.seconds) {
+        Ok(seconds) if NANOS.contains(&duration.nanos) => Ok(milliseconds(seconds, duration.nanos)),
+        _ => Err(WireError::field("", "is no duration from 0 on, with nanos from 0 to 999999999")),
+    }
+}
+
+/// Parts of a second that a duration or a time may have, besides whole ones.
+pub const NANOS: std::ops::Range<i32> = 0..1_000_000_000;
+
+/// Milliseconds of seconds and nanoseconds that were checked, rounded up.
+pub fn milliseconds(seconds: u64, nanos: i32) -> u64 {
+    let parts = u64::from(nanos.unsigned_abs()).div_ceil(1_000_000);
+    seconds.saturating_mul(1000).saturating_add(parts)
 }
 
 pub fn iteration(it: &Iteration, total: usize, queue_ms: f64) -> proto::Iteration {

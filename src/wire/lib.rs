@@ -1,10 +1,12 @@
-//! What server and client both speak: messages, and our own types made of them and into them.
+//! The messages of the interface, and the library's types made of them and into them.
 //!
-//! Purpose: `proto` holds the generated messages. `codec`, `density`, `options` and `attributes` translate values. `chunks`
-//! and `cells` cut arrays into messages; `assemble` (at the server) and `arrays` (at a client) put them together again.
-//! `pieces` are those of blobs at a client. `counts`, `headers` and `upload` check what a request announces, and the order of its messages.
-//! `names` has what the command, HTTP and Python call the fields.
-//! Invariant: an unknown enum value is an error, never a default. What is refused is named by its path in the message.
+//! Purpose: `proto` holds the generated messages, `json` writes them as JSON, and `schema` says
+//! what that looks like. `options` has all checks of options, for streams,
+//! jobs and the command; `names` and `fields` call options by the names that the command, HTTP and Python share. `codec` and
+//! `attributes` translate values. `chunks` and `cells` cut arrays into messages; `assemble` (at the server) and `arrays` (at a
+//! client) put them together again. `pieces` are those of blobs at a client. `counts`, `headers` and `upload` check what a
+//! request announces, and the order of its messages.
+//! Invariant: an unknown enum value is an error, never a default. A refusal has the path of the field in the message.
 //! Must not know: handlers, streams, queues, status codes, the server's half of the transport, the command line.
 
 #![warn(unreachable_pub)]
@@ -17,18 +19,18 @@ pub mod cells;
 pub mod chunks;
 pub mod codec;
 pub mod counts;
-pub mod density;
+pub mod fields;
 mod headers;
+pub mod json;
 pub mod names;
 pub mod options;
 pub mod pieces;
 pub mod proto;
+pub mod schema;
 pub mod upload;
 
-use geometry::remesh::RemeshError;
-
 /// Why a message is refused.
-#[derive(Clone, Debug, thiserror::Error)]
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum WireError {
     /// A field has a value that it must not have.
     #[error("{path} {reason}")]
@@ -41,9 +43,6 @@ pub enum WireError {
     /// A message that must not come now.
     #[error("{0}")]
     Order(&'static str),
-    /// Options that the library refuses.
-    #[error(transparent)]
-    Options(#[from] RemeshError),
     /// What a server sent is damaged or incomplete. Clients alone meet it.
     #[error("{0}")]
     Answer(String),
@@ -54,7 +53,17 @@ impl WireError {
         Self::Field { path: path.into(), reason: reason.into() }
     }
 
-    pub fn unknown_enum(path: &str, value: i32) -> Self {
-        Self::field(path, format!("is {value}, which is no value of this enum"))
+    /// The same of a field of the message at `place`.
+    #[must_use]
+    pub fn under(self, place: &str) -> Self {
+        match self {
+            Self::Field { path, reason } if path.is_empty() => Self::field(place, reason),
+            Self::Field { path, reason } => Self::field(format!("{place}.{path}"), reason),
+            other => other,
+        }
     }
+}
+
+fn unknown_enum(path: impl Into<String>, value: i32) -> WireError {
+    WireError::field(path, format!("is {value}, which is no value of this enum"))
 }

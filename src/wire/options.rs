@@ -1,161 +1,367 @@
 //! Options between messages and the library.
 //!
-//! Purpose: the header of a `Remesh` or `Cvt` to [`RemeshOptions`] or [`CvtOptions`], and back for a client.
-//! Invariant: what a header leaves open has the library's default, and no number here is one. Both sides are
-//! taken apart field by field, so that an option cannot be added to one of them alone.
-//! Must not know: streams, queues, what an option does.
-use super::attributes;
-use super::counts::{Bounds, SeedCounts, within};
-use super::density;
-use super::proto::{self, CvtHeader, RemeshHeader};
-use super::{WireError, codec};
-use geometry::cvt::density::DensityOptions;
-pub use geometry::cvt::density::DensitySource;
-use geometry::cvt::{CvtOptions, Projection};
-use geometry::mesh::TriMesh;
-use geometry::mesh::attributes::Attributes;
-pub use geometry::mesh::features::FeatureError;
-use geometry::remesh::{Placement, Refine, RemeshError, RemeshOptions, Seeds};
+//! Purpose: [`remesh`], [`session`] and [`diagram`] check the options of a message and give the library's; [`of_remesh`] writes
+//! the message of options. Streams, jobs and the command share them.
+//! Invariant: all checks of an option's value are here; a refusal has the field's path below the options. An option that is
+//! not set has the library's default, and no number here is one.
+//! Must not know: streams, jobs, how arrays arrive, what an option does.
 
-/// What came in arrays beside a header.
-#[derive(Clone, Debug)]
-pub struct RemeshArrays {
-    pub density: DensityOptions,
-    pub seeds: Seeds,
-    pub creases: Vec<[u32; 2]>,
-    pub attributes: Option<Attributes>,
+use glam::DVec3;
+
+use super::counts::Bounds;
+use super::proto::{self, BoundaryRule, Measure, RvdOutput, ThinRule};
+use super::{WireError, unknown_enum};
+use geometry::cvt::density::{DensityOptions, DensitySource};
+use geometry::cvt::{CvtOptions, Projection};
+use geometry::remesh::{Placement, Refine, RemeshOptions, Seeds, Tolerance};
+
+type Read<T> = Result<T, WireError>;
+
+/// Arrays that are given beside options.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Beside {
+    /// Number of seeds; 0 if they are not counted yet.
+    pub seeds: Option<u64>,
+    pub edge_lengths: bool,
+    pub weights: bool,
 }
 
-/// What a header and its arrays ask for.
-pub fn of_remesh(header: &RemeshHeader, arrays: RemeshArrays, bounds: &Bounds) -> Result<RemeshOptions, WireError> {
-    let RemeshArrays { density, seeds, creases, attributes } = arrays;
-    let counts = match &seeds {
-        Seeds::Given(seeds) => SeedCounts::Uploaded(seeds.len() as u64),
-        &Seeds::Sample { points, seed } => SeedCounts::Sampled { points: points as u64, seed },
-        &Seeds::Implied { seed } => SeedCounts::Implied { seed },
+/// A session of iterations. Arrays are empty until [`fill`].
+#[derive(Clone, Debug)]
+pub struct Session {
+    pub seeds: Seeds,
+    pub density: DensityOptions,
+    pub options: CvtOptions,
+}
+
+/// A restricted Voronoi diagram. Arrays are empty until [`fill`].
+#[derive(Clone, Debug)]
+pub struct Diagram {
+    pub seeds: Seeds,
+    pub density: DensityOptions,
+    pub outputs: Outputs,
+}
+
+/// What of a diagram is wanted.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Outputs {
+    pub cells: bool,
+    pub centroids: bool,
+    pub sums: bool,
+}
+
+/// The seeds and the density of options.
+pub trait Start {
+    fn seeds(&self) -> &Seeds;
+    fn density(&self) -> &DensityOptions;
+    fn start(&mut self) -> (&mut Seeds, &mut DensityOptions);
+}
+
+macro_rules! start {
+    ($($of:ty),*) => {
+        $(impl Start for $of {
+            fn seeds(&self) -> &Seeds {
+                &self.seeds
+            }
+
+            fn density(&self) -> &DensityOptions {
+                &self.density
+            }
+
+            fn start(&mut self) -> (&mut Seeds, &mut DensityOptions) {
+                (&mut self.seeds, &mut self.density)
+            }
+        })*
     };
-    let Numbers { lloyd, newton, crease_angle_deg, projection, placement, keep_boundaries, keep_thin, measure, refine } =
-        Numbers::of(header, counts, bounds)?;
-    Ok(RemeshOptions {
-        seeds,
+}
+
+start!(RemeshOptions, Session, Diagram);
+
+/// Puts the arrays that came into the options that were checked for them.
+pub fn fill(options: &mut dyn Start, points: Vec<DVec3>, edge_lengths: Option<Vec<f64>>, weights: Option<Vec<f64>>) {
+    let (seeds, density) = options.start();
+    if let Seeds::Given(given) = seeds {
+        *given = points;
+    }
+    match (&mut density.source, edge_lengths, weights) {
+        (DensitySource::Sizes(sizes), Some(lengths), _) => *sizes = lengths,
+        (DensitySource::Weights(given), _, Some(weights)) => *given = weights,
+        _ => {}
+    }
+}
+
+/// A remesh. Seeds and lengths or weights that are given beside the options are empty until [`fill`].
+pub fn remesh(given: &proto::RemeshOptions, beside: Beside, bounds: &Bounds) -> Read<RemeshOptions> {
+    let &proto::RemeshOptions {
+        points,
+        seed,
+        ref density,
         lloyd,
         newton,
-        density,
         projection,
         placement,
-        crease_angle_deg,
-        creases,
-        refine,
-        keep_boundaries,
-        keep_thin,
+        crease_angle,
+        boundaries,
+        thin,
+        max_deviation,
+        max_deviation_length,
+        max_points,
         measure,
-        attributes,
+    } = given;
+    let usual = RemeshOptions::usual();
+    let (seeds, density) = start(points, seed, density.as_ref(), beside, bounds)?;
+    let steps = |path, given: Option<u32>, usual: usize| match given {
+        Some(steps) => {
+            within(path, steps.into(), 0, bounds.max_iterations.into())?;
+            Ok::<_, WireError>(steps as usize)
+        }
+        // A server that allows fewer iterations than the default means that for all callers.
+        None => Ok(usual.min(bounds.max_iterations as usize)),
+    };
+    if let Some(angle) = crease_angle.filter(|angle| !(0.0..=180.0).contains(angle)) {
+        return Err(WireError::field("crease_angle", format!("is {angle}; give an angle from 0 to 180 degrees")));
+    }
+    let placement = match choice("placement", placement)? {
+        proto::Placement::Unspecified => usual.placement,
+        proto::Placement::Fitted => Placement::Fitted,
+        proto::Placement::Surface => Placement::Surface,
+        proto::Placement::Centroids => Placement::Centroids,
+    };
+    let counts = (!matches!(seeds, Seeds::Implied { .. }), first(&seeds, beside));
+    Ok(RemeshOptions {
+        refine: refine((max_deviation, max_deviation_length), max_points, placement, counts, bounds)?,
+        seeds,
+        lloyd: steps("lloyd", lloyd, usual.lloyd)?,
+        newton: steps("newton", newton, usual.newton)?,
+        density,
+        projection: self::projection(projection)?,
+        placement,
+        crease_angle_deg: crease_angle.unwrap_or(usual.crease_angle_deg),
+        keep_boundaries: match choice("boundaries", boundaries)? {
+            BoundaryRule::Unspecified => usual.keep_boundaries,
+            BoundaryRule::Keep => true,
+            BoundaryRule::Free => false,
+        },
+        keep_thin: match choice("thin", thin)? {
+            ThinRule::Unspecified => usual.keep_thin,
+            ThinRule::Finer => true,
+            ThinRule::Even => false,
+        },
+        measure: match choice("measure", measure)? {
+            Measure::Unspecified => usual.measure,
+            Measure::Full => true,
+            Measure::Topology => false,
+        },
+        creases: usual.creases,
+        attributes: usual.attributes,
     })
 }
 
-/// Whether a header's options are in their ranges, before anything is uploaded.
-pub fn check_remesh(header: &RemeshHeader, seeds: SeedCounts, bounds: &Bounds) -> Result<(), WireError> {
-    Numbers::of(header, seeds, bounds).map(|_| ())
+/// A session of iterations.
+pub fn session(given: &proto::CvtOptions, beside: Beside, bounds: &Bounds) -> Read<Session> {
+    let &proto::CvtOptions { points, seed, ref density, projection, max_seeds } = given;
+    let (seeds, density) = start(points, seed, density.as_ref(), beside, bounds)?;
+    if let Some(most) = max_seeds {
+        within("max_seeds", most.into(), first(&seeds, beside).unwrap_or(1), bounds.max_seeds)?;
+    }
+    let options = CvtOptions { projection: self::projection(projection)?, max_seeds: max_seeds.unwrap_or(0) as usize };
+    Ok(Session { seeds, density, options })
 }
 
-/// The options that come with the header and not in arrays.
-struct Numbers {
-    lloyd: usize,
-    newton: usize,
-    crease_angle_deg: f64,
-    projection: Projection,
+/// A diagram.
+pub fn diagram(given: &proto::DiagramOptions, beside: Beside, bounds: &Bounds) -> Read<Diagram> {
+    let &proto::DiagramOptions { points, seed, ref outputs } = given;
+    let (seeds, density) = start(points, seed, None, beside, bounds)?;
+    let mut wanted = Outputs { cells: outputs.is_empty(), ..Outputs::default() };
+    for (i, &output) in outputs.iter().enumerate() {
+        match RvdOutput::try_from(output) {
+            Ok(RvdOutput::Cells) => wanted.cells = true,
+            Ok(RvdOutput::Centroids) => wanted.centroids = true,
+            Ok(RvdOutput::Sums) => wanted.sums = true,
+            Ok(RvdOutput::Unspecified) | Err(_) => return Err(unknown_enum(format!("outputs[{i}]"), output)),
+        }
+    }
+    Ok(Diagram { seeds, density, outputs: wanted })
+}
+
+/// Seeds and density.
+fn start(
+    points: Option<u32>,
+    seed: Option<u64>,
+    density: Option<&proto::Density>,
+    beside: Beside,
+    bounds: &Bounds,
+) -> Read<(Seeds, DensityOptions)> {
+    let density = self::density(density, beside, bounds)?;
+    let seed = seed.unwrap_or(Seeds::RANDOM_SEED);
+    let implied = density.edge_length.is_some() || beside.edge_lengths;
+    let counted = points.is_some() || beside.seeds.is_some();
+    if counted && density.edge_length.is_some() {
+        let text = "is given beside a number of points; give one of the two";
+        return Err(WireError::field("density.edge_length", text));
+    }
+    let seeds = match (points, beside.seeds) {
+        (Some(_), Some(_)) => return Err(WireError::field("points", "is given beside seeds; give one of the two")),
+        (None, Some(_)) => Seeds::Given(Vec::new()),
+        (Some(points), None) => {
+            within("points", points.into(), 1, bounds.max_seeds)?;
+            Seeds::Sample { points: points as usize, seed }
+        }
+        (None, None) if implied => Seeds::Implied { seed },
+        (None, None) => return Err(WireError::field("points", "is missing; give a number of points, or edge lengths")),
+    };
+    Ok((seeds, density))
+}
+
+/// How many seeds there are at first, if that is known.
+fn first(seeds: &Seeds, beside: Beside) -> Option<u64> {
+    match seeds {
+        Seeds::Sample { points, .. } => Some(*points as u64),
+        Seeds::Given(_) => beside.seeds.filter(|count| *count > 0),
+        Seeds::Implied { .. } => None,
+    }
+}
+
+fn density(given: Option<&proto::Density>, beside: Beside, bounds: &Bounds) -> Read<DensityOptions> {
+    use proto::DensitySource as Source;
+    let proto::Density { source, edge_length, adaptivity, gradation } = given.copied().unwrap_or_default();
+    let kind = match choice("density.source", source)? {
+        Source::Unspecified if beside.edge_lengths => Source::EdgeLengths,
+        Source::Unspecified if beside.weights => Source::Weights,
+        Source::Unspecified => Source::Uniform,
+        source => source,
+    };
+    for (what, given, of) in
+        [("edge lengths", beside.edge_lengths, Source::EdgeLengths), ("weights", beside.weights, Source::Weights)]
+    {
+        if given != (kind == of) {
+            let name = word(&kind);
+            let text = match given {
+                true => format!("is {name}, but {what} are given; leave one of the two out"),
+                false => format!("is {name}, but no {what} are given"),
+            };
+            return Err(WireError::field("density.source", text));
+        }
+    }
+    if edge_length.is_some() && beside.edge_lengths {
+        let text = "is given beside edge lengths of vertices; give one of the two";
+        return Err(WireError::field("density.edge_length", text));
+    }
+    positive("density.edge_length", edge_length)?;
+    positive("density.gradation", gradation)?;
+    if let Some(adaptivity) = adaptivity.filter(|share| !(0.0..=1.0).contains(share)) {
+        return Err(WireError::field("density.adaptivity", format!("is {adaptivity}; give a number from 0 to 1")));
+    }
+    let usual = DensityOptions::default();
+    Ok(DensityOptions {
+        source: match kind {
+            Source::Unspecified | Source::Uniform => DensitySource::Uniform,
+            Source::Weights => DensitySource::Weights(Vec::new()),
+            Source::EdgeLengths => DensitySource::Sizes(Vec::new()),
+            Source::Curvature => DensitySource::Curvature,
+            Source::Lfs => DensitySource::FeatureSize,
+        },
+        edge_length,
+        adaptivity: adaptivity.unwrap_or(usual.adaptivity),
+        gradation: gradation.unwrap_or(usual.gradation),
+        max_points: usize::try_from(bounds.max_seeds).unwrap_or(usize::MAX),
+        ..usual
+    })
+}
+
+fn refine(
+    (percent, length): (Option<f64>, Option<f64>),
+    max_points: Option<u32>,
     placement: Placement,
-    keep_boundaries: bool,
-    keep_thin: bool,
-    measure: bool,
-    refine: Option<Refine>,
-}
-
-impl Numbers {
-    fn of(header: &RemeshHeader, counts: SeedCounts, bounds: &Bounds) -> Result<Self, WireError> {
-        let RemeshHeader {
-            mesh: _,
-            seeds: _,
-            backend: _,
-            creases: _,
-            density: _,
-            attributes: _,
-            lloyd_steps,
-            newton_steps,
-            crease_angle_deg,
-            projection,
-            measure,
-            placement,
-            boundaries,
-            thin,
-            ref refinement,
-        } = *header;
-        let usual = RemeshOptions::usual();
-        let steps = |path, given: Option<u32>, usual: usize| match given {
-            Some(steps) => {
-                within(path, steps.into(), 0, bounds.max_iterations.into())?;
-                Ok::<_, WireError>(steps as usize)
+    (counted, first): (bool, Option<u64>),
+    bounds: &Bounds,
+) -> Read<Option<Refine>> {
+    positive("max_deviation", percent)?;
+    positive("max_deviation_length", length)?;
+    let (path, tolerance) = match (percent, length) {
+        (None, None) if max_points.is_some() => {
+            return Err(WireError::field("max_points", "is given without max_deviation; give both"));
+        }
+        (None, None) => return Ok(None),
+        (Some(_), Some(_)) => {
+            let text = "is given beside max_deviation; give one of the two";
+            return Err(WireError::field("max_deviation_length", text));
+        }
+        (Some(percent), None) => ("max_deviation", Tolerance::DiagonalPercent(percent)),
+        (None, Some(length)) => ("max_deviation_length", Tolerance::Length(length)),
+    };
+    if placement != Placement::Fitted {
+        return Err(WireError::field(path, "is for the placement fitted; leave one of the two out"));
+    }
+    let max_points = match (max_points, first) {
+        (Some(most), first) => {
+            within("max_points", most.into(), 1, bounds.max_seeds)?;
+            if let Some(first) = first.filter(|first| u64::from(most) < *first) {
+                return Err(WireError::field(
+                    "max_points",
+                    format!("is {most}, less than the {first} points at first"),
+                ));
             }
-            // Who allows fewer iterations than that means it for everybody.
-            None => Ok(usual.min(bounds.max_iterations as usize)),
-        };
-        let crease_angle_deg = crease_angle_deg.unwrap_or(usual.crease_angle_deg);
-        if !(0.0..=180.0).contains(&crease_angle_deg) {
-            return Err(RemeshError::from(FeatureError::BadAngle(crease_angle_deg)).into());
+            Some(most as usize)
         }
-        let placement = codec::placement(placement)?.unwrap_or(usual.placement);
-        if refinement.is_some() && placement != Placement::Fitted {
-            return Err(RemeshError::RefineUnfitted.into());
+        (None, Some(first)) => {
+            Some(usize::try_from(first.saturating_mul(2).min(bounds.max_seeds)).unwrap_or(usize::MAX))
         }
-        Ok(Self {
-            lloyd: steps("header.lloyd_steps", lloyd_steps, usual.lloyd)?,
-            newton: steps("header.newton_steps", newton_steps, usual.newton)?,
-            crease_angle_deg,
-            projection: codec::projection(projection)?.unwrap_or(usual.projection),
-            placement,
-            keep_boundaries: codec::boundaries(boundaries)?.unwrap_or(usual.keep_boundaries),
-            keep_thin: codec::thin(thin)?.unwrap_or(usual.keep_thin),
-            measure: codec::measure(measure)?.unwrap_or(usual.measure),
-            refine: refinement.as_ref().map_or(Ok(usual.refine), |given| refine(given, counts, bounds).map(Some))?,
-        })
-    }
+        (None, None) if counted => None,
+        (None, None) => {
+            let text = "is missing; it must be given where edge lengths say how many points there are";
+            return Err(WireError::field("max_points", text));
+        }
+    };
+    Ok(Some(Refine { tolerance, max_points }))
 }
 
-fn refine(given: &proto::Refinement, counts: SeedCounts, bounds: &Bounds) -> Result<Refine, WireError> {
-    let proto::Refinement { tolerance, max_points } = *given;
-    if !(tolerance.is_finite() && tolerance > 0.0) {
-        let text = format!("is {tolerance}; give a distance above 0");
-        return Err(WireError::field("header.refinement.tolerance", text));
-    }
-    let path = "header.refinement.max_points";
-    match (max_points, counts) {
-        (Some(most), _) => {
-            within(path, most, 1, bounds.max_seeds)?;
-            Ok(Refine { tolerance, max_points: most as usize })
-        }
-        (None, SeedCounts::Uploaded(points) | SeedCounts::Sampled { points, .. }) => {
-            let Refine { tolerance, max_points } = Refine::new(tolerance, points as usize);
-            Ok(Refine { tolerance, max_points: max_points.min(bounds.max_seeds as usize) })
-        }
-        (None, SeedCounts::Implied { .. }) => {
-            Err(WireError::field(path, "is missing; it must be given where edge lengths say how many points there are"))
-        }
-    }
-}
-
-/// What the header of a session asks for.
-pub fn of_cvt(header: &CvtHeader) -> Result<CvtOptions, WireError> {
-    let CvtHeader { mesh: _, seeds: _, backend: _, density: _, projection, max_seeds } = *header;
-    let usual = CvtOptions::default();
-    Ok(CvtOptions {
-        projection: codec::projection(projection)?.unwrap_or(usual.projection),
-        // 0 means the same to both.
-        max_seeds: max_seeds as usize,
+fn projection(value: i32) -> Read<Projection> {
+    Ok(match choice("projection", value)? {
+        proto::Projection::Unspecified => CvtOptions::default().projection,
+        proto::Projection::Free => Projection::Free,
+        proto::Projection::Surface => Projection::OnSurface,
     })
 }
 
-/// The header that asks for the same as `options`, of `mesh`; seeds that are given are to be uploaded.
-pub fn remesh_header(mesh: &TriMesh, options: &RemeshOptions, backend: proto::BackendChoice) -> RemeshHeader {
+/// The value of an enum.
+pub fn choice<E: TryFrom<i32>>(path: &str, value: i32) -> Read<E> {
+    E::try_from(value).map_err(|_| unknown_enum(path, value))
+}
+
+fn positive(path: &str, given: Option<f64>) -> Read<()> {
+    match given.filter(|number| !(number.is_finite() && *number > 0.0)) {
+        Some(number) => Err(WireError::field(path, format!("is {number}; give a finite number above 0"))),
+        None => Ok(()),
+    }
+}
+
+/// Checks that `least <= value <= most`.
+pub fn within(path: &str, value: u64, least: u64, most: u64) -> Read<()> {
+    match (least..=most).contains(&value) {
+        true => Ok(()),
+        false => Err(WireError::field(path, format!("is {value}; give {least} to {most}"))),
+    }
+}
+
+/// The name of a source, as callers write it.
+fn word(kind: &proto::DensitySource) -> String {
+    kind.as_str_name().trim_start_matches("DENSITY_SOURCE_").to_ascii_lowercase()
+}
+
+/// Where a density comes from.
+pub fn source(density: &DensityOptions) -> proto::DensitySource {
+    match density.source {
+        DensitySource::Uniform => proto::DensitySource::Uniform,
+        DensitySource::Weights(_) => proto::DensitySource::Weights,
+        DensitySource::Sizes(_) => proto::DensitySource::EdgeLengths,
+        DensitySource::Curvature => proto::DensitySource::Curvature,
+        DensitySource::FeatureSize => proto::DensitySource::Lfs,
+    }
+}
+
+/// The message of options, all numbers written out. Arrays are left aside.
+pub fn of_remesh(options: &RemeshOptions) -> proto::RemeshOptions {
     let RemeshOptions {
         seeds,
         lloyd,
@@ -164,68 +370,44 @@ pub fn remesh_header(mesh: &TriMesh, options: &RemeshOptions, backend: proto::Ba
         projection,
         placement,
         crease_angle_deg,
-        creases,
+        creases: _,
         refine,
         keep_boundaries,
         keep_thin,
         measure,
-        attributes,
+        attributes: _,
     } = options;
-    let steps = |steps: usize| Some(u32::try_from(steps).unwrap_or(u32::MAX));
-    RemeshHeader {
-        mesh: Some(mesh_header(mesh, density)),
-        seeds: Some(seed_source(seeds)),
-        backend: backend.into(),
-        lloyd_steps: steps(*lloyd),
-        newton_steps: steps(*newton),
-        crease_angle_deg: Some(*crease_angle_deg),
-        creases: creases.len() as u64,
+    let count = |count: usize| u32::try_from(count).unwrap_or(u32::MAX);
+    let tolerance = refine.map(|refine| refine.tolerance);
+    proto::RemeshOptions {
+        points: if let Seeds::Sample { points, .. } = seeds { Some(count(*points)) } else { None },
+        seed: match seeds {
+            Seeds::Sample { seed, .. } | Seeds::Implied { seed } => Some(*seed),
+            Seeds::Given(_) => None,
+        },
+        density: Some(proto::Density {
+            source: source(density).into(),
+            edge_length: density.edge_length,
+            adaptivity: Some(density.adaptivity),
+            gradation: Some(density.gradation),
+        }),
+        lloyd: Some(count(*lloyd)),
+        newton: Some(count(*newton)),
         projection: match projection {
             Projection::Free => proto::Projection::Free.into(),
-            Projection::OnSurface => proto::Projection::OnSurface.into(),
-        },
-        measure: match measure {
-            true => proto::Measure::Full.into(),
-            false => proto::Measure::Topology.into(),
+            Projection::OnSurface => proto::Projection::Surface.into(),
         },
         placement: match placement {
             Placement::Fitted => proto::Placement::Fitted.into(),
             Placement::Surface => proto::Placement::Surface.into(),
             Placement::Centroids => proto::Placement::Centroids.into(),
         },
-        boundaries: match keep_boundaries {
-            true => proto::BoundaryRule::Keep.into(),
-            false => proto::BoundaryRule::Free.into(),
-        },
-        thin: match keep_thin {
-            true => proto::ThinRule::Finer.into(),
-            false => proto::ThinRule::Even.into(),
-        },
-        refinement: refine.map(|r| proto::Refinement { tolerance: r.tolerance, max_points: Some(r.max_points as u64) }),
-        density: Some(density::message(density)),
-        attributes: attributes.as_ref().map(attributes::headers).unwrap_or_default(),
+        crease_angle: Some(*crease_angle_deg),
+        boundaries: if *keep_boundaries { BoundaryRule::Keep } else { BoundaryRule::Free }.into(),
+        thin: if *keep_thin { ThinRule::Finer } else { ThinRule::Even }.into(),
+        max_deviation: if let Some(Tolerance::DiagonalPercent(percent)) = tolerance { Some(percent) } else { None },
+        max_deviation_length: if let Some(Tolerance::Length(length)) = tolerance { Some(length) } else { None },
+        max_points: refine.and_then(|refine| refine.max_points).map(count),
+        measure: if *measure { Measure::Full } else { Measure::Topology }.into(),
     }
-}
-
-/// The counts of `mesh`, and of the weights that `density` reads.
-pub fn mesh_header(mesh: &TriMesh, density: &DensityOptions) -> proto::MeshHeader {
-    let weights = if let DensitySource::Weights(weights) = &density.source { weights.len() as u64 } else { 0 };
-    proto::MeshHeader {
-        vertices: mesh.positions().len() as u64,
-        facets: mesh.facets().len() as u64,
-        position_type: proto::PositionType::F64.into(),
-        weights,
-    }
-}
-
-/// Where seeds come from.
-pub fn seed_source(seeds: &Seeds) -> proto::SeedSource {
-    use proto::seed_source::Source;
-    let sampled = |points, random_seed| Source::Sampled(proto::SampledSeeds { points, random_seed });
-    let source = match *seeds {
-        Seeds::Given(ref seeds) => Source::Uploaded(seeds.len() as u64),
-        Seeds::Sample { points, seed } => sampled(points as u64, seed),
-        Seeds::Implied { seed } => sampled(0, seed),
-    };
-    proto::SeedSource { source: Some(source) }
 }

@@ -2,13 +2,16 @@
 //!
 //! Purpose: [`Upload`] takes messages one by one and gives everything when the end mark comes.
 //! Invariant: the header's counts are checked before anything is kept; any other order is refused.
-//! Must not know: where messages come from, who owns the memory, jobs.
+//! Must not know: where messages come from, memory, jobs.
 
 use super::WireError;
 use super::assemble::{Assembly, Uploaded};
-use super::attributes::AttributeCounts;
-use super::counts::{Bounds, MeshCounts, SeedCounts};
-use super::proto::Chunk;
+use super::attributes::{self, AttributeCounts};
+use super::codec;
+use super::counts::{self, Bounds, MeshCounts, Reads};
+use super::options::Beside;
+use super::proto::{Chunk, MeshHeader};
+use geometry::rvd::BackendChoice;
 
 /// What a message of an upload is, whatever its type.
 pub enum Incoming<H> {
@@ -21,22 +24,50 @@ pub enum Incoming<H> {
 
 /// What headers have in common.
 pub trait Header {
-    /// Checks everything in it.
-    fn check(&self, bounds: &Bounds) -> Result<(MeshCounts, SeedCounts), WireError>;
+    /// The options, checked.
+    type Options;
+    const READS: Reads;
 
-    /// Which backend it asks for.
-    fn backend(&self) -> i32;
+    /// The mesh, the number of seeds that are uploaded, and the backend.
+    fn parts(&self) -> (Option<&MeshHeader>, u64, i32);
 
-    /// Checks what the mesh is said to carry.
-    fn attributes(&self, _mesh: MeshCounts) -> Result<Vec<AttributeCounts>, WireError> {
-        Ok(Vec::new())
-    }
+    /// Checks the options.
+    ///
+    /// # Errors
+    /// Paths below the options.
+    fn options(&self, beside: Beside, bounds: &Bounds) -> Result<Self::Options, WireError>;
+}
+
+/// A header that was checked.
+#[derive(Clone, Debug)]
+pub struct Checked<O> {
+    pub mesh: MeshCounts,
+    pub backend: BackendChoice,
+    /// Arrays that are uploaded are empty.
+    pub options: O,
+    /// What the surface carries.
+    pub attributes: Vec<AttributeCounts>,
+}
+
+/// A header and its arrays.
+pub type Complete<O> = (Checked<O>, Uploaded);
+
+fn check<H: Header>(header: &H, bounds: &Bounds) -> Result<Checked<H::Options>, WireError> {
+    let (of_mesh, seeds, backend) = header.parts();
+    let backend = codec::backend(backend)?;
+    let mesh = counts::mesh(of_mesh, seeds, H::READS, bounds)?;
+    let beside =
+        Beside { seeds: (seeds > 0).then_some(seeds), edge_lengths: mesh.edge_lengths > 0, weights: mesh.weights > 0 };
+    let options = header.options(beside, bounds).map_err(|error| error.under("options"))?;
+    let attributes =
+        attributes::check(of_mesh.map_or(&[], |mesh| &mesh.attributes), mesh).map_err(|error| error.under("mesh"))?;
+    Ok(Checked { mesh, backend, options, attributes })
 }
 
 /// See the module's head.
-pub struct Upload<H> {
+pub struct Upload<H: Header> {
     bounds: Bounds,
-    open: Option<(H, SeedCounts, Assembly)>,
+    open: Option<(Checked<H::Options>, Assembly)>,
 }
 
 impl<H: Header> Upload<H> {
@@ -46,8 +77,8 @@ impl<H: Header> Upload<H> {
     }
 
     /// The header, once it has come and is in order.
-    pub fn header(&self) -> Option<&H> {
-        self.open.as_ref().map(|(header, ..)| header)
+    pub fn header(&self) -> Option<&Checked<H::Options>> {
+        self.open.as_ref().map(|(header, _)| header)
     }
 
     /// Takes the next message, or `None` for the end of the stream. Gives what was uploaded once it
@@ -56,23 +87,23 @@ impl<H: Header> Upload<H> {
         &mut self,
         message: Option<Incoming<H>>,
         grow: impl FnOnce(u64) -> Result<(), E>,
-    ) -> Result<Option<(H, SeedCounts, Uploaded)>, E> {
+    ) -> Result<Option<Complete<H::Options>>, E> {
         let order = |text| Err(WireError::Order(text).into());
         match (message, self.open.take()) {
             (Some(Incoming::Header(header)), None) => {
-                let (mesh, seeds) = header.check(&self.bounds)?;
-                let assembly = Assembly::new(mesh, seeds).announce(mesh.facets, header.attributes(mesh)?);
-                self.open = Some((header, seeds, assembly));
+                let checked = check(&header, &self.bounds).map_err(|error| error.under("header"))?;
+                let assembly = Assembly::new(checked.mesh).announce(checked.mesh.facets, checked.attributes.clone());
+                self.open = Some((checked, assembly));
                 Ok(None)
             }
             (Some(_), None) => order("the first message must be the header"),
             (None, None) => order("the stream ended before the header"),
-            (Some(Incoming::Chunk(chunk)), Some((header, seeds, mut assembly))) => {
+            (Some(Incoming::Chunk(chunk)), Some((header, mut assembly))) => {
                 assembly.take(&chunk, grow)?;
-                self.open = Some((header, seeds, assembly));
+                self.open = Some((header, assembly));
                 Ok(None)
             }
-            (Some(Incoming::End), Some((header, seeds, assembly))) => Ok(Some((header, seeds, assembly.finish()?))),
+            (Some(Incoming::End), Some((header, assembly))) => Ok(Some((header, assembly.finish()?))),
             (Some(Incoming::Header(_)), Some(_)) => order("a second header came"),
             (Some(Incoming::Other), Some(_)) => order("the upload goes on with chunks until it is finished"),
             (None, Some(_)) => order("the stream ended before the upload was finished"),

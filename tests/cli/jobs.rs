@@ -9,8 +9,7 @@ use std::process::{Command, Output, Stdio};
 
 use serde_json::Value;
 use tessera::proto::{
-    self, ArrayForm, BackendChoice, DensitySource, JobState, Placement, job_mesh, job_refinement, job_seeds, job_spec,
-    result_format,
+    self, ArrayForm, BackendChoice, DensitySource, JobState, Placement, job_mesh, job_spec, result_format,
 };
 
 use fake::{Fake, ID, digest, job, result};
@@ -75,7 +74,7 @@ fn wrong_options_are_wrong_usage() {
         ("jobs submit remesh in.off", "--points"),
         ("jobs submit remesh in.off --points 9 -o out.ply", "unexpected argument '-o'"),
         ("jobs submit remesh in.off --points 9 --threads 2", "unexpected argument '--threads'"),
-        ("jobs submit remesh in.off --points 9 --max-deviation 1 --max-points 5", "is less than --points"),
+        ("jobs submit remesh in.off --points 9 --max-deviation 1 --max-points 5", "less than the 9 points at first"),
         ("jobs submit remesh in.off --points 9 --max-deviation 1 --placement surface", "--placement fitted"),
         ("jobs submit remesh in.off --points 9 --adaptivity 2", "adaptivity"),
         ("jobs submit remesh in.xyz --points 9", "no known mesh format"),
@@ -135,11 +134,10 @@ fn what_is_not_set_is_not_sent() {
     assert_eq!((request.request_id.as_str(), tenant), ("", None));
     let input = digest(&std::fs::read(stage.folder.path().join("in.off")).unwrap());
     let file = proto::MeshFile { digest: input.clone(), format: proto::MeshFormat::Off.into(), attributes: None };
-    let drawn = proto::DrawnSeeds { points: Some(9), random_seed: None };
-    let seeds = proto::JobSeeds { source: Some(job_seeds::Source::Drawn(drawn)) };
+    let options = proto::RemeshOptions { points: Some(9), ..Default::default() };
     let expected = proto::JobSpec {
         mesh: Some(proto::JobMesh { source: Some(job_mesh::Source::File(file)) }),
-        work: Some(job_spec::Work::Remesh(proto::RemeshJob { seeds: Some(seeds), ..Default::default() })),
+        work: Some(job_spec::Work::Remesh(options)),
         ..Default::default()
     };
     assert_eq!(request.spec, Some(expected));
@@ -170,7 +168,8 @@ fn every_option_arrives() {
     let spec = request.spec.unwrap();
     let Some(job_spec::Work::Remesh(work)) = &spec.work else { panic!("{spec:?}") };
     let density = work.density.as_ref().unwrap();
-    let (edge_lengths, creases) = (density.edge_lengths.as_ref().unwrap(), work.creases.as_ref().unwrap());
+    let arrays = spec.arrays.clone().unwrap();
+    let (edge_lengths, creases) = (arrays.edge_lengths.as_ref().unwrap(), arrays.creases.as_ref().unwrap());
     for (array, bytes) in [(edge_lengths, &b"1\n2\n3\n"[..]), (creases, b"0 1\n")] {
         assert_eq!((array.digest.clone(), array.form(), array.count), (digest(bytes), ArrayForm::Text, 0));
         assert!(stage.fake.state().blobs.contains_key(&array.digest));
@@ -179,11 +178,10 @@ fn every_option_arrives() {
         (density.adaptivity, density.gradation, density.source()),
         (Some(1.0), Some(0.3), DensitySource::Unspecified)
     );
-    assert_eq!((work.lloyd_steps, work.newton_steps, work.crease_angle_deg), (Some(5), Some(0), Some(30.0)));
-    assert_eq!((work.projection(), work.placement()), (proto::Projection::OnSurface, Placement::Fitted));
+    assert_eq!((work.lloyd, work.newton, work.crease_angle), (Some(5), Some(0), Some(30.0)));
+    assert_eq!((work.projection(), work.placement()), (proto::Projection::Surface, Placement::Fitted));
     assert_eq!((work.boundaries(), work.thin()), (proto::BoundaryRule::Keep, proto::ThinRule::Even));
-    let tolerance = Some(job_refinement::Tolerance::DiagonalPercent(0.5));
-    assert_eq!(work.refinement, Some(proto::JobRefinement { tolerance, max_points: Some(20) }));
+    assert_eq!((work.max_deviation, work.max_points), (Some(0.5), Some(20)));
     let Some(job_mesh::Source::File(mesh)) = spec.mesh.clone().unwrap().source else { panic!("{spec:?}") };
     assert_eq!((mesh.attributes, spec.backend(), spec.priority), (Some(false), BackendChoice::Serial, Some(-3)));
     let form = Some(result_format::Form::File(proto::MeshFormat::Stl.into()));
@@ -196,7 +194,7 @@ fn every_option_arrives() {
     let (request, _) = stage.fake.created();
     let spec = request.spec.unwrap();
     let Some(job_spec::Work::Rvd(work)) = &spec.work else { panic!("{spec:?}") };
-    let Some(job_seeds::Source::Given(seeds)) = work.seeds.clone().unwrap().source else { panic!("{work:?}") };
+    let seeds = spec.arrays.clone().unwrap().seeds.unwrap();
     assert_eq!((seeds.digest.clone(), seeds.form()), (digest(b"0 0 0\n"), ArrayForm::Text));
     assert_eq!(work.outputs, [2, 3]);
 }

@@ -77,7 +77,7 @@ fn wrong_numbers_are_told_what_is_allowed() {
     for (option, words) in [
         ("--points 20 --crease-angle -1", "0 to 180"),
         ("--points 20 --max-deviation -1", "above 0"),
-        ("--points 20 --max-deviation 1 --placement surface", "for --placement fitted"),
+        ("--points 20 --max-deviation 1 --placement surface", "for the placement fitted"),
         ("--points 20 --gradation -1", "above 0"),
         ("--edge-length -0.5", "above 0"),
         ("--points -5", "from 1 to 4294967295"),

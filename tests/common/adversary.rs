@@ -10,7 +10,7 @@ use tessera::DensitySource;
 use tessera::mesh::TriMesh;
 use tessera::mesh::attributes::Attributes;
 use tessera::mesh::shapes::Shape;
-use tessera::remesh::{Refine, RemeshOptions, Seeds};
+use tessera::remesh::{Refine, RemeshOptions, Seeds, Tolerance};
 
 /// Kinds of surfaces, each hard for some stage.
 pub const SURFACES: &[(&str, Make)] = &[
@@ -307,7 +307,7 @@ fn ask(mesh: &TriMesh, points: usize, options: &mut RemeshOptions, rng: &mut Cha
     asked.push(options.density.source.name().to_owned());
     if rng.random_range(0..4) == 0 {
         let tolerance = extent * 10f64.powf(rng.random_range(-300.0..-1.0));
-        options.refine = Some(Refine::new(tolerance, 2 * points));
+        options.refine = Some(Refine::new(Tolerance::Length(tolerance)).with_max_points(4 * points));
         asked.push(format!("tolerance {tolerance:.0e}"));
     }
     if rng.random_range(0..3) == 0 {

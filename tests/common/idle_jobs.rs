@@ -31,8 +31,8 @@ impl Idle {
         }
     }
 
-    fn input(spec: &JobSpec) -> Vec<Digest> {
-        match &spec.mesh {
+    fn input(spec: &Spec) -> Vec<Digest> {
+        match &spec.task().mesh {
             MeshSource::File { blob, .. } => vec![*blob],
             MeshSource::Arrays { positions, facets, .. } => vec![positions.blob, facets.blob],
         }
@@ -41,8 +41,7 @@ impl Idle {
 
 #[tonic::async_trait]
 impl JobApi for Idle {
-    async fn create(&self, spec: JobSpec) -> Result<Created, JobApiError> {
-        let spec = spec.check()?;
+    async fn create(&self, spec: Spec) -> Result<Created, JobApiError> {
         for blob in Self::input(&spec) {
             self.blobs.stat(blob).await?;
         }
@@ -83,8 +82,8 @@ impl JobApi for Idle {
         Ok(self.store.delete(id).await?)
     }
 
-    async fn estimate(&self, spec: JobSpec, vertices: Option<u64>, _: Option<u64>) -> Result<Estimate, JobApiError> {
-        spec.check()?;
+    async fn estimate(&self, spec: Spec, vertices: Option<u64>, _: Option<u64>) -> Result<Estimate, JobApiError> {
+        let _ = spec;
         let host_bytes = 100 * vertices.unwrap_or(1);
         Ok(Estimate {
             host_bytes,

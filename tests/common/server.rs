@@ -356,12 +356,8 @@ pub fn mesh_header(points: &[DVec3], facets: &[[u32; 3]]) -> MeshHeader {
         vertices: points.len() as u64,
         facets: facets.len() as u64,
         position_type: PositionType::F64.into(),
-        weights: 0,
+        ..MeshHeader::default()
     }
-}
-
-pub fn uploaded(count: usize) -> Option<SeedSource> {
-    Some(SeedSource { source: Some(seed_source::Source::Uploaded(count as u64)) })
 }
 
 /// What every upload holds.
@@ -401,9 +397,9 @@ pub fn rvd_request(
 ) -> Vec<ComputeRvdRequest> {
     let header = ComputeRvdHeader {
         mesh: Some(mesh_header(points, facets)),
-        seeds: uploaded(seeds.len()),
+        seeds: seeds.len() as u64,
         backend: backend.into(),
-        outputs: outputs.iter().map(|&o| o.into()).collect(),
+        options: Some(DiagramOptions { outputs: outputs.iter().map(|&o| o.into()).collect(), ..Default::default() }),
     };
     let mut all = vec![rvd_message(compute_rvd_request::Message::Header(header))];
     all.extend(

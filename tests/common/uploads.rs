@@ -61,7 +61,16 @@ fn client(data: &[u8], carried: u8) -> (Vec<u8>, bool) {
     let (double, weighted, sampled) = (byte() % 2 == 0, byte() % 4 == 0, byte() % 2 == 0);
     let count = u64::from(byte() % 8) + 1;
     let weights = if weighted { vertices } else { 0 };
-    let mut mesh = MeshHeader { vertices, facets, position_type: if double { 2 } else { 1 }, weights };
+    let attributes = announced(carried, vertices, facets);
+    let position_type = if double { 2 } else { 1 };
+    let mut mesh = MeshHeader {
+        vertices,
+        facets,
+        position_type,
+        weights,
+        attributes: attributes.clone(),
+        ..MeshHeader::default()
+    };
     if byte() % 32 == 31 {
         whole = false;
         match byte() % 4 {
@@ -71,17 +80,12 @@ fn client(data: &[u8], carried: u8) -> (Vec<u8>, bool) {
             _ => mesh.weights = u64::from(byte()),
         }
     }
-    let source = match sampled {
-        true => seed_source::Source::Sampled(SampledSeeds { points: count, random_seed: 1 }),
-        false => seed_source::Source::Uploaded(count),
-    };
-    let attributes = announced(carried, vertices, facets);
+    let points = sampled.then_some(count as u32);
     let header = RemeshHeader {
-        attributes: attributes.clone(),
         mesh: Some(mesh),
-        seeds: Some(SeedSource { source: Some(source) }),
-        lloyd_steps: Some(1),
-        ..RemeshHeader::default()
+        seeds: if sampled { 0 } else { count },
+        backend: 0,
+        options: Some(RemeshOptions { points, seed: Some(1), lloyd: Some(1), ..RemeshOptions::default() }),
     };
     let mut out = Vec::new();
     let mut send = |message| {

@@ -4,7 +4,7 @@ use std::net::SocketAddr;
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
-use jobs::{Backends, BlobRoom, Engine, EngineOptions, Executor, ExecutorOptions, JobBounds, JobError, Stores};
+use jobs::{Backends, BlobRoom, Engine, EngineOptions, Executor, ExecutorOptions, JobError, Stores};
 use rustls::pki_types::pem::PemObject;
 use rustls::pki_types::{CertificateDer, ServerName};
 use rustls::{ClientConfig, RootCertStore};
@@ -105,7 +105,7 @@ impl House {
         let options = EngineOptions { jobs_at_once: 1, ..EngineOptions::default() };
         let (engine, worker) = Engine::start(factory, options).unwrap();
         let Limits { max_vertices, max_facets, max_seeds, max_iterations, .. } = limits;
-        let bounds = JobBounds { max_vertices, max_facets, max_seeds, max_iterations };
+        let bounds = wire::counts::Bounds { max_vertices, max_facets, max_seeds, max_iterations };
         let stores = Stores::ephemeral(BlobRoom::default());
         let blobs = Arc::clone(&stores.blobs);
         let executor = Executor::start(engine.clone(), stores, ExecutorOptions::new(bounds)).await.unwrap();

@@ -18,7 +18,7 @@ fn open(path: &Path) -> Result<RedbStore, StoreError> {
 }
 
 fn new(number: u128) -> NewJob {
-    NewJob { random: number, spec: spec(&format!("r{number}"), 1).check().unwrap(), needs: Bytes::default() }
+    NewJob { random: number, spec: spec(&format!("r{number}"), 1), needs: Bytes::default() }
 }
 
 #[test]
@@ -129,8 +129,9 @@ fn deadlines_run_out_in_the_queue_and_at_work() {
     let store = MemoryStore::with_clock(Clock::new(move || Time(read.load(Ordering::SeqCst))));
     wait(async {
         let mut job = new(1);
-        let deadlines = Deadlines { queue_ms: Some(10), run_ms: Some(20) };
-        job.spec = JobSpec { deadlines, ..job.spec.into() }.check().unwrap();
+        let (queue_deadline, run_deadline) = (super::millis(10), super::millis(20));
+        let message = tessera::proto::JobSpec { queue_deadline, run_deadline, ..super::message(1) };
+        job.spec = Spec::new(message, "t".to_owned(), String::new()).unwrap();
         let id = store.create(job).await.unwrap().job.id;
         let later = |ms: u64| time.store(1000 + ms, Ordering::SeqCst);
         later(9);

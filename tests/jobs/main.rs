@@ -18,25 +18,29 @@ mod states;
 
 use std::future::Future;
 
-use jobs::blob::Digest;
-use jobs::record::*;
+use jobs::record::Spec;
 use jobs::store::Retention;
-use tessera::mesh::io::Format;
+use tessera::proto::*;
 
 /// A small job; `body` makes it differ from others.
-pub fn spec(request: &str, body: u64) -> JobSpec {
-    let seeds = SeedSource::Sampled { points: Some(100 + body), random_seed: None };
+pub fn message(body: u64) -> JobSpec {
+    let file = MeshFile { digest: "07".repeat(32), format: MeshFormat::Ply.into(), attributes: None };
     JobSpec {
-        mesh: MeshSource::File { blob: Digest::from([7; 32]), format: Format::Ply, attributes: None },
-        work: WorkSpec::Remesh(Box::new(RemeshWork::new(seeds))),
-        backend: None,
-        result: None,
-        priority: None,
-        deadlines: Deadlines::default(),
+        mesh: Some(JobMesh { source: Some(job_mesh::Source::File(file)) }),
+        work: Some(job_spec::Work::Remesh(RemeshOptions { points: Some(100 + body as u32), ..Default::default() })),
         labels: [("body".to_owned(), body.to_string())].into(),
-        tenant: "t".to_owned(),
-        request_id: request.to_owned(),
+        ..JobSpec::default()
     }
+}
+
+/// A duration.
+pub fn millis(ms: i32) -> Option<prost_types::Duration> {
+    Some(prost_types::Duration { seconds: 0, nanos: 1_000_000 * ms })
+}
+
+/// The same, checked.
+pub fn spec(request: &str, body: u64) -> Spec {
+    Spec::new(message(body), "t".to_owned(), request.to_owned()).unwrap()
 }
 
 /// How long things are kept in these tests.

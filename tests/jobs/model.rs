@@ -8,7 +8,7 @@ use jobs::record::state::{State, apply};
 use jobs::record::*;
 use jobs::store::*;
 
-use super::{KEEP, spec};
+use super::{KEEP, message, millis};
 
 /// A job, as the model sees it.
 #[derive(Clone, Debug, PartialEq)]
@@ -67,13 +67,14 @@ pub enum Gives {
 }
 
 /// The specification of a job of the model. Some have deadlines, by body.
-pub fn body(request: &str, body: u64) -> JobSpec {
-    let deadlines = match body {
-        1 => Deadlines { queue_ms: Some(300), run_ms: None },
-        2 => Deadlines { queue_ms: None, run_ms: Some(200) },
-        _ => Deadlines::default(),
+pub fn body(request: &str, body: u64) -> Spec {
+    let (queue_deadline, run_deadline) = match body {
+        1 => (millis(300), None),
+        2 => (None, millis(200)),
+        _ => (None, None),
     };
-    JobSpec { deadlines, priority: priority(body), ..spec(request, body) }
+    let message = tessera::proto::JobSpec { queue_deadline, run_deadline, priority: priority(body), ..message(body) };
+    Spec::new(message, "t".to_owned(), request.to_owned()).unwrap()
 }
 
 /// Some jobs of the model go first.
@@ -264,7 +265,7 @@ pub async fn on_store(store: &dyn JobStore, step: Step) -> Option<(Gives, Option
     let done = |result: Result<Job, StoreError>| result.map(|_| Gives::Done);
     let result = match step {
         Step::Create { random, request, body: number } => {
-            let spec = body(&request, number).check().unwrap();
+            let spec = body(&request, number);
             let created = store.create(NewJob { random, spec, needs: needs(number) }).await;
             created.map(|created| Gives::Created(created.job.id, created.existed))
         }

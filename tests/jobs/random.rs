@@ -311,7 +311,7 @@ impl<M: Medium> Trial<M> {
             let status = job.status;
             let known = Known {
                 request: job.spec.request_id.clone(),
-                body: job.spec.labels["body"].parse().unwrap(),
+                body: job.spec.message().labels["body"].parse().unwrap(),
                 state: status.state,
                 version: status.version,
                 created: status.created,

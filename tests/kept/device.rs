@@ -91,7 +91,7 @@ impl Server {
         let (engine, worker) = Engine::start(factory, options).unwrap();
         let limits = Limits::default();
         let Limits { max_vertices, max_facets, max_seeds, max_iterations, .. } = limits;
-        let bounds = JobBounds { max_vertices, max_facets, max_seeds, max_iterations };
+        let bounds = wire::counts::Bounds { max_vertices, max_facets, max_seeds, max_iterations };
         let stores = Stores::ephemeral(BlobRoom::default());
         let blobs = Arc::clone(&stores.blobs);
         let journal = Arc::clone(&stores.jobs);

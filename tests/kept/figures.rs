@@ -109,10 +109,9 @@ async fn figures_of_ten_thousand_jobs() {
     // One that keeps the only slot, and always the same memory.
     let step = CvtStep { iterations: 9_900, ..CvtStep::default() };
     let commands = vec![CvtJobCommand { command: Some(cvt_job_command::Command::Step(step)) }];
-    let drawn = DrawnSeeds { points: Some(2_000), random_seed: None };
-    let seeds = Some(JobSeeds { source: Some(job_seeds::Source::Drawn(drawn)) });
+    let options = Some(CvtOptions { points: Some(2_000), ..CvtOptions::default() });
     let mut spec = remesh(&digest, 1, 0);
-    spec.work = Some(job_spec::Work::Cvt(CvtJob { seeds, commands, ..CvtJob::default() }));
+    spec.work = Some(job_spec::Work::Cvt(CvtJob { options, commands }));
     let long = client.submit(spec).await;
     let small = client.put_mesh(&Shape::Torus.build(200)).await;
     tokio::time::sleep(Duration::from_secs(1)).await;

@@ -152,10 +152,9 @@ fn hostile() -> Vec<Case> {
     all.push(case("another digest", "BlobService/Write", framed(&first), Code::InvalidArgument));
     let huge = WriteRequest { size_bytes: u64::MAX, ..first };
     all.push(case("2^64 bytes", "BlobService/Write", framed(&huge), Code::InvalidArgument));
-    let mesh = |vertices| Some(MeshHeader { vertices, facets: 8, position_type: PositionType::F64.into(), weights: 0 });
-    let seeds = Some(SeedSource { source: Some(seed_source::Source::Uploaded(5)) });
+    let mesh = |vertices| Some(MeshHeader { vertices, facets: 8, ..MeshHeader::default() });
     let header = |header| framed(&ComputeRvdRequest { message: Some(compute_rvd_request::Message::Header(header)) });
-    let of = |vertices, backend| ComputeRvdHeader { mesh: mesh(vertices), seeds, backend, outputs: Vec::new() };
+    let of = |vertices, backend| ComputeRvdHeader { mesh: mesh(vertices), seeds: 5, backend, options: None };
     for (name, wrong) in [
         ("3 GiB of vertices", of((3 << 30) / 24, 0)),
         ("an unknown backend", of(6, 99)),

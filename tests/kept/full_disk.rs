@@ -43,7 +43,7 @@ async fn a_full_disk_loses_no_job() {
     let digest = client.put_mesh(&mesh).await;
     let mut expected = Vec::new();
     for i in 0..JOBS {
-        let id = client.submit(remesh(&digest, 100 + 40 * (i % 5), i)).await;
+        let id = client.submit(remesh(&digest, 100 + 40 * (i as u32 % 5), i)).await;
         expected.push(part(&client.end(&id, LIMIT).await, "mesh"));
     }
     drop(program);
@@ -54,7 +54,7 @@ async fn a_full_disk_loses_no_job() {
     assert_eq!(client.put_mesh(&mesh).await, digest);
     let mut ids = Vec::new();
     for i in 0..JOBS {
-        ids.push(client.submit(remesh(&digest, 100 + 40 * (i % 5), i)).await);
+        ids.push(client.submit(remesh(&digest, 100 + 40 * (i as u32 % 5), i)).await);
     }
     let ballast = fill(&disk);
     let begin = Instant::now();

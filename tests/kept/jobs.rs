@@ -62,10 +62,11 @@ async fn every_kind_of_job_is_done() {
     let seeds: Vec<f64> = mesh.positions().iter().take(50).flat_map(|p| p.to_array()).collect();
     let seeds = client.put(&bytes_of(&seeds)).await;
     let given = ArrayRef { digest: seeds, form: ArrayForm::F64.into(), count: 50 };
-    let given = Some(JobSeeds { source: Some(job_seeds::Source::Given(given)) });
+    let given = Some(JobArrays { seeds: Some(given), ..JobArrays::default() });
     let outputs = [RvdOutput::Cells, RvdOutput::Centroids, RvdOutput::Sums].map(i32::from).to_vec();
     let mut spec = remesh(&digest, 1, 0);
-    spec.work = Some(job_spec::Work::Rvd(RvdJob { seeds: given.clone(), weights: None, outputs }));
+    spec.arrays = given.clone();
+    spec.work = Some(job_spec::Work::Rvd(DiagramOptions { outputs, ..DiagramOptions::default() }));
     let id = client.submit(spec).await;
     let job = client.end(&id, LIMIT).await;
     assert!(client.read(&part(&job, "cells")).await.starts_with(b"ply\n"));
@@ -76,7 +77,8 @@ async fn every_kind_of_job_is_done() {
     let step = CvtStep { iterations: 5, seeds: SeedsWanted::Each.into(), kind: 0 };
     let commands = vec![CvtJobCommand { command: Some(cvt_job_command::Command::Step(step)) }];
     let mut spec = remesh(&digest, 1, 0);
-    spec.work = Some(job_spec::Work::Cvt(CvtJob { seeds: given, commands, ..CvtJob::default() }));
+    spec.arrays = given;
+    spec.work = Some(job_spec::Work::Cvt(CvtJob { options: None, commands }));
     let id = client.submit(spec).await;
     let job = client.end(&id, LIMIT).await;
     assert_eq!(part(&job, "seeds.0005"), part(&job, "seeds"));
@@ -290,8 +292,8 @@ async fn a_failure_is_told_in_few_words() {
     let line = client.put("1 ".repeat(3 << 20).as_bytes()).await;
     let given = ArrayRef { digest: line, form: ArrayForm::Text.into(), count: 0 };
     let mut spec = remesh(&digest, 1, 0);
-    let seeds = Some(JobSeeds { source: Some(job_seeds::Source::Given(given)) });
-    spec.work = Some(job_spec::Work::Rvd(RvdJob { seeds, ..RvdJob::default() }));
+    spec.arrays = Some(JobArrays { seeds: Some(given), ..JobArrays::default() });
+    spec.work = Some(job_spec::Work::Rvd(DiagramOptions::default()));
     let id = client.submit(spec).await;
     let job = client.end(&id, LIMIT).await;
     let failure = job.failure.unwrap();
@@ -300,8 +302,8 @@ async fn a_failure_is_told_in_few_words() {
     let mut spec = remesh(&digest, 1, 0);
     let long = client.put(&vec![0u8; 24 << 20]).await;
     let given = ArrayRef { digest: long, form: ArrayForm::F64.into(), count: 1 };
-    let seeds = Some(JobSeeds { source: Some(job_seeds::Source::Given(given)) });
-    spec.work = Some(job_spec::Work::Rvd(RvdJob { seeds, ..RvdJob::default() }));
+    spec.arrays = Some(JobArrays { seeds: Some(given), ..JobArrays::default() });
+    spec.work = Some(job_spec::Work::Rvd(DiagramOptions::default()));
     let id = client.submit(spec).await;
     let words = client.end(&id, LIMIT).await.failure.unwrap().message;
     assert!(words.contains("25165824") && words.contains("24"), "{words}");

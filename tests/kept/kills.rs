@@ -17,7 +17,7 @@ const JOBS: u64 = 12;
 
 /// The jobs of a round: the same in each.
 fn specs(digest: &str) -> Vec<JobSpec> {
-    (0..JOBS).map(|i| remesh(digest, 100 + 40 * (i % 5), i)).collect()
+    (0..JOBS).map(|i| remesh(digest, 100 + 40 * (i as u32 % 5), i)).collect()
 }
 
 #[tokio::test(flavor = "multi_thread")]

@@ -37,7 +37,7 @@ fn busy_s(program: &Program) -> f64 {
 
 /// Clients that each ask for a job, wait for its end and ask for the next.
 #[cfg(target_os = "linux")]
-async fn crowd(clients: usize, facets: usize, points: u64, length: Duration) {
+async fn crowd(clients: usize, facets: usize, points: u32, length: Duration) {
     let folder = tempfile::tempdir().unwrap();
     let program = Program::start(folder.path(), &["--max-streams", "1024"]);
     let mesh = Shape::Genus(3).build(facets);

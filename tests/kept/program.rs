@@ -264,13 +264,13 @@ impl Client {
 }
 
 /// A remesh of a PLY file.
-pub fn remesh(digest: &str, points: u64, random_seed: u64) -> JobSpec {
-    let drawn = DrawnSeeds { points: Some(points), random_seed: Some(random_seed) };
+pub fn remesh(digest: &str, points: u32, seed: u64) -> JobSpec {
     JobSpec {
         mesh: Some(JobMesh { source: Some(job_mesh::Source::File(file(digest))) }),
-        work: Some(job_spec::Work::Remesh(RemeshJob {
-            seeds: Some(JobSeeds { source: Some(job_seeds::Source::Drawn(drawn)) }),
-            ..RemeshJob::default()
+        work: Some(job_spec::Work::Remesh(RemeshOptions {
+            points: Some(points),
+            seed: Some(seed),
+            ..RemeshOptions::default()
         })),
         ..JobSpec::default()
     }

@@ -22,7 +22,7 @@ async fn together_and_alone_give_the_same_bits() {
         let digest = client.put_mesh(&Shape::Genus(3).build(4_000)).await;
         let mut ids = Vec::new();
         for i in 0..8 {
-            ids.push(client.submit(remesh(&digest, 300 + 50 * i, i)).await);
+            ids.push(client.submit(remesh(&digest, 300 + 50 * i, u64::from(i))).await);
         }
         let mut parts = Vec::new();
         for id in &ids {

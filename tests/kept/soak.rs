@@ -53,9 +53,8 @@ async fn act(client: &mut Client, address: SocketAddr, rng: &mut ChaCha8Rng) -> 
         // A diagram.
         2 => {
             let digest = client.put_mesh(&mesh).await;
-            let seeds = remesh(&digest, points, 1);
-            let Some(job_spec::Work::Remesh(RemeshJob { seeds, .. })) = seeds.work else { unreachable!() };
-            let work = Some(job_spec::Work::Rvd(RvdJob { seeds, ..RvdJob::default() }));
+            let options = DiagramOptions { points: Some(points), ..DiagramOptions::default() };
+            let work = Some(job_spec::Work::Rvd(options));
             let id = client.submit(JobSpec { work, ..remesh(&digest, points, 1) }).await;
             assert_eq!(client.end(&id, LIMIT).await.state(), JobState::Succeeded);
         }

@@ -68,7 +68,7 @@ export class Tessera {
   async remesh(positions, facets, points, options = {}) {
     const call = this.streams.remesh(this.metadata);
     const mesh = { vertices: positions.length / 3, facets: facets.length / 3, positionType: 'POSITION_TYPE_F64' };
-    call.write({ header: { mesh, seeds: { sampled: { points, randomSeed: 1 } }, ...options } });
+    call.write({ header: { mesh, options: { points, seed: 1, ...options } } });
     for (const message of chunks('ARRAY_KIND_POSITIONS', positions)) call.write(message);
     for (const message of chunks('ARRAY_KIND_FACETS', facets)) call.write(message);
     call.write({ finish: {} });
@@ -112,7 +112,7 @@ export class Tessera {
   /** Has a file that is stored remeshed as a job; the digests of its result by name. */
   async job(digest, points) {
     const file = { digest, format: 'MESH_FORMAT_PLY' };
-    const spec = { mesh: { file }, remesh: { seeds: { drawn: { points } } } };
+    const spec = { mesh: { file }, remesh: { points } };
     const { id } = (await this.ask(this.jobs, 'createJob', { spec })).job;
     await answers(this.jobs.watchJob({ id }, this.metadata));
     const { job } = await this.ask(this.jobs, 'getJob', { id });

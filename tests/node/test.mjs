@@ -39,7 +39,7 @@ const surface = torus(40, 20);
 const info = await tessera.ask(tessera.server, 'getServerInfo', {});
 assert.ok(info.readiness.ready && info.version, JSON.stringify(info.readiness));
 
-const { positions, facets, done } = await tessera.remesh(surface.positions, surface.facets, 200, { lloydSteps: 3, newtonSteps: 2 });
+const { positions, facets, done } = await tessera.remesh(surface.positions, surface.facets, 200, { lloyd: 3, newton: 2 });
 assert.equal(positions.length, 3 * done.vertices);
 assert.equal(facets.length, 3 * done.facets);
 assert.ok(done.vertices >= 190 && done.vertices <= 210, `${done.vertices} vertices`);

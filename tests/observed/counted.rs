@@ -68,7 +68,7 @@ async fn counters_are_what_the_client_counted() {
     let absent = jobs.get_job(GetJobRequest { id: "0".repeat(32) }).await.unwrap_err();
     assert_eq!(absent.code(), Code::NotFound);
     tally.add("tessera.v1.JobService/GetJob", "NOT_FOUND");
-    let huge = jobs.create_job(CreateJobRequest { spec: Some(remesh(&digest, 1 << 40)), request_id: String::new() });
+    let huge = jobs.create_job(CreateJobRequest { spec: Some(remesh(&digest, u32::MAX)), request_id: String::new() });
     assert_eq!(huge.await.unwrap_err().code(), Code::InvalidArgument);
     tally.add("tessera.v1.JobService/CreateJob", "INVALID_ARGUMENT");
     // A method that is not there.
@@ -110,7 +110,7 @@ async fn counters_are_what_the_client_counted() {
         ("tessera_stage_seconds_count{stage=\"iterations\",backend=\"parallel\"}", 4),
         ("tessera_iterations_total", iterations as u64),
         ("tessera_facets_total", facets),
-        ("tessera_seeds_total", seeds),
+        ("tessera_seeds_total", u64::from(seeds)),
         ("tessera_jobs{state=\"running\",kind=\"remesh\"}", 0),
         ("tessera_jobs{state=\"waiting\",kind=\"remesh\"}", 0),
         ("tessera_memory_bytes{kind=\"used\"}", 0),

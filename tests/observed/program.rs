@@ -152,14 +152,14 @@ pub async fn put(channel: &Channel, mesh: &TriMesh) -> String {
 }
 
 /// A remesh of a PLY file.
-pub fn remesh(digest: &str, points: u64) -> JobSpec {
-    let drawn = DrawnSeeds { points: Some(points), random_seed: Some(1) };
+pub fn remesh(digest: &str, points: u32) -> JobSpec {
     let file = MeshFile { digest: digest.to_owned(), format: MeshFormat::Ply.into(), attributes: None };
     JobSpec {
         mesh: Some(JobMesh { source: Some(job_mesh::Source::File(file)) }),
-        work: Some(job_spec::Work::Remesh(RemeshJob {
-            seeds: Some(JobSeeds { source: Some(job_seeds::Source::Drawn(drawn)) }),
-            ..RemeshJob::default()
+        work: Some(job_spec::Work::Remesh(RemeshOptions {
+            points: Some(points),
+            seed: Some(1),
+            ..RemeshOptions::default()
         })),
         ..JobSpec::default()
     }

@@ -2,7 +2,7 @@
 
     python -m grpc_tools.protoc -I proto --python_out=. --grpc_python_out=. proto/tessera/v1/remesh.proto
 
-Points are sequences of (x, y, z), facets of (i, j, k).
+Vertices and seeds are sequences of (x, y, z), facets of (i, j, k).
 """
 
 import array
@@ -158,16 +158,19 @@ class Tessera:
     def close(self):
         self.channel.close()
 
-    def rvd(self, points, facets, seeds=None, *, count=None, random_seed=None, backend=None, weights=None, timeout=60):
-        """Cells as a list of (facet, seed, [(x, y, z), ...]), centroids, and the report."""
+    def rvd(self, vertices, facets, seeds=None, *, points=None, seed=None, backend=None, weights=None, timeout=60):
+        """Cells as a list of (facet, seed, [(x, y, z), ...]), centroids, and the report.
+
+        Give seeds, or the number of points to draw.
+        """
         outputs = [pb.RVD_OUTPUT_CELLS, pb.RVD_OUTPUT_CENTROIDS]
         header = pb.ComputeRvdHeader(
-            mesh=mesh(points, facets, weights),
-            seeds=source(seeds, count, random_seed),
+            mesh=mesh(vertices, facets, weights=weights),
+            seeds=counted(seeds),
             backend=choice("BACKEND_CHOICE", backend),
-            outputs=outputs,
+            options=pb.DiagramOptions(points=points, seed=seed, outputs=outputs),
         )
-        arrays_sent = upload(points, facets, seeds, weights=weights)
+        arrays_sent = upload(vertices, facets, seeds, weights=weights)
         cells, arrays, report = [], Arrays(), None
         for answer in self.stub.ComputeRvd(self._job(pb.ComputeRvdRequest, header, arrays_sent), timeout=timeout, metadata=self.metadata):
             which = answer.WhichOneof("message")
@@ -181,69 +184,35 @@ class Tessera:
 
     def remesh(
         self,
-        points,
+        vertices,
         facets,
-        count=None,
+        points=None,
         *,
         seeds=None,
-        random_seed=None,
-        backend=None,
-        lloyd_steps=None,
-        newton_steps=None,
-        projection=None,
-        measure=None,
-        crease_angle_deg=None,
-        creases=None,
-        placement=None,
-        boundaries=None,
-        thin=None,
-        tolerance=None,
-        max_points=None,
-        density=None,
-        edge_length=None,
         edge_lengths=None,
         weights=None,
-        adaptivity=None,
-        gradation=None,
+        creases=None,
         attributes=None,
+        backend=None,
         timeout=60,
+        **options,
     ):
         """Points and facets of the remesh, the iterations, the report, and the attributes.
 
-        count: how many points; or give seeds, edge_length or edge_lengths (one a vertex).
-        backend: "auto", "gpu", "parallel", "serial". projection: "free", "on_surface". measure: "topology", "full".
-        placement: "fitted", "surface", "centroids". boundaries: "keep", "free". thin: "finer", "even".
-        density: "uniform", "weights", "edge_lengths", "curvature", "feature_size".
-        creases: pairs of vertices. tolerance: adds points, up to max_points, where the result is farther than that.
+        points: how many; or give seeds, edge_length or edge_lengths (one a vertex).
+        weights: one a vertex. creases: pairs of vertices. backend: "auto", "gpu", "parallel", "serial".
         attributes: a list of `Attribute`, which the result carries too.
+        options: see `message`; such as seed=7, density="lfs", edge_length=0.1, lloyd=3, crease_angle=40, max_deviation=1.
         """
         attributes = attributes or []
         header = pb.RemeshHeader(
-            mesh=mesh(points, facets, weights),
-            seeds=source(seeds, count, random_seed),
+            mesh=mesh(vertices, facets, weights, edge_lengths, creases, attributes),
+            seeds=counted(seeds),
             backend=choice("BACKEND_CHOICE", backend),
-            lloyd_steps=lloyd_steps,
-            newton_steps=newton_steps,
-            projection=choice("PROJECTION", projection),
-            measure=choice("MEASURE", measure),
-            crease_angle_deg=crease_angle_deg,
-            creases=counted(creases),
-            placement=choice("PLACEMENT", placement),
-            boundaries=choice("BOUNDARY_RULE", boundaries),
-            thin=choice("THIN_RULE", thin),
-            refinement=message(pb.Refinement, tolerance=tolerance, max_points=max_points),
-            density=message(
-                pb.DensityOptions,
-                source=choice("DENSITY_SOURCE", density),
-                edge_length=edge_length,
-                edge_lengths=counted(edge_lengths),
-                adaptivity=adaptivity,
-                gradation=gradation,
-            ),
-            attributes=[attribute.header() for attribute in attributes],
+            options=message(pb.RemeshOptions, points=points, **options),
         )
         arrays_sent = itertools.chain(
-            upload(points, facets, seeds, weights=weights, edge_lengths=edge_lengths, creases=creases),
+            upload(vertices, facets, seeds, weights=weights, edge_lengths=edge_lengths, creases=creases),
             *(attribute.upload(index) for index, attribute in enumerate(attributes)),
         )
         arrays, iterations, done = Arrays(), [], None
@@ -263,9 +232,9 @@ class Tessera:
             [Attribute.take(header, index, arrays) for index, header in enumerate(done.attributes)],
         )
 
-    def session(self, points, facets, seeds=None, **options):
+    def session(self, vertices, facets, seeds=None, **options):
         """An interactive session; the options are those of `Session`."""
-        return Session(self, points, facets, seeds, **options)
+        return Session(self, vertices, facets, seeds, **options)
 
     def _job(self, request, header, arrays):
         yield request(header=header)
@@ -275,45 +244,20 @@ class Tessera:
 
 
 class Session:
-    """An interactive CVT session."""
+    """An interactive CVT session. Its options are the fields of CvtOptions: see `message`."""
 
     def __init__(
-        self,
-        client,
-        points,
-        facets,
-        seeds=None,
-        *,
-        count=None,
-        random_seed=None,
-        backend=None,
-        projection=None,
-        max_seeds=None,
-        density=None,
-        edge_length=None,
-        edge_lengths=None,
-        weights=None,
-        adaptivity=None,
-        gradation=None,
+        self, client, vertices, facets, seeds=None, *, edge_lengths=None, weights=None, backend=None, **options
     ):
         self.requests = queue.SimpleQueue()
         header = pb.CvtHeader(
-            mesh=mesh(points, facets, weights),
-            seeds=source(seeds, count, random_seed),
+            mesh=mesh(vertices, facets, weights, edge_lengths),
+            seeds=counted(seeds),
             backend=choice("BACKEND_CHOICE", backend),
-            projection=choice("PROJECTION", projection),
-            max_seeds=max_seeds,
-            density=message(
-                pb.DensityOptions,
-                source=choice("DENSITY_SOURCE", density),
-                edge_length=edge_length,
-                edge_lengths=counted(edge_lengths),
-                adaptivity=adaptivity,
-                gradation=gradation,
-            ),
+            options=message(pb.CvtOptions, **options),
         )
         self.requests.put(pb.CvtRequest(header=header))
-        for chunk in upload(points, facets, seeds, weights=weights, edge_lengths=edge_lengths):
+        for chunk in upload(vertices, facets, seeds, weights=weights, edge_lengths=edge_lengths):
             self.requests.put(pb.CvtRequest(chunk=chunk))
         self.requests.put(pb.CvtRequest(start=pb.CvtStart()))
         self.answers = client.stub.Cvt(iter(self.requests.get, None), metadata=client.metadata)
@@ -354,16 +298,17 @@ class Session:
                 return arrays.points(pb.ARRAY_KIND_SEEDS)
 
 
-def mesh(points, facets, weights=None):
-    kind = pb.POSITION_TYPE_F64
-    return pb.MeshHeader(vertices=len(points), facets=len(facets), position_type=kind, weights=counted(weights))
-
-
-def source(seeds, count, random_seed):
-    """Seeds that are uploaded, or so many that the server draws; None where edge lengths say how many."""
-    if seeds is not None:
-        return pb.SeedSource(uploaded=len(seeds))
-    return pb.SeedSource(sampled=pb.SampledSeeds(points=count, random_seed=random_seed))
+def mesh(vertices, facets, weights=None, edge_lengths=None, creases=None, attributes=()):
+    """What is uploaded."""
+    return pb.MeshHeader(
+        vertices=len(vertices),
+        facets=len(facets),
+        position_type=pb.POSITION_TYPE_F64,
+        weights=counted(weights),
+        edge_lengths=counted(edge_lengths),
+        creases=counted(creases),
+        attributes=[attribute.header() for attribute in attributes],
+    )
 
 
 def choice(enum, name):
@@ -377,14 +322,29 @@ def counted(values):
     return None if values is None else len(values)
 
 
-def message(kind, **fields):
-    """A message, or None if none of its fields is given."""
-    given = {name: value for name, value in fields.items() if value is not None}
-    return kind(**given) if given else None
+def message(kind, **options):
+    """A message of options by the names of its fields, and of those of `Density`, whose source is called density.
+
+    An enum's value is its last words, such as "surface" or "edge_lengths". One that is None is left open.
+    """
+    made = kind()
+    fields = {field.name: (made, field) for field in kind.DESCRIPTOR.fields}
+    if "density" in fields:
+        inner = {field.name: (made.density, field) for field in pb.Density.DESCRIPTOR.fields}
+        fields |= {"density": inner.pop("source"), **inner}
+    for name, value in options.items():
+        if name not in fields:
+            raise TypeError(f"there is no option {name}")
+        part, field = fields[name]
+        if field.enum_type and value is not None:
+            value = choice(field.enum_type.values[0].name.removesuffix("_UNSPECIFIED"), value)
+        if value is not None:
+            setattr(part, field.name, value)
+    return made
 
 
-def upload(points, facets, seeds=None, *, weights=None, edge_lengths=None, creases=None):
-    yield from chunks(pb.ARRAY_KIND_POSITIONS, pack("d", points))
+def upload(vertices, facets, seeds=None, *, weights=None, edge_lengths=None, creases=None):
+    yield from chunks(pb.ARRAY_KIND_POSITIONS, pack("d", vertices))
     yield from chunks(pb.ARRAY_KIND_FACETS, pack("I", facets))
     yield from chunks(pb.ARRAY_KIND_SEEDS, pack("d", seeds or []))
     yield from chunks(pb.ARRAY_KIND_WEIGHTS, pack("d", [weights or []]))

@@ -10,7 +10,7 @@ import time
 
 import google_crc32c
 import grpc
-from tessera.v1 import blob_pb2, blob_pb2_grpc, job_pb2, job_pb2_grpc
+from tessera.v1 import blob_pb2, blob_pb2_grpc, job_pb2, job_pb2_grpc, remesh_pb2
 
 PIECE_BYTES = 1 << 20
 ENDED = ("JOB_STATE_SUCCEEDED", "JOB_STATE_FAILED", "JOB_STATE_CANCELLED", "JOB_STATE_EXPIRED")
@@ -20,10 +20,9 @@ class JobFailed(Exception):
     """The job has ended, and has no result."""
 
 
-def remesh(digest, points, *, format="ply", random_seed=None, **options):
-    """A remesh of a mesh file that is stored. Options are the fields of RemeshJob."""
-    drawn = job_pb2.DrawnSeeds(points=points, random_seed=random_seed)
-    work = job_pb2.RemeshJob(seeds=job_pb2.JobSeeds(drawn=drawn), **options)
+def remesh(digest, points, *, format="ply", **options):
+    """A remesh of a mesh file that is stored. Options are the fields of RemeshOptions."""
+    work = remesh_pb2.RemeshOptions(points=points, **options)
     file = job_pb2.MeshFile(digest=digest, format=job_pb2.MeshFormat.Value(f"MESH_FORMAT_{format.upper()}"))
     return job_pb2.JobSpec(mesh=job_pb2.JobMesh(file=file), remesh=work)
 

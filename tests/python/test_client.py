@@ -1,11 +1,10 @@
 """Promise: a foreign client (grpcio) can do everything the service offers.
 
-Also: what it leaves open is what the command leaves open, and it has a keyword for every option.
+Also: what it leaves open is what the command leaves open, and options are called as the command's.
 
 Run by run.sh, which makes the stubs and starts a server: test_client.py ADDRESS PROGRAM
 """
 
-import inspect
 import json
 import math
 import pathlib
@@ -44,68 +43,23 @@ def polygon_area(polygon):
     return sum(0.5 * cross_norm(polygon[0], polygon[k - 1], polygon[k]) for k in range(2, len(polygon)))
 
 
-# Each field of a header, the client's keyword for it, and the command's option. None: it has none.
-FIELDS = {
-    "mesh.vertices": ("points", None),
-    "mesh.facets": ("facets", None),
-    "mesh.position_type": (None, None),
-    "mesh.weights": ("weights", None),
-    "seeds.uploaded": ("seeds", None),
-    "seeds.sampled.points": ("count", "points"),
-    "seeds.sampled.random_seed": ("random_seed", "seed"),
-    "backend": ("backend", "backend"),
-    "lloyd_steps": ("lloyd_steps", "lloyd"),
-    "newton_steps": ("newton_steps", "newton"),
-    "projection": ("projection", "projection"),
-    "measure": ("measure", None),
-    "crease_angle_deg": ("crease_angle_deg", "crease-angle"),
-    "creases": ("creases", "creases"),
-    "placement": ("placement", "placement"),
-    "boundaries": ("boundaries", "boundaries"),
-    "thin": ("thin", "thin"),
-    "refinement.tolerance": ("tolerance", "max-deviation"),
-    "refinement.max_points": ("max_points", "max-points"),
-    "density.source": ("density", "density"),
-    "density.edge_length": ("edge_length", "edge-length"),
-    "density.edge_lengths": ("edge_lengths", "sizes"),
-    "density.adaptivity": ("adaptivity", "adaptivity"),
-    "density.gradation": ("gradation", "gradation"),
-    "max_seeds": ("max_seeds", None),
-    "outputs": (None, None),
-    "attributes": ("attributes", "no-attributes"),
-}
 # Options of the command that are no business of a server.
 # The tenant is not in a header: the client is made with it.
 LOCAL = (
     "tenant input-format output out-dir format overwrite report picture picture-size view up colour gpu-software threads endpoint ca client-cert client-key key-file quiet json "
     "log-format help"
 )
+# Options that are beside the message, and those of the message that the command has not.
+BESIDE = "sizes creases backend no-attributes"
+NOT_OF_COMMAND = {"max-deviation-length", "measure"}
 
 
-def fields(message, before=""):
-    """Paths of a message's fields, those of messages within it included."""
-    for field in message.fields:
-        path = before + field.name
-        if field.message_type and field.name not in ("attributes",):
-            yield from fields(field.message_type, path + ".")
-        else:
-            yield path
-
-
-def every_option_has_a_keyword(program):
-    for header, call in [
-        (pb.RemeshHeader, tessera.Tessera.remesh),
-        (pb.ComputeRvdHeader, tessera.Tessera.rvd),
-        (pb.CvtHeader, tessera.Session.__init__),
-    ]:
-        wanted = {FIELDS[path][0] for path in fields(header.DESCRIPTOR)} - {None}
-        keywords = inspect.signature(call).parameters
-        assert wanted == set(keywords) - {"self", "client", "timeout"}, header.DESCRIPTOR.name
-        options = wanted - {"points", "facets"}
-        assert all(keywords[name].default is None for name in options), "an option is not set unless somebody sets it"
+def options_are_called_alike(program):
+    """By the schema, and so by this client, and by the command."""
+    names = {field.name for field in [*pb.RemeshOptions.DESCRIPTOR.fields, *pb.Density.DESCRIPTOR.fields]} - {"source"}
     text = subprocess.run([program, "remesh", "--help"], check=True, capture_output=True, text=True).stdout
     found = set(re.findall(r"^ +(?:-\w, )?--([a-z-]+)", text, re.MULTILINE))
-    options = {FIELDS[path][1] for path in fields(pb.RemeshHeader.DESCRIPTOR)} - {None}
+    options = {name.replace("_", "-") for name in names} - NOT_OF_COMMAND | set(BESIDE.split())
     assert found == options | set(LOCAL.split()), found ^ (options | set(LOCAL.split()))
 
 
@@ -150,8 +104,8 @@ def attributes_come_back(client, points, facets):
 
 
 def main(address, program):
-    every_option_has_a_keyword(program)
-    print("options: each has a keyword")
+    options_are_called_alike(program)
+    print("options: called alike")
     client = tessera.Tessera(address)
     points, facets = torus()
     area = sum(0.5 * cross_norm(*(points[v] for v in f)) for f in facets)
@@ -175,16 +129,26 @@ def main(address, program):
     the_command_gives_the_same(program, points, facets, 400, remeshed)
     print("defaults: the command's")
 
-    plain = client.remesh(points, facets, 200, lloyd_steps=0, newton_steps=0, measure="topology", crease_angle_deg=0)
+    plain = client.remesh(points, facets, 200, lloyd=0, newton=0, measure="topology", crease_angle=0)
     assert not plain.iterations and "q_avg" not in plain.report["result"], "0 is not the default"
-    even = client.remesh(points, facets, 200, lloyd_steps=1, newton_steps=2, seeds=None, random_seed=7, backend="serial",
-                         projection="on_surface", placement="surface", boundaries="free", thin="even", adaptivity=0.5,
+    even = client.remesh(points, facets, 200, lloyd=1, newton=2, seeds=None, seed=7, backend="serial",
+                         projection="surface", placement="surface", boundaries="free", thin="even", adaptivity=0.5,
                          gradation=0.2, density="curvature")
     assert len(even.iterations) == 3 and even.report["seed"] == 7 and even.report["backend"] == "serial"
-    lengths = client.remesh(points, facets, edge_lengths=[0.15] * len(points), lloyd_steps=2, newton_steps=0)
+    lengths = client.remesh(points, facets, edge_lengths=[0.15] * len(points), lloyd=2, newton=0)
     assert lengths.report["density"]["source"] == "sizes" and len(lengths.points) > 200
-    close = client.remesh(points, facets, 100, lloyd_steps=2, newton_steps=0, tolerance=0.02)
-    assert 100 < len(close.points) <= 210, "twice as many unless somebody says otherwise"
+    close = client.remesh(points, facets, 100, lloyd=2, newton=0, max_deviation_length=0.02)
+    assert 100 < len(close.points) <= 210, "at most about twice as many, where max_points is not given"
+    weighted = client.remesh(points, facets, 200, weights=[1 + x * x for x, _, _ in points], lloyd=1, newton=0)
+    assert weighted.report["density"]["source"] == "weights"
+    creased = client.remesh(points, facets, 200, creases=[(0, 1)], lloyd=1, newton=0, max_deviation=None)
+    assert creased.report["features"] != plain.report["features"]
+    for wrong, error in [({"loyd": 1}, TypeError), ({"thin": "thick"}, AttributeError)]:
+        try:
+            client.remesh(points, facets, 200, **wrong)
+        except error:
+            continue
+        raise AssertionError(f"{wrong} is no option")
     print("options: heard")
     attributes_come_back(client, points, facets)
     print("attributes: carried")

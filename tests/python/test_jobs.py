@@ -40,7 +40,7 @@ def main(address, program):
 
     # Once uploaded, three jobs.
     digest = client.put(mesh)
-    specs = [jobs.remesh(digest, 300, random_seed=seed) for seed in (1, 2, 3)]
+    specs = [jobs.remesh(digest, 300, seed=seed) for seed in (1, 2, 3)]
     names = [client.submit(spec, request_id=f"job {seed}".replace(" ", "-")) for seed, spec in enumerate(specs)]
     assert len(set(names)) == 3 and client.submit(specs[0], request_id="job-0") == names[0], "the same request"
     results = [client.wait(name) for name in names]

@@ -60,7 +60,7 @@ def main(address):
 
     spec = {
         "mesh": {"file": {"digest": digest, "format": "MESH_FORMAT_OFF"}},
-        "remesh": {"seeds": {"drawn": {"points": 150}}, "lloyd_steps": 3, "newton_steps": 2},
+        "remesh": {"points": 150, "lloyd": 3, "newton": 2},
         "result": {"file": "MESH_FORMAT_OFF"},
     }
     job = ask(JOBS, "CreateJob", {"spec": spec})["job"]["id"]

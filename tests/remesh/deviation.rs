@@ -4,7 +4,7 @@
 use tessera::mesh::TriMesh;
 use tessera::mesh::measure::quality;
 use tessera::remesh::report::RefineEnd;
-use tessera::remesh::{Refine, Remesh, RemeshOptions, Seeds, remesh};
+use tessera::remesh::{Refine, Remesh, RemeshOptions, Seeds, Tolerance, remesh};
 use tessera::rvd::Parallel;
 use tessera::token::Token;
 use tessera::{DensityOptions, DensitySource};
@@ -21,7 +21,7 @@ fn options(points: usize) -> RemeshOptions {
 
 fn bounded(mesh: &TriMesh, points: usize, percent: f64, most: usize) -> Remesh {
     let (low, high) = mesh.bounds();
-    let refine = Refine::new(0.01 * percent * (high - low).length(), 1).with_max_points(most);
+    let refine = Refine::new(Tolerance::Length(0.01 * percent * (high - low).length())).with_max_points(most);
     let out = run(mesh, &options(points).with_refine(refine));
     let figures = out.report.refine;
     println!("{points} points, {percent} %, {most} at most: {} seeds, {figures:?}", out.seeds.len());
@@ -78,7 +78,7 @@ fn given_seeds_are_measured_in_the_same_way() {
     let mesh = joint(48);
     let seeds = run(&mesh, &options(300)).seeds;
     let (low, high) = mesh.bounds();
-    let refine = Refine::new(0.002 * (high - low).length(), 1).with_max_points(1500);
+    let refine = Refine::new(Tolerance::Length(0.002 * (high - low).length())).with_max_points(1500);
     let out = run(&mesh, &options(1).with_seeds(Seeds::Given(seeds)).with_refine(refine));
     let figures = out.report.refine;
     println!("{figures:?}");

@@ -8,7 +8,7 @@ use tessera::mesh::closest_point::ClosestPoint;
 use tessera::mesh::measure::{Topology, topology};
 use tessera::mesh::shapes::Shape;
 use tessera::remesh::report::RefineEnd;
-use tessera::remesh::{Placement, Refine, Remesh, RemeshOptions, Seeds, remesh};
+use tessera::remesh::{Placement, Refine, Remesh, RemeshOptions, Seeds, Tolerance, remesh};
 use tessera::rvd::Backend;
 use tessera::rvd::Parallel;
 
@@ -108,7 +108,7 @@ fn a_tolerance_holds_beside_curves() {
         let tolerance = 0.004 * (high - low).length();
         let mut added = 0;
         for seed in 1..=24 {
-            let refine = Refine::new(tolerance, 1).with_max_points(2500);
+            let refine = Refine::new(Tolerance::Length(tolerance)).with_max_points(2500);
             let wish = options(250).with_refine(refine).with_seeds(Seeds::Sample { points: 250, seed }).with_newton(8);
             let figures = run(&mesh, &wish).report.refine;
             assert!(figures.out_of_tolerance == 0 && figures.added_seeds <= 10, "{name}, seed {seed}: {figures:?}");
@@ -131,7 +131,7 @@ fn points_for_a_tolerance_leave_triangles_round() {
     let measured = options(400).with_measure(true);
     let coarse = run(&mesh, &measured);
     let tolerance = 0.4 * farthest(&coarse);
-    let refine = Refine::new(tolerance, 1).with_max_points(1600);
+    let refine = Refine::new(Tolerance::Length(tolerance)).with_max_points(1600);
     let fine = run(&mesh, &measured.clone().with_refine(refine));
     let even = run(&mesh, &options(fine.seeds.len()).with_measure(true));
     println!("{} points, {:?}", fine.seeds.len(), fine.report.refine);
@@ -150,7 +150,7 @@ fn refinement_keeps_its_tolerance_or_uses_its_points_up() {
         let extent = (mesh.bounds().1 - mesh.bounds().0).max_element();
         for (share, max_points) in [(0.02, 2500), (0.006, 2500), (0.0005, 450)] {
             let tolerance = share * extent;
-            let refine = Refine::new(tolerance, 1).with_max_points(max_points);
+            let refine = Refine::new(Tolerance::Length(tolerance)).with_max_points(max_points);
             let out = run(&mesh, &options(250).with_refine(refine).with_newton(8));
             let name = format!("{shape}, {tolerance}, {max_points} points");
             let figures = &out.report.refine;
@@ -193,7 +193,7 @@ fn no_facet_turns_over() {
 #[test]
 fn the_same_bits_on_any_number_of_threads() {
     for mesh in [Shape::Torus.build(3000), Shape::Block.build(2000)] {
-        let refine = Refine::new(0.004, 1).with_max_points(500);
+        let refine = Refine::new(Tolerance::Length(0.004)).with_max_points(500);
         for options in [options(300), options(300).with_refine(refine).with_newton(4)] {
             let want = run_on(&Parallel::new(Some(2)).unwrap(), &mesh, &options);
             for threads in [1, 3] {

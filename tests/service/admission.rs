@@ -98,12 +98,14 @@ async fn a_long_report_comes_in_chunks() {
     let seeds = spiral(12);
     let header = RemeshHeader {
         mesh: Some(mesh_header(&points, &facets)),
-        seeds: uploaded(seeds.len()),
+        seeds: seeds.len() as u64,
         backend: BackendChoice::Serial.into(),
-        lloyd_steps: Some(STEPS),
-        newton_steps: Some(0),
-        measure: Measure::Topology.into(),
-        ..RemeshHeader::default()
+        options: Some(RemeshOptions {
+            lloyd: Some(STEPS),
+            newton: Some(0),
+            measure: Measure::Topology.into(),
+            ..RemeshOptions::default()
+        }),
     };
     let requests = remesh_request(header, &points, &facets, &seeds, Vec::new());
     let mut answers = server.client().await.remesh(tokio_stream::iter(requests)).await.unwrap().into_inner();

@@ -29,14 +29,16 @@ fn request(attributes: Vec<AttributeHeader>, arrays: Vec<Chunk>) -> Vec<RemeshRe
     let (points, facets) = sphere(3);
     let seeds = spiral(100);
     let header = RemeshHeader {
-        mesh: Some(mesh_header(&points, &facets)),
-        seeds: uploaded(seeds.len()),
-        lloyd_steps: Some(2),
-        newton_steps: Some(0),
-        measure: Measure::Topology.into(),
-        // Off the surface a linear field is not that of the place.
-        placement: Placement::Surface.into(),
-        attributes,
+        mesh: Some(MeshHeader { attributes, ..mesh_header(&points, &facets) }),
+        seeds: seeds.len() as u64,
+        options: Some(RemeshOptions {
+            lloyd: Some(2),
+            newton: Some(0),
+            measure: Measure::Topology.into(),
+            // Off the surface a linear field is not that of the place.
+            placement: Placement::Surface.into(),
+            ..RemeshOptions::default()
+        }),
         ..RemeshHeader::default()
     };
     remesh_request(header, &points, &facets, &seeds, arrays)
@@ -137,9 +139,12 @@ async fn what_is_wrong_is_named() {
         chunks(ArrayKind::TextureCorners, &facet_bytes(&corners))
     };
     let short = AttributeHeader { values: 7, ..scalars.clone() };
-    assert_eq!(field(ask(&mut client, request(vec![short], vec![])).await.unwrap_err()), "header.attributes[0].values");
+    assert_eq!(
+        field(ask(&mut client, request(vec![short], vec![])).await.unwrap_err()),
+        "header.mesh.attributes[0].values"
+    );
     let twice = vec![texture.clone(), texture];
-    assert_eq!(field(ask(&mut client, request(twice, vec![])).await.unwrap_err()), "header.attributes[1]");
+    assert_eq!(field(ask(&mut client, request(twice, vec![])).await.unwrap_err()), "header.mesh.attributes[1]");
     let missing = request(both.clone(), [uv.clone(), corners(2)].concat());
     assert_eq!(field(ask(&mut client, missing).await.unwrap_err()), "mesh.attributes[0].values");
     let missing = request(both.clone(), [whole.clone(), uv.clone()].concat());

@@ -11,18 +11,25 @@ fn surface() -> (Vec<glam::DVec3>, Vec<[u32; 3]>) {
     sphere(4)
 }
 
-fn header(points: u64, density: DensityOptions) -> RemeshHeader {
+fn header(points: impl Into<Option<u32>>, density: Density) -> RemeshHeader {
     let (vertices, facets) = surface();
-    let sampled = SampledSeeds { points, random_seed: 1 };
-    RemeshHeader {
-        mesh: Some(mesh_header(&vertices, &facets)),
-        seeds: Some(SeedSource { source: Some(seed_source::Source::Sampled(sampled)) }),
-        lloyd_steps: Some(2),
-        newton_steps: Some(0),
+    let options = RemeshOptions {
+        points: points.into(),
+        seed: Some(1),
+        lloyd: Some(2),
+        newton: Some(0),
         measure: Measure::Topology.into(),
         density: Some(density),
-        ..RemeshHeader::default()
-    }
+        ..RemeshOptions::default()
+    };
+    let mesh = Some(mesh_header(&vertices, &facets));
+    RemeshHeader { mesh, options: Some(options), ..RemeshHeader::default() }
+}
+
+/// The same with edge lengths, as many as these.
+fn with_lengths(count: u64, header: RemeshHeader) -> RemeshHeader {
+    let mesh = header.mesh.map(|mesh| MeshHeader { edge_lengths: count, ..mesh });
+    RemeshHeader { mesh, ..header }
 }
 
 async fn remesh(client: &mut Client, header: RemeshHeader, lengths: &[f64]) -> Result<RemeshDone, Status> {
@@ -43,8 +50,8 @@ fn field(status: &Status) -> String {
     status.get_details_bad_request().expect("has details").field_violations[0].field.clone()
 }
 
-fn density(source: DensitySource) -> DensityOptions {
-    DensityOptions { source: source.into(), ..DensityOptions::default() }
+fn density(source: DensitySource) -> Density {
+    Density { source: source.into(), ..Density::default() }
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -53,29 +60,27 @@ async fn every_source_makes_a_remesh() {
     let mut client = server.client().await;
     let vertices = surface().0;
 
-    for (source, name) in [
-        (DensitySource::Unspecified, "uniform"),
-        (DensitySource::Curvature, "curvature"),
-        (DensitySource::FeatureSize, "lfs"),
-    ] {
+    for (source, name) in
+        [(DensitySource::Unspecified, "uniform"), (DensitySource::Curvature, "curvature"), (DensitySource::Lfs, "lfs")]
+    {
         let done = remesh(&mut client, header(300, density(source)), &[]).await.unwrap();
         let report: serde_json::Value = serde_json::from_str(&done.report_json).unwrap();
         assert_eq!((done.seeds, &report["density"]["source"]), (300, &name.into()));
     }
 
-    let uniform = DensityOptions { edge_length: 0.2, ..DensityOptions::default() };
-    let done = remesh(&mut client, header(0, uniform), &[]).await.unwrap();
+    let uniform = Density { edge_length: Some(0.2), ..Density::default() };
+    let done = remesh(&mut client, header(None, uniform), &[]).await.unwrap();
     // 4π (2/√3) / 0.2² + 2, of a polyhedron.
     assert!((350..=366).contains(&done.seeds), "{}", done.seeds);
 
     let lengths: Vec<f64> = vertices.iter().map(|p| 0.15 + 0.05 * p.z).collect();
-    let given = DensityOptions { edge_lengths: vertices.len() as u64, ..DensityOptions::default() };
-    let done = remesh(&mut client, header(0, given), &lengths).await.unwrap();
+    let given = |points: Option<u32>| with_lengths(vertices.len() as u64, header(points, Density::default()));
+    let done = remesh(&mut client, given(None), &lengths).await.unwrap();
     assert!(done.seeds > 500, "{}", done.seeds);
     let report: serde_json::Value = serde_json::from_str(&done.report_json).unwrap();
     assert_eq!(report["density"]["source"], "sizes");
     // With a number of points only the ratios count.
-    let done = remesh(&mut client, header(200, given), &lengths).await.unwrap();
+    let done = remesh(&mut client, given(Some(200)), &lengths).await.unwrap();
     assert_eq!(done.seeds, 200);
     server.stop().await.unwrap();
 }
@@ -86,37 +91,40 @@ async fn wrong_densities_are_refused_by_field() {
     let server = Server::start(Setup { limits, ..Setup::default() }).await;
     let mut client = server.client().await;
     let vertices = surface().0.len() as u64;
-    let none = DensityOptions::default();
-    let cases = [
-        (10, DensityOptions { source: 99, ..none }, "header.density.source"),
-        (10, DensityOptions { edge_lengths: 5, ..none }, "header.density.edge_lengths"),
-        (10, density(DensitySource::EdgeLengths), "header.density.edge_lengths"),
-        (
-            10,
-            DensityOptions { edge_lengths: vertices, ..density(DensitySource::Curvature) },
-            "header.density.edge_lengths",
-        ),
-        (10, density(DensitySource::Weights), "header.mesh.weights"),
-        (10, DensityOptions { edge_length: 0.1, ..none }, "header.density.edge_length"),
-        (0, DensityOptions { edge_length: -0.1, ..none }, "header.density.edge_length"),
-        (0, DensityOptions { edge_length: f64::NAN, ..none }, "header.density.edge_length"),
-        (10, DensityOptions { adaptivity: Some(2.0), ..none }, "header.density.adaptivity"),
-        (10, DensityOptions { gradation: Some(0.0), ..none }, "header.density.gradation"),
-        (0, none, "header.seeds.sampled.points"),
-        (0, density(DensitySource::Curvature), "header.seeds.sampled.points"),
+    let none = Density::default();
+    let at = |field: &str| format!("header.options.{field}");
+    for (points, given, path) in [
+        (Some(10), Density { source: 99, ..none }, at("density.source")),
+        (Some(10), density(DensitySource::EdgeLengths), at("density.source")),
+        (Some(10), density(DensitySource::Weights), at("density.source")),
+        (Some(10), Density { edge_length: Some(0.1), ..none }, at("density.edge_length")),
+        (None, Density { edge_length: Some(-0.1), ..none }, at("density.edge_length")),
+        (None, Density { edge_length: Some(f64::NAN), ..none }, at("density.edge_length")),
+        (Some(10), Density { adaptivity: Some(2.0), ..none }, at("density.adaptivity")),
+        (Some(10), Density { gradation: Some(0.0), ..none }, at("density.gradation")),
+        (None, none, at("points")),
+        (Some(0), none, at("points")),
+        (None, density(DensitySource::Curvature), at("points")),
         // More than the server takes; known only once the surface is there.
-        (0, DensityOptions { edge_length: 1e-9, ..none }, "header.density"),
-    ];
-    for (points, given, path) in cases {
+        (None, Density { edge_length: Some(1e-9), ..none }, at("density")),
+    ] {
         let status = remesh(&mut client, header(points, given), &[]).await.unwrap_err();
         assert_eq!(field(&status), path, "{given:?}: {status:?}");
     }
-    let given = DensityOptions { edge_lengths: vertices, ..none };
+    let of = |count, given| with_lengths(count, header(10, given));
+    for (header, path) in [
+        (of(5, none), "header.mesh.edge_lengths"),
+        (of(vertices, density(DensitySource::Curvature)), "header.options.density.source"),
+    ] {
+        let status = remesh(&mut client, header, &[]).await.unwrap_err();
+        assert_eq!(field(&status), path, "{status:?}");
+    }
+    let given = || with_lengths(vertices, header(None, none));
     let mut lengths = vec![0.2; vertices as usize];
     lengths[11] = f64::NAN;
-    let status = remesh(&mut client, header(0, given), &lengths).await.unwrap_err();
+    let status = remesh(&mut client, given(), &lengths).await.unwrap_err();
     assert_eq!(field(&status), "mesh.edge_lengths[11]");
-    let status = remesh(&mut client, header(0, given), &lengths[..20]).await.unwrap_err();
+    let status = remesh(&mut client, given(), &lengths[..20]).await.unwrap_err();
     assert_eq!(field(&status), "mesh.edge_lengths");
     server.stop().await.unwrap();
 }
@@ -127,11 +135,10 @@ async fn a_session_takes_a_density() {
     let server = Server::start(Setup::default()).await;
     let mut client = server.client().await;
     let (vertices, facets) = surface();
-    let sampled = SampledSeeds { points: 0, random_seed: 1 };
+    let density = Density { edge_length: Some(0.2), ..density(DensitySource::Lfs) };
     let header = CvtHeader {
         mesh: Some(mesh_header(&vertices, &facets)),
-        seeds: Some(SeedSource { source: Some(seed_source::Source::Sampled(sampled)) }),
-        density: Some(DensityOptions { edge_length: 0.2, ..density(DensitySource::FeatureSize) }),
+        options: Some(CvtOptions { seed: Some(1), density: Some(density), ..CvtOptions::default() }),
         ..CvtHeader::default()
     };
     let mut all = vec![Ask::Header(header)];

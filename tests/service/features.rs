@@ -21,16 +21,23 @@ struct Answer {
     creases: Vec<[u32; 2]>,
 }
 
-fn header((points, facets): &Mesh, count: u64) -> RemeshHeader {
-    let sampled = SampledSeeds { points: count, random_seed: 1 };
-    RemeshHeader {
-        mesh: Some(mesh_header(points, facets)),
-        seeds: Some(SeedSource { source: Some(seed_source::Source::Sampled(sampled)) }),
-        lloyd_steps: Some(2),
-        newton_steps: Some(4),
+fn options(points: u32) -> RemeshOptions {
+    RemeshOptions {
+        points: Some(points),
+        seed: Some(1),
+        lloyd: Some(2),
+        newton: Some(4),
         measure: Measure::Topology.into(),
-        ..RemeshHeader::default()
+        ..RemeshOptions::default()
     }
+}
+
+fn of((points, facets): &Mesh, options: RemeshOptions) -> RemeshHeader {
+    RemeshHeader { mesh: Some(mesh_header(points, facets)), options: Some(options), ..RemeshHeader::default() }
+}
+
+fn header(mesh: &Mesh, points: u32) -> RemeshHeader {
+    of(mesh, options(points))
 }
 
 async fn remesh(
@@ -86,9 +93,9 @@ async fn quasi_newton_steps_are_taken_and_reported() {
     assert_eq!(all.kinds, ["lloyd", "lloyd", "lbfgs", "lbfgs", "lbfgs", "lbfgs"]);
     assert_eq!(all.report["iterations"].as_array().unwrap().len(), 6);
     assert!(all.creases.is_empty(), "a sphere has no curves");
-    let none = RemeshHeader { newton_steps: Some(0), ..header(&mesh, 60) };
+    let none = of(&mesh, RemeshOptions { newton: Some(0), ..options(60) });
     assert_eq!(remesh(&mut client, &mesh, none, &[]).await.unwrap().kinds, ["lloyd", "lloyd"]);
-    let many = RemeshHeader { newton_steps: Some(400), ..header(&mesh, 20) };
+    let many = of(&mesh, RemeshOptions { newton: Some(400), ..options(20) });
     let many = remesh(&mut client, &mesh, many, &[]).await.unwrap();
     assert!(many.done.converged && many.kinds.len() < 402, "{}", many.kinds.len());
     server.stop().await.unwrap();
@@ -103,9 +110,9 @@ async fn creases_come_back_as_edges() {
         let size = mesh.0.iter().fold(DVec3::ZERO, |m, &p| m.max(p));
         4.0 * (size.x + size.y + size.z)
     };
-    let surface = RemeshHeader { placement: Placement::Surface.into(), ..header(&mesh, 200) };
+    let surface = RemeshOptions { placement: Placement::Surface.into(), ..options(200) };
     for angle in [None, Some(30.0), Some(89.0)] {
-        let wish = RemeshHeader { crease_angle_deg: angle, ..surface.clone() };
+        let wish = of(&mesh, RemeshOptions { crease_angle: angle, ..surface });
         let out = remesh(&mut client, &mesh, wish, &[]).await.unwrap();
         assert_eq!(out.report["features"]["creases"], 12, "{angle:?}");
         assert_eq!(out.report["features"]["missing_segments"], 0);
@@ -114,15 +121,15 @@ async fn creases_come_back_as_edges() {
         assert!((length(&out) - box_edges).abs() < 1e-9, "{angle:?}: {} of {box_edges}", length(&out));
     }
     for angle in [Some(0.0), Some(91.0), Some(180.0)] {
-        let wish = RemeshHeader { crease_angle_deg: angle, ..surface.clone() };
+        let wish = of(&mesh, RemeshOptions { crease_angle: angle, ..surface });
         let out = remesh(&mut client, &mesh, wish, &[]).await.unwrap();
         assert_eq!(out.report["features"]["creases"], 0, "{angle:?}");
         assert!(out.creases.is_empty());
     }
     for angle in [200.0, -1.0, f64::NAN, f64::INFINITY] {
-        let wish = RemeshHeader { crease_angle_deg: Some(angle), ..surface.clone() };
+        let wish = of(&mesh, RemeshOptions { crease_angle: Some(angle), ..surface });
         let status = remesh(&mut client, &mesh, wish, &[]).await.err().unwrap();
-        assert_eq!(field(&status), "header.crease_angle_deg", "{angle}");
+        assert_eq!(field(&status), "header.options.crease_angle", "{angle}");
     }
     server.stop().await.unwrap();
 }
@@ -136,12 +143,13 @@ async fn uploaded_creases_are_kept() {
     let on: Vec<u32> = (0..mesh.0.len() as u32).filter(|&v| mesh.0[v as usize].y == 0.5).collect();
     assert_eq!(on.len(), 21);
     let creases: Vec<[u32; 2]> = on.windows(2).map(|w| [w[0], w[1]]).collect();
-    let wish = RemeshHeader {
-        creases: creases.len() as u64,
-        placement: Placement::Surface.into(),
-        boundaries: BoundaryRule::Free.into(),
-        ..header(&mesh, 150)
+    let (placement, boundaries) = (Placement::Surface.into(), BoundaryRule::Free.into());
+    let plain = of(&mesh, RemeshOptions { placement, boundaries, ..options(150) });
+    let with = |creases: u64| {
+        let mesh = plain.mesh.clone().map(|mesh| MeshHeader { creases, ..mesh });
+        RemeshHeader { mesh, ..plain.clone() }
     };
+    let wish = with(creases.len() as u64);
     let out = remesh(&mut client, &mesh, wish.clone(), &creases).await.unwrap();
     assert_eq!(out.report["features"]["creases"], 1);
     assert!(out.creases.iter().flatten().all(|&v| (out.positions[v as usize].y - 0.5).abs() < 1e-12));
@@ -156,12 +164,10 @@ async fn uploaded_creases_are_kept() {
     }
     let status = remesh(&mut client, &mesh, wish.clone(), &creases[..5]).await.err().unwrap();
     assert_eq!(field(&status), "mesh.creases");
-    let none = RemeshHeader { creases: 0, ..wish.clone() };
-    let status = remesh(&mut client, &mesh, none, &creases).await.err().unwrap();
+    let status = remesh(&mut client, &mesh, plain.clone(), &creases).await.err().unwrap();
     assert_eq!(field(&status), "chunk.data", "{status:?}");
-    let many = RemeshHeader { creases: u64::MAX, ..wish };
-    let status = remesh(&mut client, &mesh, many, &creases).await.err().unwrap();
-    assert_eq!(field(&status), "header.creases");
+    let status = remesh(&mut client, &mesh, with(u64::MAX), &creases).await.err().unwrap();
+    assert_eq!(field(&status), "header.mesh.creases");
     server.stop().await.unwrap();
 }
 
@@ -177,7 +183,7 @@ async fn thin_parts_stay_or_are_even() {
     };
     let mesh = (positions.into_iter().map(thinner).collect(), facets);
     for (rule, rounds) in [(ThinRule::Unspecified, true), (ThinRule::Finer, true), (ThinRule::Even, false)] {
-        let wish = RemeshHeader { thin: rule.into(), ..header(&mesh, 600) };
+        let wish = of(&mesh, RemeshOptions { thin: rule.into(), ..options(600) });
         let out = remesh(&mut client, &mesh, wish, &[]).await.unwrap();
         assert_eq!(out.report["refine"]["closed_ball_rounds"].as_u64().unwrap() > 0, rounds, "{rule:?}");
     }
@@ -198,7 +204,8 @@ async fn boundaries_stay_or_are_free() {
         (BoundaryRule::Keep, 1.0 - 1e-9, 1.0 + 1e-9),
         (BoundaryRule::Free, 0.8, 0.97),
     ] {
-        let wish = RemeshHeader { boundaries: rule.into(), placement: Placement::Surface.into(), ..header(&mesh, 150) };
+        let placement = Placement::Surface.into();
+        let wish = of(&mesh, RemeshOptions { boundaries: rule.into(), placement, ..options(150) });
         let out = remesh(&mut client, &mesh, wish, &[]).await.unwrap();
         assert!(area(&out) > least && area(&out) < most, "{rule:?}: {}", area(&out));
         assert_eq!(out.creases.is_empty(), rule == BoundaryRule::Free);
@@ -214,7 +221,7 @@ async fn placements_are_what_they_say() {
     let mesh = sphere(4);
     let mut radius = Vec::new();
     for placement in [Placement::Unspecified, Placement::Fitted, Placement::Surface, Placement::Centroids] {
-        let wish = RemeshHeader { placement: placement.into(), ..header(&mesh, 80) };
+        let wish = of(&mesh, RemeshOptions { placement: placement.into(), ..options(80) });
         let out = remesh(&mut client, &mesh, wish, &[]).await.unwrap();
         radius.push(out.positions.iter().map(|p| p.length()).sum::<f64>() / out.positions.len() as f64);
     }
@@ -230,9 +237,9 @@ async fn refinement_adds_seeds() {
     let server = Server::start(Setup { limits, ..Setup::default() }).await;
     let mut client = server.client().await;
     let mesh = sphere(4);
-    let wish = |tolerance, max_points| RemeshHeader {
-        refinement: Some(Refinement { tolerance, max_points: Some(max_points) }),
-        ..header(&mesh, 50)
+    let wish = |tolerance, max_points| {
+        let (max_deviation_length, max_points) = (Some(tolerance), Some(max_points));
+        of(&mesh, RemeshOptions { max_deviation_length, max_points, ..options(50) })
     };
     let out = remesh(&mut client, &mesh, wish(0.02, 800), &[]).await.unwrap();
     let figures = &out.report["refine"];
@@ -248,12 +255,12 @@ async fn refinement_adds_seeds() {
     assert_eq!(plain.done.refinement_end(), RefinementEnd::Unspecified);
     for tolerance in [0.0, -1.0, f64::NAN, f64::INFINITY] {
         let status = remesh(&mut client, &mesh, wish(tolerance, 60), &[]).await.err().unwrap();
-        assert_eq!(field(&status), "header.refinement.tolerance", "{tolerance}");
+        assert_eq!(field(&status), "header.options.max_deviation_length", "{tolerance}");
     }
     // 50 are asked for.
-    for max_points in [0, 49, 1001, u64::MAX] {
+    for max_points in [0, 49, 1001, u32::MAX] {
         let status = remesh(&mut client, &mesh, wish(0.1, max_points), &[]).await.err().unwrap();
-        assert_eq!(field(&status), "header.refinement.max_points", "{max_points}");
+        assert_eq!(field(&status), "header.options.max_points", "{max_points}");
     }
     server.stop().await.unwrap();
 }
@@ -264,37 +271,32 @@ async fn unknown_choices_and_too_many_steps_are_refused_by_field() {
     let server = Server::start(Setup { limits, ..Setup::default() }).await;
     let mut client = server.client().await;
     let mesh = octahedron();
-    let good = header(&mesh, 12);
-    for (wish, path) in [
-        (RemeshHeader { placement: 99, ..good.clone() }, "header.placement"),
-        (RemeshHeader { placement: -1, ..good.clone() }, "header.placement"),
-        (RemeshHeader { boundaries: 99, ..good.clone() }, "header.boundaries"),
-        (RemeshHeader { thin: 99, ..good.clone() }, "header.thin"),
-        (
-            RemeshHeader {
-                placement: Placement::Surface.into(),
-                refinement: Some(Refinement { tolerance: 0.1, max_points: Some(100) }),
-                ..good.clone()
-            },
-            "header.refinement",
-        ),
-        (RemeshHeader { newton_steps: Some(11), ..good.clone() }, "header.newton_steps"),
-        (RemeshHeader { newton_steps: Some(u32::MAX), ..good.clone() }, "header.newton_steps"),
+    let good = options(12);
+    let (placement, max_deviation_length) = (Placement::Surface.into(), Some(0.1));
+    for (wish, field_of) in [
+        (RemeshOptions { placement: 99, ..good }, "placement"),
+        (RemeshOptions { placement: -1, ..good }, "placement"),
+        (RemeshOptions { boundaries: 99, ..good }, "boundaries"),
+        (RemeshOptions { thin: 99, ..good }, "thin"),
+        (RemeshOptions { measure: 99, ..good }, "measure"),
+        (RemeshOptions { placement, max_deviation_length, ..good }, "max_deviation_length"),
+        (RemeshOptions { newton: Some(11), ..good }, "newton"),
+        (RemeshOptions { newton: Some(u32::MAX), ..good }, "newton"),
     ] {
+        let (wish, path) = (of(&mesh, wish), format!("header.options.{field_of}"));
         let status = remesh(&mut client, &mesh, wish, &[]).await.err().unwrap();
         assert_eq!(field(&status), path, "{status:?}");
     }
-    remesh(&mut client, &mesh, good, &[]).await.expect("the server goes on");
+    remesh(&mut client, &mesh, of(&mesh, good), &[]).await.expect("the server goes on");
     server.stop().await.unwrap();
 }
 
 /// Steps of a session; what was said of each, and how it ended.
 async fn session(client: &mut Client, mesh: &Mesh, steps: &[CvtStep]) -> (Vec<Iteration>, Result<CvtDone, Status>) {
     use cvt_request::Message as Ask;
-    let sampled = SampledSeeds { points: 50, random_seed: 1 };
     let header = CvtHeader {
         mesh: Some(mesh_header(&mesh.0, &mesh.1)),
-        seeds: Some(SeedSource { source: Some(seed_source::Source::Sampled(sampled)) }),
+        options: Some(CvtOptions { points: Some(50), seed: Some(1), ..CvtOptions::default() }),
         ..CvtHeader::default()
     };
     let mut all = vec![Ask::Header(header)];

@@ -31,16 +31,11 @@ async fn start() -> (Server, Jobs) {
 }
 
 /// A remesh of the blob that is there.
-fn wanted(points: u64) -> JobSpec {
+fn wanted(points: u32) -> JobSpec {
     let file =
         MeshFile { digest: Digest::of(b"a surface").to_string(), format: MeshFormat::Ply.into(), attributes: None };
-    let drawn = DrawnSeeds { points: Some(points), random_seed: None };
-    let work = RemeshJob {
-        seeds: Some(JobSeeds { source: Some(job_seeds::Source::Drawn(drawn)) }),
-        lloyd_steps: Some(0),
-        crease_angle_deg: Some(12.5),
-        ..RemeshJob::default()
-    };
+    let work =
+        RemeshOptions { points: Some(points), lloyd: Some(0), crease_angle: Some(12.5), ..RemeshOptions::default() };
     JobSpec {
         mesh: Some(JobMesh { source: Some(job_mesh::Source::File(file)) }),
         work: Some(job_spec::Work::Remesh(work)),
@@ -56,11 +51,11 @@ fn by<T>(tenant: &str, message: T) -> Request<T> {
     request
 }
 
-fn asked(points: u64, request_id: &str) -> CreateJobRequest {
+fn asked(points: u32, request_id: &str) -> CreateJobRequest {
     CreateJobRequest { spec: Some(wanted(points)), request_id: request_id.to_owned() }
 }
 
-async fn create(client: &mut Jobs, points: u64) -> Job {
+async fn create(client: &mut Jobs, points: u32) -> Job {
     client.create_job(by("t", asked(points, ""))).await.unwrap().into_inner().job.unwrap()
 }
 
@@ -158,33 +153,30 @@ async fn what_is_wrong_with_a_job_is_named_as_messages_call_it() {
     fn spec(request: &mut CreateJobRequest) -> &mut JobSpec {
         request.spec.as_mut().unwrap()
     }
-    fn remesh(request: &mut CreateJobRequest) -> &mut RemeshJob {
+    fn remesh(request: &mut CreateJobRequest) -> &mut RemeshOptions {
         match spec(request).work.as_mut().unwrap() {
             job_spec::Work::Remesh(work) => work,
             other => panic!("{other:?}"),
         }
     }
-    fn given(form: i32, count: u64) -> Option<JobSeeds> {
-        let given = ArrayRef { digest: Digest::of(b"s").to_string(), form, count };
-        Some(JobSeeds { source: Some(job_seeds::Source::Given(given)) })
+    fn given(form: i32, count: u64) -> Option<JobArrays> {
+        let seeds = ArrayRef { digest: Digest::of(b"s").to_string(), form, count };
+        Some(JobArrays { seeds: Some(seeds), ..JobArrays::default() })
     }
     let cases: [(Break, &str); 14] = [
         (|r| r.spec = None, "spec"),
-        (|r| spec(r).mesh = None, "spec.mesh"),
+        (|r| spec(r).mesh = None, "spec.mesh.source"),
         (|r| spec(r).work = None, "spec.work"),
         (|r| spec(r).backend = 99, "spec.backend"),
         (|r| spec(r).priority = Some(101), "spec.priority"),
         (|r| spec(r).run_deadline = Some(prost_types::Duration { seconds: -1, nanos: 0 }), "spec.run_deadline"),
         (|r| spec(r).run_deadline = Some(prost_types::Duration::default()), "spec.run_deadline"),
-        (|r| remesh(r).seeds = given(0, 5), "spec.remesh.seeds.given.form"),
-        (|r| remesh(r).seeds = given(ArrayForm::U8.into(), 5), "spec.remesh.seeds.given.form"),
-        (|r| remesh(r).seeds = given(ArrayForm::F32.into(), 0), "spec.remesh.seeds.given.count"),
-        (|r| remesh(r).crease_angle_deg = Some(f64::NAN), "spec.remesh.crease_angle_deg"),
-        (
-            |r| remesh(r).seeds = Some(JobSeeds { source: Some(job_seeds::Source::Drawn(DrawnSeeds::default())) }),
-            "spec.remesh.seeds.drawn.points",
-        ),
-        (|r| remesh(r).refinement = Some(JobRefinement::default()), "spec.remesh.refinement.tolerance"),
+        (|r| spec(r).arrays = given(0, 5), "spec.arrays.seeds.form"),
+        (|r| spec(r).arrays = given(ArrayForm::U8.into(), 5), "spec.arrays.seeds.form"),
+        (|r| spec(r).arrays = given(ArrayForm::F32.into(), 0), "spec.arrays.seeds.count"),
+        (|r| remesh(r).crease_angle = Some(f64::NAN), "spec.remesh.crease_angle"),
+        (|r| remesh(r).points = None, "spec.remesh.points"),
+        (|r| remesh(r).max_deviation = Some(0.0), "spec.remesh.max_deviation"),
         (|r| r.request_id = "a b".to_owned(), "request_id"),
     ];
     for (spoil, path) in cases {
@@ -264,13 +256,12 @@ async fn jobs_are_cancelled_and_forgotten() {
 #[tokio::test(flavor = "multi_thread")]
 async fn lists_come_in_pages_that_fit_into_a_message() {
     let (server, mut client) = start().await;
-    // Large ones: 40 of them are more than a message may be.
+    // Large ones: 80 of them are more than a message may be.
     let point = |x: f64| SeedEdit { edit: Some(seed_edit::Edit::Add(Point { x, y: x, z: x })) };
-    let edit = CvtEdit { edits: vec![point(0.1); 2900], seeds: 0 };
+    let edit = CvtEdit { edits: vec![point(0.1); 2000], seeds: 0 };
     let command = CvtJobCommand { command: Some(cvt_job_command::Command::Edit(edit)) };
-    let drawn = DrawnSeeds { points: Some(5), random_seed: None };
-    let seeds = Some(JobSeeds { source: Some(job_seeds::Source::Drawn(drawn)) });
-    let work = CvtJob { seeds, commands: vec![command], ..CvtJob::default() };
+    let options = Some(CvtOptions { points: Some(5), ..CvtOptions::default() });
+    let work = CvtJob { options, commands: vec![command] };
     let large = JobSpec { work: Some(job_spec::Work::Cvt(work)), ..wanted(0) };
     let mut made = Vec::new();
     for k in 0..60 {

@@ -148,7 +148,7 @@ async fn an_idle_session_blocks_nobody() {
         let (points, facets) = octahedron();
         let (send, stream) = by_hand();
         let mesh = Some(mesh_header(&points, &facets));
-        let header = CvtHeader { mesh, seeds: uploaded(9), ..CvtHeader::default() };
+        let header = CvtHeader { mesh, seeds: 9, ..CvtHeader::default() };
         let wrap = |message| CvtRequest { message: Some(message) };
         send.send(wrap(Ask::Header(header))).await.unwrap();
         for chunk in all_chunks(&points, &facets, &spiral(9)) {

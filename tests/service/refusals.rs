@@ -102,7 +102,7 @@ async fn geometry_is_checked_and_the_element_is_named() {
     assert_eq!(field(&status), "mesh.facets");
 
     let status = refused(&mut client, rvd_request(&points, &facets, &[], BackendChoice::Auto, CELLS)).await;
-    assert_eq!(field(&status), "header.seeds.uploaded");
+    assert_eq!(field(&status), "header.options.points");
     let bad = [DVec3::X, DVec3::new(0.0, f64::INFINITY, 0.0)];
     let status = refused(&mut client, rvd_request(&points, &facets, &bad, BackendChoice::Auto, CELLS)).await;
     assert_eq!(field(&status), "seeds[1]");
@@ -116,7 +116,7 @@ async fn counts_beyond_the_limits_are_refused_before_anything_is_sent() {
     let mut client = server.client().await;
     let mut request = small_rvd(BackendChoice::Auto);
     request.truncate(1);
-    assert_eq!(field(&refused(&mut client, request.clone()).await), "header.seeds.uploaded");
+    assert_eq!(field(&refused(&mut client, request.clone()).await), "header.seeds");
     header(&mut request).mesh.as_mut().unwrap().vertices = 1 << 40;
     assert_eq!(field(&refused(&mut client, request).await), "header.mesh.vertices");
     server.stop().await.unwrap();

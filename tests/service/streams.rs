@@ -57,10 +57,13 @@ async fn remesh_gives_a_closed_surface_and_a_report() {
     let seeds = spiral(200);
     let header = RemeshHeader {
         mesh: Some(mesh_header(&points, &facets)),
-        seeds: uploaded(seeds.len()),
-        lloyd_steps: Some(3),
-        newton_steps: Some(0),
-        measure: Measure::Topology.into(),
+        seeds: seeds.len() as u64,
+        options: Some(RemeshOptions {
+            lloyd: Some(3),
+            newton: Some(0),
+            measure: Measure::Topology.into(),
+            ..RemeshOptions::default()
+        }),
         ..RemeshHeader::default()
     };
     let requests = remesh_request(header, &points, &facets, &seeds, Vec::new());
@@ -115,9 +118,12 @@ async fn a_session_steps_and_edits() {
     let (send, stream) = by_hand();
     let header = CvtHeader {
         mesh: Some(mesh_header(&points, &facets)),
-        seeds: uploaded(50),
-        max_seeds: 51,
-        projection: Projection::OnSurface.into(),
+        seeds: 50,
+        options: Some(CvtOptions {
+            max_seeds: Some(51),
+            projection: Projection::Surface.into(),
+            ..CvtOptions::default()
+        }),
         ..CvtHeader::default()
     };
     send.send(cvt(Ask::Header(header))).await.unwrap();
@@ -173,8 +179,7 @@ async fn a_session_beyond_its_room_ends_with_a_field_and_closing_ends_it_well() 
     let mut client = server.client().await;
     let (points, facets) = sphere(1);
     let open = || {
-        let header =
-            CvtHeader { mesh: Some(mesh_header(&points, &facets)), seeds: uploaded(10), ..CvtHeader::default() };
+        let header = CvtHeader { mesh: Some(mesh_header(&points, &facets)), seeds: 10, ..CvtHeader::default() };
         let mut all = vec![cvt(Ask::Header(header))];
         all.extend(all_chunks(&points, &facets, &spiral(10)).into_iter().map(|c| cvt(Ask::Chunk(c))));
         all.push(cvt(Ask::Start(CvtStart {})));

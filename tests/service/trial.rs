@@ -111,13 +111,10 @@ struct Done {
     report: serde_json::Value,
 }
 
-fn header(positions: &[DVec3], facets: &[[u32; 3]], points: u64) -> RemeshHeader {
-    let sampled = SampledSeeds { points, random_seed: 1 };
-    RemeshHeader {
-        mesh: Some(mesh_header(positions, facets)),
-        seeds: Some(SeedSource { source: Some(seed_source::Source::Sampled(sampled)) }),
-        ..RemeshHeader::default()
-    }
+fn header(positions: &[DVec3], facets: &[[u32; 3]], points: u32) -> RemeshHeader {
+    let options = RemeshOptions { points: Some(points), seed: Some(1), ..RemeshOptions::default() };
+    let mesh = Some(mesh_header(positions, facets));
+    RemeshHeader { mesh, options: Some(options), ..RemeshHeader::default() }
 }
 
 /// A remesh with a deadline.
@@ -168,36 +165,24 @@ async fn outlier_vertices(program: &Program) {
 fn hostile(number: u64) -> (String, Vec<RemeshRequest>) {
     let adversary::Job { name, mesh, options } = adversary::job(number, 40_000);
     let (positions, facets) = mesh.into_parts();
-    let (seeds, points) = match options.seeds {
-        Seeds::Given(seeds) => (seeds, 0),
-        Seeds::Sample { points, .. } => (Vec::new(), points as u64),
-        _ => (Vec::new(), 100),
-    };
     let numbers = |values: &[f64]| values.iter().flat_map(|v| v.to_le_bytes()).collect::<Vec<u8>>();
-    let mut wish = header(&positions, &facets, points);
-    if points == 0 {
-        wish.seeds = uploaded(seeds.len());
-    }
-    let mut density = DensityOptions::default();
-    let mut extra = Vec::new();
-    match options.density.source {
-        DensitySource::Curvature => density.source = tessera::proto::DensitySource::Curvature.into(),
-        DensitySource::FeatureSize => density.source = tessera::proto::DensitySource::FeatureSize.into(),
-        DensitySource::Sizes(sizes) => {
-            density.source = tessera::proto::DensitySource::EdgeLengths.into();
-            density.edge_lengths = sizes.len() as u64;
-            extra = chunks(ArrayKind::EdgeLengths, &numbers(&sizes));
-        }
-        DensitySource::Weights(weights) => {
-            density.source = tessera::proto::DensitySource::Weights.into();
-            wish.mesh.as_mut().unwrap().weights = weights.len() as u64;
-            extra = chunks(ArrayKind::Weights, &numbers(&weights));
-        }
-        _ => {}
-    }
-    wish.density = Some(density);
-    wish.crease_angle_deg = Some(options.crease_angle_deg);
-    wish.refinement = options.refine.map(|refine| Refinement { tolerance: refine.tolerance, max_points: None });
+    let mut mesh = mesh_header(&positions, &facets);
+    let (wish, extra) = (
+        wire::options::of_remesh(&options),
+        match &options.density.source {
+            DensitySource::Sizes(sizes) => {
+                mesh.edge_lengths = sizes.len() as u64;
+                chunks(ArrayKind::EdgeLengths, &numbers(sizes))
+            }
+            DensitySource::Weights(weights) => {
+                mesh.weights = weights.len() as u64;
+                chunks(ArrayKind::Weights, &numbers(weights))
+            }
+            _ => Vec::new(),
+        },
+    );
+    let seeds = if let Seeds::Given(seeds) = options.seeds { seeds } else { Vec::new() };
+    let wish = RemeshHeader { mesh: Some(mesh), seeds: seeds.len() as u64, backend: 0, options: Some(wish) };
     let messages = remesh_request(wish, &positions, &facets, &seeds, extra);
     (name, messages)
 }
@@ -231,12 +216,11 @@ async fn sessions_that_nobody_waits_for(program: &Program) {
     let (positions, facets) = soup.into_parts();
     let wish = CvtHeader {
         mesh: Some(mesh_header(&positions, &facets)),
-        seeds: Some(SeedSource {
-            source: Some(seed_source::Source::Sampled(SampledSeeds { points: 5_000, random_seed: 1 })),
-        }),
-        density: Some(DensityOptions {
-            source: tessera::proto::DensitySource::FeatureSize.into(),
-            ..DensityOptions::default()
+        options: Some(CvtOptions {
+            points: Some(5_000),
+            seed: Some(1),
+            density: Some(Density { source: tessera::proto::DensitySource::Lfs.into(), ..Density::default() }),
+            ..CvtOptions::default()
         }),
         ..CvtHeader::default()
     };
@@ -355,12 +339,9 @@ async fn half_uploads(program: &Program) {
 /// A report of thousands of steps.
 async fn long_report(program: &Program) {
     let (positions, facets) = octahedron();
-    let wish = RemeshHeader {
-        lloyd_steps: Some(3_000),
-        newton_steps: Some(0),
-        measure: Measure::Topology.into(),
-        ..header(&positions, &facets, 20)
-    };
+    let mut wish = header(&positions, &facets, 20);
+    let options = wish.options.as_mut().unwrap();
+    (options.lloyd, options.newton, options.measure) = (Some(3_000), Some(0), Measure::Topology.into());
     let done = ask(&mut program.client().await, &positions, &facets, &[], wish, 120 * SECOND).await.unwrap();
     assert!(!done.report["iterations"].as_array().unwrap().is_empty());
 }

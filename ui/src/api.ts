@@ -17,10 +17,11 @@ export interface Job {
   readonly expired_by: string | null;
 }
 
+/** What the page reads of the message `JobSpec`. Formats are as "MESH_FORMAT_PLY". */
 export interface Spec {
-  readonly mesh?: { readonly file?: { readonly blob: string; readonly format: string } };
-  readonly work?: Readonly<Record<string, unknown>>;
-  readonly result?: unknown;
+  readonly mesh?: { readonly file?: { readonly digest: string; readonly format: string } };
+  readonly remesh?: { readonly points?: number };
+  readonly result?: { readonly file?: string };
   readonly labels?: Readonly<Record<string, string>>;
 }
 

@@ -345,17 +345,17 @@ export class App {
   /** Shows the mesh that a job is of, if it is not shown yet and still there. */
   private async fetchInput(job: Job, signal: AbortSignal): Promise<void> {
     const source = job.spec.mesh?.file;
-    if (source && source.blob === this.digest) return;
+    if (source && source.digest === this.digest) return;
     const mesh = this.begin();
     const name = job.spec.labels?.["file"] ?? `job ${job.id.slice(0, 8)}`;
     const points = pointsOf(job);
     if (points !== null) the("points", HTMLInputElement).value = String(points);
     try {
       if (!source) throw new Problem(404, "blob", "the job's mesh is not a file");
-      const file = await this.api.blob(source.blob, signal);
+      const file = await this.api.blob(source.digest, signal);
       if (signal.aborted || mesh.aborted) return;
-      this.digest = source.blob;
-      await this.look({ name, stem: name.replace(/(\.gz)?$/i, "").replace(/\.[^.]*$/, ""), format: source.format, file }, mesh);
+      this.digest = source.digest;
+      await this.look({ name, stem: name.replace(/(\.gz)?$/i, "").replace(/\.[^.]*$/, ""), format: formatName(source.format), file }, mesh);
     } catch (error) {
       if (isAbort(error)) throw error;
       this.note("Drop a mesh, or choose a file", "The mesh of this job is no longer stored.");
@@ -437,6 +437,10 @@ export class App {
 
 /** The format of a job's result. */
 function formatOf(job: Job): string {
-  const result = job.spec.result as { file?: string } | undefined;
-  return result?.file ?? "ply";
+  return formatName(job.spec.result?.file ?? "ply");
+}
+
+/** A format's name, of its value in a message. */
+function formatName(value: string): string {
+  return value.replace("MESH_FORMAT_", "").toLowerCase();
 }

@@ -91,6 +91,5 @@ export class Queue {
 
 /** How many points a job asks for, if it says so. */
 export function pointsOf(job: Job): number | null {
-  const work = job.spec.work?.["remesh"] as { seeds?: { sampled?: { points?: number | null } } } | undefined;
-  return work?.seeds?.sampled?.points ?? null;
+  return job.spec.remesh?.points ?? null;
 }

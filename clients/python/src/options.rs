@@ -9,7 +9,7 @@ use std::cell::RefCell;
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyString};
 use tessera::mesh::attributes::{Attributes, ColourDepth, Colours, Normals, PerCorner};
-use tessera::{DensityOptions, DensitySource, Placement, Projection, Refine, RemeshOptions, Seeds, TriMesh};
+use tessera::{DensityOptions, DensitySource, Placement, Projection, Refine, RemeshOptions, Seeds, Tolerance, TriMesh};
 
 use crate::arrays;
 use crate::errors::input;
@@ -139,13 +139,13 @@ impl<'py> Options<'py> {
             self.word("boundaries", &[("keep", true), ("free", false)])?.unwrap_or(options.keep_boundaries);
         options.keep_thin = self.word("thin", &[("finer", true), ("even", false)])?.unwrap_or(options.keep_thin);
         options.measure = self.get("measure", "True or False")?.unwrap_or(options.measure);
-        options.refine = self.refine(&options.seeds, mesh)?;
+        options.refine = self.refine(&options.seeds)?;
         options.attributes = self.any("attributes")?.map(|given| attributes(&given, mesh)).transpose()?;
         Ok(options)
     }
 
     /// Points that are added, as the command adds them.
-    fn refine(&self, seeds: &Seeds, mesh: &TriMesh) -> PyResult<Option<Refine>> {
+    fn refine(&self, seeds: &Seeds) -> PyResult<Option<Refine>> {
         let percent: Option<f64> = self.get("max_deviation", "percent above 0")?;
         let most: Option<usize> = self.get("max_points", "a whole number, at least 1")?;
         let Some(percent) = percent else {
@@ -154,22 +154,10 @@ impl<'py> Options<'py> {
         if !(percent.is_finite() && percent > 0.0) {
             return Err(input(format!("max_deviation is {percent}; percent above 0 are needed")));
         }
-        let (low, high) = mesh.bounds();
-        let extent = (high - low).max_element();
-        let tolerance = percent / 100.0 * (((high - low) / extent).length() * extent);
-        let points = match seeds {
-            Seeds::Sample { points, .. } => Some(*points),
-            Seeds::Given(seeds) => Some(seeds.len()),
-            _ => None,
-        };
-        let refine = points.map(|points| Refine::new(tolerance, points));
-        match (refine, most) {
-            (Some(refine), None) => Ok(Some(refine)),
-            (refine, Some(most)) => {
-                Ok(Some(refine.unwrap_or_else(|| Refine::new(tolerance, most)).with_max_points(most)))
-            }
-            (None, None) => Err(input("max_deviation without points needs max_points")),
+        if most.is_none() && matches!(seeds, Seeds::Implied { .. }) {
+            return Err(input("max_deviation without points needs max_points"));
         }
+        Ok(Some(Refine { tolerance: Tolerance::DiagonalPercent(percent), max_points: most }))
     }
 }
 

@@ -39,6 +39,7 @@ OPTIONS = [
     {"points": 200, "density": np.linspace(1, 9, 1800)},
     {"sizes": np.linspace(0.2, 0.6, 1800)},
     {"points": 200, "max_deviation": 1.0, "max_points": 400},
+    {"points": 200, "max_deviation": 1.0, "sizes": np.linspace(1, 3, 1800)},
     {"points": 300, "creases": [[0, 30], [30, 60]], "crease_angle": 0.0},
     {"seeds": torus(10, 20)[0], "lloyd": 1, "newton": 0},
     {"points": 200, "attributes": {"height": np.arange(1800.0)}},
@@ -98,14 +99,39 @@ def test_diagrams_and_steps(surface, endpoint):
     )
     for a, b in pairs:
         assert a.energy == b.energy and np.array_equal(a.seeds, b.seeds)
+    for options in (
+        {"sizes": np.linspace(0.4, 0.8, 1800), "adaptivity": 0.5, "seed": 3},
+        {"seeds": torus(10, 5)[0], "density": np.linspace(1, 9, 1800)},
+        {"points": 60, "density": "curvature", "projection": "surface"},
+    ):
+        here = next(tessera_remesh.cvt(*surface, backend="parallel", **options))
+        assert np.array_equal(here.seeds, next(tessera_remesh.cvt(*surface, endpoint=endpoint, **options)).seeds)
+    weighted = {"seeds": torus(10, 5)[0], "weights": np.linspace(1, 9, 1800)}
+    here = tessera_remesh.rvd(*surface, backend="parallel", **weighted)
+    assert np.array_equal(here.masses, tessera_remesh.rvd(*surface, endpoint=endpoint, **weighted).masses)
 
 
 def test_refusals_are_told(surface, endpoint):
     with pytest.raises(ServerError) as refused:
         tessera_remesh.remesh(*surface, points=100, crease_angle=500.0, endpoint=endpoint)
     assert refused.value.code == "INVALID_ARGUMENT" and "crease_angle" in refused.value.fields
-    with pytest.raises(tessera_remesh.TesseraError):
+    for options, word in (
+        ({"max_points": 200}, "max_points"),
+        ({"seeds": np.zeros((3, 3))}, "points"),
+        ({"density": "lfs", "sizes": np.ones(1800)}, "density"),
+    ):
+        with pytest.raises(ServerError, match="INVALID_ARGUMENT: " + word):
+            tessera_remesh.remesh(*surface, points=100, endpoint=endpoint, **options)
+    with pytest.raises(JobFailed, match="failed: crease 0"):
         tessera_remesh.remesh(*surface, points=100, creases=[[0, 1700]], endpoint=endpoint)
+    with pytest.raises(ServerError, match="INVALID_ARGUMENT: gradation"):
+        next(tessera_remesh.cvt(*surface, points=100, gradation=-1.0, endpoint=endpoint))
+    # What the schema does not have is not sent.
+    for options in ({"density": "edge_lengths"}, {"thin": ""}, {"placement": ["fitted"]}, {"backend": "abacus"}, {"points": 2.5}, {"seed": -1}):
+        with pytest.raises(tessera_remesh.InputError, match=next(iter(options)) + " is "):
+            tessera_remesh.remesh(*surface, **{"points": 100, **options}, endpoint=endpoint)
+    with pytest.raises(tessera_remesh.InputError, match="projection is 'up'; it is one of free, surface"):
+        next(tessera_remesh.cvt(*surface, points=100, projection="up", endpoint=endpoint))
     with pytest.raises(ConnectionLost):
         with Client("http://127.0.0.1:9", patience=0.5) as client:
             client.remesh(*surface, 100)

@@ -1,7 +1,7 @@
 //! What a job is asked to do, from the options of `tessera remesh` and `tessera rvd`.
 //!
 //! Purpose: [`RemeshWork`] and [`RvdWork`] as clap has them, and [`Asked`]: the message and the files that it names.
-//! Invariant: an option that nobody set is not in the message. Files go as they are: what is in them is the server's to
+//! Invariant: an option that is not set is not in the message. Files go as they are: what is in them is the server's to
 //! judge. Must not know: calls.
 
 use std::path::{Path, PathBuf};
@@ -10,20 +10,19 @@ use std::str::FromStr;
 use anyhow::Result;
 use clap::{ArgGroup, Args, ValueEnum};
 
-use super::given::Given;
 use crate::exit::Usage;
-use crate::remesh::args::{
-    BoundariesArg, DensityArg, PlacementArg, ProjectionArg, ShapeArgs, SizeArgs, StepArgs, ThinArg,
-};
+use crate::given::{self, Given};
+use crate::remesh::args::{ShapeArgs, SizeArgs, StepArgs, usage};
 use crate::rvd::SeedArgs;
 use crate::source::Source;
 use crate::{files, remote, sizes};
 use geometry::mesh::io::Format;
 pub(super) use server::config::BackendArg;
+use wire::counts::Bounds;
+use wire::options::{self, Beside};
 use wire::proto::{
-    self, ArrayForm, ArrayRef, BoundaryRule, DensitySource, DrawnSeeds, JobDensity, JobMesh, JobRefinement, JobSeeds,
-    JobSpec, MeshFile, Placement, Projection, RemeshJob, ResultFormat, RvdJob, RvdOutput, ThinRule, job_mesh,
-    job_refinement, job_seeds, job_spec, result_format,
+    ArrayForm, ArrayRef, DiagramOptions, JobArrays, JobMesh, JobSpec, MeshFile, ResultFormat, RvdOutput, job_mesh,
+    job_spec, result_format,
 };
 
 /// A job that can be sent once its files are uploaded.
@@ -63,7 +62,7 @@ pub(crate) fn digest(text: &str) -> Result<String, String> {
     }
 }
 
-/// The surface, and who works.
+/// The surface, and the backend.
 #[derive(Args, Debug)]
 pub(super) struct InputArgs {
     /// The surface: a file of any format that `remesh` reads, packed by gzip or not, or blob:DIGEST for one that the server has.
@@ -134,7 +133,9 @@ impl RemeshWork {
     /// Options that do not go together, or a file that cannot be read.
     pub(super) fn asked(&self) -> Result<Asked> {
         let Self { input, size, shape, steps, .. } = self;
-        size.check(shape.placement)?;
+        let message = given::message([size.texts(), shape.texts(), steps.texts()])?;
+        let beside = Beside { edge_lengths: size.sizes.is_some(), ..Beside::default() };
+        options::remesh(&message, beside, &Bounds::WIDEST).map_err(usage)?;
         if let Input::File(path) = &input.input {
             let format = input.format()?;
             let named = [(&size.sizes, "--sizes"), (&shape.creases, "--creases")];
@@ -146,33 +147,9 @@ impl RemeshWork {
         let mut asked = input.begin(self.no_attributes.then_some(false))?;
         let mut text = |path: &Option<PathBuf>| path.as_deref().map(|path| text(path, &mut asked.sources)).transpose();
         let (edge_lengths, creases) = (text(&size.sizes)?, text(&shape.creases)?);
-        let density = JobDensity {
-            source: size.given("density", source(size.density)).unwrap_or_default().into(),
-            edge_length: size.edge_length,
-            edge_lengths,
-            weights: None,
-            adaptivity: size.given("adaptivity", size.adaptivity),
-            gradation: size.given("gradation", size.gradation),
-        };
-        let drawn = DrawnSeeds { points: size.points.map(u64::from), random_seed: steps.given("seed", steps.seed) };
-        let refinement = size.max_deviation.map(|percent| JobRefinement {
-            tolerance: Some(job_refinement::Tolerance::DiagonalPercent(percent)),
-            max_points: size.max_points.map(u64::from),
-        });
-        asked.spec.work = Some(job_spec::Work::Remesh(RemeshJob {
-            seeds: Some(JobSeeds { source: Some(job_seeds::Source::Drawn(drawn)) }),
-            density: Some(density).filter(|density| *density != JobDensity::default()),
-            lloyd_steps: steps.given("lloyd", steps.lloyd),
-            newton_steps: steps.given("newton", steps.newton),
-            projection: steps.given("projection", projection(steps.projection)).unwrap_or_default().into(),
-            placement: shape.given("placement", placement(shape.placement)).unwrap_or_default().into(),
-            crease_angle_deg: shape.given("crease_angle", shape.crease_angle),
-            creases,
-            boundaries: shape.given("boundaries", boundaries(shape.boundaries)).unwrap_or_default().into(),
-            thin: shape.given("thin", thin(shape.thin)).unwrap_or_default().into(),
-            refinement,
-            measure: proto::Measure::Unspecified.into(),
-        }));
+        asked.spec.arrays = Some(JobArrays { edge_lengths, creases, ..JobArrays::default() })
+            .filter(|arrays| *arrays != JobArrays::default());
+        asked.spec.work = Some(job_spec::Work::Remesh(message));
         asked.spec.result =
             self.format.map(|format| ResultFormat { form: Some(result_format::Form::File(format.number())) });
         Ok(asked)
@@ -214,20 +191,20 @@ impl RvdWork {
     pub(super) fn asked(&self) -> Result<Asked> {
         let mut asked = self.input.begin(None)?;
         let seeds = &self.seeds;
-        let source = match &seeds.seeds {
-            Some(path) => job_seeds::Source::Given(text(path, &mut asked.sources)?),
-            None => job_seeds::Source::Drawn(DrawnSeeds {
-                points: seeds.points.map(u64::from),
-                random_seed: seeds.given("seed", seeds.seed),
-            }),
-        };
+        if let Some(path) = &seeds.seeds {
+            let seeds = Some(text(path, &mut asked.sources)?);
+            asked.spec.arrays = Some(JobArrays { seeds, ..JobArrays::default() });
+        }
         let outputs = self.outputs.iter().map(|output| match output {
             OutputArg::Cells => RvdOutput::Cells.into(),
             OutputArg::Centroids => RvdOutput::Centroids.into(),
             OutputArg::Sums => RvdOutput::Sums.into(),
         });
-        let seeds = Some(JobSeeds { source: Some(source) });
-        asked.spec.work = Some(job_spec::Work::Rvd(RvdJob { seeds, weights: None, outputs: outputs.collect() }));
+        asked.spec.work = Some(job_spec::Work::Rvd(DiagramOptions {
+            points: seeds.points,
+            seed: seeds.given("seed", seeds.seed),
+            outputs: outputs.collect(),
+        }));
         Ok(asked)
     }
 }
@@ -238,41 +215,4 @@ fn text(path: &Path, sources: &mut Vec<Source>) -> Result<ArrayRef> {
     let array = ArrayRef { digest: source.digest().to_owned(), form: ArrayForm::Text.into(), count: 0 };
     sources.push(source);
     Ok(array)
-}
-
-fn source(density: DensityArg) -> DensitySource {
-    match density {
-        DensityArg::Uniform => DensitySource::Uniform,
-        DensityArg::Curvature => DensitySource::Curvature,
-        DensityArg::Lfs => DensitySource::FeatureSize,
-    }
-}
-
-fn projection(projection: ProjectionArg) -> Projection {
-    match projection {
-        ProjectionArg::Free => Projection::Free,
-        ProjectionArg::Surface => Projection::OnSurface,
-    }
-}
-
-fn placement(placement: PlacementArg) -> Placement {
-    match placement {
-        PlacementArg::Fitted => Placement::Fitted,
-        PlacementArg::Surface => Placement::Surface,
-        PlacementArg::Centroids => Placement::Centroids,
-    }
-}
-
-fn boundaries(boundaries: BoundariesArg) -> BoundaryRule {
-    match boundaries {
-        BoundariesArg::Keep => BoundaryRule::Keep,
-        BoundariesArg::Free => BoundaryRule::Free,
-    }
-}
-
-fn thin(thin: ThinArg) -> ThinRule {
-    match thin {
-        ThinArg::Finer => ThinRule::Finer,
-        ThinArg::Even => ThinRule::Even,
-    }
 }

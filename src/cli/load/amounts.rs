@@ -160,7 +160,7 @@ impl FromStr for Sizes {
 pub(super) enum Points {
     /// As many.
     Count(u64),
-    /// So many of each facet.
+    /// A share of the facets.
     Part(f64),
 }
 

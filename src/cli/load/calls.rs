@@ -24,7 +24,7 @@ use super::tally::{self, Call, Tally};
 use crate::plain::plain;
 use crate::remote::{Door, is_lost};
 use wire::proto::server_service_client::ServerServiceClient;
-use wire::proto::{BackendChoice, GetServerInfoRequest};
+use wire::proto::{BackendChoice, DiagramOptions, GetServerInfoRequest, RemeshOptions};
 
 pub(super) use job::{Rubbish, delete_blob, put, sweep};
 
@@ -182,7 +182,7 @@ impl Caller {
         Self { tally, surfaces, settings, run, stop, usual_us, uploaded }
     }
 
-    /// Makes a call. With a `pace` the answer is read with so many bytes a second.
+    /// Makes a call. With a `pace`, bytes a second, the answer is read slowly.
     pub(super) async fn ask(&self, door: &Door, item: Item, pace: Option<u64>) -> Asked {
         let begin = Instant::now();
         let usual = &self.usual_us[item.kind.place()];
@@ -251,7 +251,7 @@ struct Pace {
 }
 
 impl Pace {
-    /// So many bytes were read.
+    /// Counts bytes that were read.
     async fn read(&mut self, bytes: usize) {
         let Some(rate) = self.bytes_a_second else { return };
         let now = Instant::now();
@@ -271,6 +271,16 @@ struct At<'a> {
 }
 
 impl At<'_> {
+    fn remesh_options(&self) -> RemeshOptions {
+        let Settings { lloyd, newton, .. } = self.caller.settings;
+        let (points, seed) = (self.surface.points(), Some(self.random_seed));
+        RemeshOptions { points, seed, lloyd, newton, ..RemeshOptions::default() }
+    }
+
+    fn diagram_options(&self) -> DiagramOptions {
+        DiagramOptions { points: self.surface.points(), seed: Some(self.random_seed), outputs: Vec::new() }
+    }
+
     async fn info(&self) -> Result<(), End> {
         let mut client = ServerServiceClient::new(self.door.clone());
         let call = self.caller.tally.begin("tessera.v1.ServerService/GetServerInfo");

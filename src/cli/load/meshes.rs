@@ -11,12 +11,11 @@ use bytes::Bytes;
 use super::amounts::{Points, Sizes};
 use crate::exit::BadInput;
 use crate::files;
-use geometry::cvt::density::DensityOptions;
 use geometry::mesh::TriMesh;
 use geometry::mesh::io::{Format, encode};
 use geometry::mesh::shapes::Shape;
 use wire::chunks::{facet_chunks, point_chunks};
-use wire::options::mesh_header;
+use wire::counts::mesh_header;
 use wire::pieces::Hash;
 use wire::proto::{ArrayKind, Chunk, MeshHeader};
 
@@ -75,8 +74,13 @@ impl Surface {
         let file =
             encode(Format::Ply, mesh).map_err(|cause| BadInput(format!("the surface cannot be sent: {cause}")))?;
         let digest = digest(&file);
-        let header = mesh_header(mesh, &DensityOptions::default());
+        let header = mesh_header(mesh);
         Ok(Self { facets: mesh.facets().len() as u64, points, header, chunks, file: file.into(), digest })
+    }
+
+    /// How many points are asked for, as messages count.
+    pub(super) fn points(&self) -> Option<u32> {
+        Some(u32::try_from(self.points).unwrap_or(u32::MAX))
     }
 
     /// Its file as it is.

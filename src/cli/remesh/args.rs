@@ -1,7 +1,8 @@
-//! `tessera remesh`'s options, and what they say to the library.
+//! `tessera remesh`'s options, as the message and as the library's.
 //!
-//! Invariant: every default is read from [`RemeshOptions::usual`], so that the command, the library and the service
-//! cannot differ. Must not know: who does the work, files but those that options name.
+//! Invariant: options that are set become the message that a server would get, and the library's options are made of that, by
+//! the checks of streams and jobs. Defaults in the help are read from [`RemeshOptions::usual`]. Must not know: which backend
+//! works, files but those that options name.
 
 use std::path::{Path, PathBuf};
 
@@ -10,6 +11,7 @@ use clap::{ArgGroup, Args, ValueEnum};
 
 use crate::exit::{BadInput, Usage};
 use crate::files::{self, Surface};
+use crate::given::{self, Given};
 use crate::picture::PictureArgs;
 use crate::say::SayArgs;
 use crate::server::EndpointArgs;
@@ -20,9 +22,12 @@ use geometry::mesh::TriMesh;
 use geometry::mesh::attributes::Attributes;
 use geometry::mesh::features::Features;
 use geometry::mesh::io::Format;
-use geometry::remesh::{Placement, Refine, RemeshOptions, Seeds};
+use geometry::remesh::{Placement, RemeshOptions, Seeds};
 use geometry::token::Token;
 use server::config::{BackendArgs, count, whole};
+use wire::counts::Bounds;
+use wire::options::{self, Beside};
+use wire::{WireError, names, proto};
 
 /// `tessera remesh`'s options.
 #[derive(Args, Debug)]
@@ -35,11 +40,11 @@ pub(crate) struct RemeshArgs {
     #[command(flatten)]
     pub(super) files: FileArgs,
     #[command(flatten)]
-    pub(super) size: SizeArgs,
+    pub(super) size: Given<SizeArgs>,
     #[command(flatten)]
-    pub(super) shape: ShapeArgs,
+    pub(super) shape: Given<ShapeArgs>,
     #[command(flatten)]
-    pub(super) steps: StepArgs,
+    pub(super) steps: Given<StepArgs>,
     #[command(flatten, next_help_heading = "Picture")]
     pub(super) picture: PictureArgs,
     #[command(flatten, next_help_heading = "Backend")]
@@ -59,7 +64,7 @@ pub(super) struct FileArgs {
     #[arg(short, long, value_name = "OUTPUT", required_unless_present = "out_dir")]
     pub(super) output: Option<PathBuf>,
     /// Folder where the remeshes go, each under the name of its input; it is made if need be. For any number of inputs: one that
-    /// fails stops no other, and a line tells of each.
+    /// fails stops no other, and each has a line of output.
     #[arg(long, value_name = "DIR", conflicts_with = "output")]
     pub(super) out_dir: Option<PathBuf>,
     /// Format of what is written, where the name does not say it.
@@ -237,13 +242,6 @@ impl ProjectionArg {
             Projection::OnSurface => Self::Surface,
         }
     }
-
-    fn projection(self) -> Projection {
-        match self {
-            Self::Free => Projection::Free,
-            Self::Surface => Projection::OnSurface,
-        }
-    }
 }
 
 /// Where vertices go.
@@ -265,99 +263,50 @@ impl PlacementArg {
             Placement::Centroids => Self::Centroids,
         }
     }
-
-    pub(super) fn placement(self) -> Placement {
-        match self {
-            Self::Fitted => Placement::Fitted,
-            Self::Surface => Placement::Surface,
-            Self::Centroids => Placement::Centroids,
-        }
-    }
 }
 
-impl SizeArgs {
-    /// What the options say of `mesh`, which was read from `input`.
-    fn density(&self, input: &Surface, mesh: &TriMesh) -> Result<DensityOptions> {
-        let source = match (&self.sizes, self.density) {
-            (Some(path), _) => DensitySource::Sizes(sizes::read(path, input, mesh)?),
-            (None, density) => density.source(),
-        };
-        self.with_source(source)
-    }
+/// An error of an option, by its name.
+pub(crate) fn usage(error: WireError) -> anyhow::Error {
+    let text = error.under("options").to_string();
+    Usage(names::in_text(&text, flag).unwrap_or(text)).into()
+}
 
-    fn with_source(&self, source: DensitySource) -> Result<DensityOptions> {
-        let (edge_length, gradation, adaptivity) = (self.edge_length, self.gradation, self.adaptivity);
-        let density = DensityOptions { edge_length, gradation, adaptivity, ..DensityOptions::from_source(source) };
-        density.check().map_err(|error| Usage(error.to_string()))?;
-        Ok(density)
-    }
-
-    /// Refuses what cannot be whatever the surface, for vertices that go to `placement`.
-    pub(crate) fn check(&self, placement: PlacementArg) -> Result<()> {
-        self.with_source(self.density.source())?;
-        let refused = match (self.max_deviation, self.points, self.max_points) {
-            (None, ..) => return Ok(()),
-            (Some(_), ..) if placement != PlacementArg::Fitted => {
-                "--max-deviation is for --placement fitted; give one of them alone".to_owned()
-            }
-            (_, Some(points), Some(most)) if most < points => {
-                format!("--max-points {most} is less than --points {points}")
-            }
-            (_, None, None) => "--max-deviation without --points needs --max-points".to_owned(),
-            _ => return Ok(()),
-        };
-        Err(Usage(refused).into())
-    }
-
-    /// Whether points are added, and how many.
-    fn refine(&self, mesh: &TriMesh) -> Result<Option<Refine>> {
-        let Some(percent) = self.max_deviation else { return Ok(None) };
-        let (low, high) = mesh.bounds();
-        let extent = (high - low).max_element();
-        let diagonal = ((high - low) / extent).length() * extent;
-        let tolerance = percent / 100.0 * diagonal;
-        Ok(Some(match (self.points, self.max_points) {
-            (_, Some(most)) => Refine { tolerance, max_points: most as usize },
-            // `check` wants one of them.
-            (points, None) => Refine::new(tolerance, points.unwrap_or_default() as usize),
-        }))
-    }
+/// `max_points` as `--max-points`.
+pub(crate) fn flag(name: &str) -> String {
+    format!("--{}", name.replace('_', "-"))
 }
 
 impl RemeshArgs {
-    /// What the arguments say of `mesh`, which carries `attributes`.
-    pub(crate) fn options(&self, mesh: &TriMesh, attributes: Option<Attributes>) -> Result<RemeshOptions> {
-        let Self { size, shape, steps, files, .. } = self;
+    /// The options that are set, and the library's of them. Arrays are empty.
+    ///
+    /// # Errors
+    /// What cannot be whatever the surface.
+    pub(crate) fn asked(&self) -> Result<(proto::RemeshOptions, RemeshOptions)> {
+        let message = given::message([self.size.texts(), self.shape.texts(), self.steps.texts()])?;
+        let beside = Beside { edge_lengths: self.size.sizes.is_some(), ..Beside::default() };
+        let options = options::remesh(&message, beside, &Bounds::of_library()).map_err(usage)?;
+        Ok((message, options))
+    }
+
+    /// The same of `mesh`, which carries `attributes`.
+    pub(crate) fn options(
+        &self,
+        mesh: &TriMesh,
+        attributes: Option<Attributes>,
+    ) -> Result<(proto::RemeshOptions, RemeshOptions)> {
+        let (message, mut options) = self.asked()?;
         // Lists go by the vertices of the one input.
-        let input = &Surface::new(self.input.first().map_or(Path::new(""), PathBuf::as_path), files.input_format);
-        let ShapeArgs { crease_angle, ref creases, boundaries, thin, placement } = *shape;
-        let StepArgs { lloyd, newton, projection, seed } = *steps;
-        let density = size.density(input, mesh)?;
-        let refine = size.refine(mesh)?;
-        let creases = creases.as_ref().map(|path| {
-            let edges = sizes::read_edges(path, input, mesh)?;
+        let path = self.input.first().map_or(Path::new(""), PathBuf::as_path);
+        let input = &Surface::new(path, self.files.input_format);
+        let lengths = self.size.sizes.as_ref().map(|path| sizes::read(path, input, mesh)).transpose()?;
+        options::fill(&mut options, Vec::new(), lengths, None);
+        if let Some(path) = &self.shape.creases {
+            options.creases = sizes::read_edges(path, input, mesh)?;
             // Before a server is asked.
-            Features::check(mesh, crease_angle, &edges, &Token::default())
+            Features::check(mesh, options.crease_angle_deg, &options.creases, &Token::default())
                 .map_err(|e| BadInput(format!("{}: {e} (numbers of the surface as it was read)", path.display())))?;
-            Ok::<_, anyhow::Error>(edges)
-        });
-        Ok(RemeshOptions {
-            seeds: match size.points {
-                Some(points) => Seeds::Sample { points: points as usize, seed },
-                None => Seeds::Implied { seed },
-            },
-            lloyd: lloyd as usize,
-            newton: newton as usize,
-            density,
-            projection: projection.projection(),
-            placement: placement.placement(),
-            crease_angle_deg: crease_angle,
-            creases: creases.transpose()?.unwrap_or_default(),
-            refine,
-            keep_boundaries: boundaries == BoundariesArg::Keep,
-            keep_thin: thin == ThinArg::Finer,
-            measure: RemeshOptions::usual().measure,
-            attributes,
-        })
+        }
+        options.attributes = attributes;
+        Ok((message, options))
     }
 }

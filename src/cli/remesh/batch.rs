@@ -1,6 +1,6 @@
 //! Many files in one run.
 //!
-//! Invariant: a file that fails stops no other. One line tells of each, on the standard output if it was remeshed, else on the
+//! Invariant: a file that fails stops no other. Each has one line, on the standard output if it was remeshed, else on the
 //! standard error stream; the exit code is that of the first failure. Must not know: how a remesh is made.
 
 use anyhow::Result;

@@ -1,6 +1,6 @@
 //! What a person wants to know at the end of a remesh.
 //!
-//! Invariant: read from the report's JSON, so that a remesh of a server is told as one that was made here. A figure that
+//! Invariant: read from the report's JSON, so that a server's remesh has the same summary as a local one. A figure that
 //! is not there, or is no number, is left out. Must not know: how the figures came about.
 
 use std::path::Path;
@@ -34,7 +34,7 @@ const SURFACE: &[(&str, &str)] = &[
     ("non_manifold_edges", "edges have more than two facets; the result is cut there: to choose where, cut the input"),
 ];
 
-/// A remesh that is to be told of.
+/// A remesh to summarize.
 pub(super) struct Told<'a> {
     pub(super) report: &'a Value,
     pub(super) input: &'a Path,

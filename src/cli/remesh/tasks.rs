@@ -23,7 +23,7 @@ pub(super) struct Task {
 pub(super) fn of(args: &RemeshArgs) -> Result<Vec<Task>> {
     args.backend.check()?;
     args.picture.check()?;
-    args.size.check(args.shape.placement)?;
+    args.asked()?;
     check_together(args)?;
     let FileArgs { output, out_dir, report, .. } = &args.files;
     report.iter().try_for_each(|path| files::check_output(path, &[]))?;

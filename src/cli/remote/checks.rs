@@ -158,7 +158,7 @@ fn most(mesh: &TriMesh, options: &RemeshOptions) -> (u64, u64) {
         }
         (Seeds::Implied { .. }, _) => options.density.edge_length.map_or(MOST, of_length),
     };
-    let points = points.max(options.refine.map_or(0, |refine| refine.max_points as u64)).min(MOST);
+    let points = points.max(options.refine.map_or(0, |refine| refine.max_points.unwrap_or(0) as u64)).min(MOST);
     let input = (mesh.positions().len() + mesh.facets().len()) as u64;
     let vertices = (16 * points + 4 * input + (1 << 16)).min(MOST);
     (vertices, (4 * vertices).min(MOST))

@@ -12,6 +12,7 @@ use tonic::{Code, Status};
 use crate::endpoint::ServerUrl;
 use crate::exit::{Absent, BadInput, NoResult, Unavailable};
 use crate::plain::plain;
+use crate::remesh::args::flag;
 use wire::names;
 
 /// How tonic begins what it says itself of an answer that it cannot read.
@@ -117,7 +118,6 @@ fn said(url: &ServerUrl, status: &Status) -> anyhow::Error {
     let said = words(status);
     match status.code() {
         Code::InvalidArgument => {
-            let flag = |name: &str| format!("--{}", name.replace('_', "-"));
             let said = names::in_text(&said, flag).unwrap_or(said);
             BadInput(format!("the server says: {said}")).into()
         }

@@ -30,7 +30,7 @@ mod thin_parts;
 mod tolerance;
 mod vertex_count;
 
-use crate::cvt::density::{DensitySource, Plan};
+use crate::cvt::density::{Count, DensitySource, Plan};
 use crate::mesh::TriMesh;
 use crate::mesh::adjacency::Adjacency;
 use crate::mesh::apart::Apart;
@@ -41,7 +41,7 @@ use crate::mesh::measure::{Quality, coincident_vertices, quality_and_distances, 
 use crate::mesh::outliers;
 use crate::remesh::attributes::{self, Provenance};
 use crate::remesh::report::{CountFigures, InputFigures, MemoryFigures, Report, ResultFigures};
-use crate::remesh::{Observer, Placement, Refine, Remesh, RemeshError, RemeshOptions, Seeds};
+use crate::remesh::{Limits, Observer, Placement, Refine, Remesh, RemeshError, RemeshOptions, Seeds, Tolerance};
 use crate::rvd::{Backend, RvdError, on_threads_of};
 use crate::token::{Stopped, Token};
 use attempt::Attempt;
@@ -61,6 +61,11 @@ pub fn remesh(
     observer: &mut dyn Observer,
     token: &Token,
 ) -> Result<Remesh, RemeshError> {
+    let measured = options.refine.map(|refine| {
+        let tolerance = Tolerance::Length(refine.tolerance.length(given));
+        RemeshOptions { refine: Some(Refine { tolerance, ..refine }), ..options.clone() }
+    });
+    let options = measured.as_ref().unwrap_or(options);
     on_threads_of(backend, || match run_stages(given, options, backend, observer, token) {
         // Vertices far off the surface take all the points: without their spikes, which are put back afterwards. Given seeds are
         // where they are, whatever takes them.
@@ -103,12 +108,19 @@ fn run_stages(
     if changed.is_some() || apart.is_some() {
         prepared = prepare(separated, options, token);
     }
-    if let (Some(Refine { max_points: most, .. }), Ok(Prepared { plan: Plan { points, .. }, .. })) =
-        (options.refine, &prepared)
-        && *points > most
-    {
-        return Err(RemeshError::RefineLimit { points: *points, most });
-    }
+    let limits = match (options.refine, &prepared) {
+        (Some(Refine { tolerance, max_points }), &Ok(Prepared { plan: Plan { points, .. }, .. })) => {
+            let first = if let Count::Points(count) = options.seeds.count() { count } else { points };
+            let most = max_points.unwrap_or(first.saturating_mul(2));
+            if points > most {
+                return Err(RemeshError::RefineLimit { points, most });
+            }
+            Some(Limits { tolerance: tolerance.length(given), max_points: most })
+        }
+        _ => None,
+    };
+    let limited = limits.map(|limits| RemeshOptions { refine: Some(limits.into()), ..options.clone() });
+    let options = limited.as_ref().unwrap_or(options);
     // Given edge lengths are not changed.
     let free = !matches!(options.density.source, DensitySource::Sizes(_) | DensitySource::Weights(_));
     let keep_thin = options.keep_thin && free && options.placement == Placement::Fitted;
@@ -118,11 +130,11 @@ fn run_stages(
     let scales_seeds = options.refine.is_none();
     let topology = input.topology;
     let mut job = Job { separated, backend, token, observer, laps, keep_thin, scales_seeds, diagonal, topology };
-    let attempt = match (options.refine, &options.seeds) {
-        (Some(refine), &(Seeds::Sample { seed, .. } | Seeds::Implied { seed })) => {
-            prepared.and_then(|prepared| tolerance::refine(&mut job, prepared, options, refine, seed))
+    let attempt = match (limits, &options.seeds) {
+        (Some(limits), &(Seeds::Sample { seed, .. } | Seeds::Implied { seed })) => {
+            prepared.and_then(|prepared| tolerance::refine(&mut job, prepared, options, limits, seed))
         }
-        (Some(refine), _) => prepared.and_then(|prepared| tolerance::add(&mut job, prepared, options, refine)),
+        (Some(limits), _) => prepared.and_then(|prepared| tolerance::add(&mut job, prepared, options, limits)),
         (None, _) => prepared.and_then(|prepared| job.attempt(prepared, options, None)),
     };
     let mut attempt = attempt.map_err(|error| error.for_surface(&input.topology))?;

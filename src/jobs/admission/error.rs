@@ -7,7 +7,6 @@ use std::fmt;
 
 use crate::JobError;
 use crate::blob::BlobError;
-use crate::record::SpecError;
 use crate::store::StoreError;
 
 /// A memory that jobs share.
@@ -31,13 +30,10 @@ impl fmt::Display for Memory {
 /// Why something that a caller wants of jobs was refused or failed.
 #[derive(Clone, Debug, thiserror::Error)]
 pub enum JobApiError {
-    /// The specification makes no sense.
-    #[error(transparent)]
-    Spec(#[from] SpecError),
     /// The specification does not fit what its blobs hold, or what this server takes.
     #[error("{field} {problem}")]
     Input {
-        /// Where, as in [`SpecError::field`].
+        /// Where in the request.
         field: String,
         /// What is wrong, and what to give instead.
         problem: String,

@@ -7,17 +7,20 @@
 
 use crate::observe::activity::Origin;
 use crate::record::Bytes;
+use crate::record::JobId;
 pub use crate::record::Kind;
-use crate::record::{DensityKind, JobId, PlacementRule};
+use geometry::remesh::{Placement, RemeshOptions};
 use geometry::rvd::BackendKind;
 use gpu::SessionForecast;
+use wire::options::{Diagram, Session, source};
+pub use wire::proto::DensitySource;
 
 /// What is known of a job before it runs.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Counts {
     /// What is done.
     pub kind: Kind,
-    /// Who does it.
+    /// The backend.
     pub backend: BackendKind,
     /// Vertices of the surface.
     pub vertices: u64,
@@ -30,9 +33,9 @@ pub struct Counts {
     /// Bytes of the file or the arrays that the surface comes as.
     pub input_bytes: u64,
     /// Where the density comes from.
-    pub density: DensityKind,
+    pub density: DensitySource,
     /// Where a remesh puts its vertices.
-    pub placement: PlacementRule,
+    pub placement: Placement,
     /// Numbers of all attributes that a remesh carries over, three for a normal.
     pub attributes: u64,
     /// Bytes of lists beside the surface (sizes, weights, creases): as they come, and as they are held.
@@ -55,16 +58,44 @@ impl Counts {
             facets,
             points,
             steps: 35,
-            // A binary file in single precision; who knows better says so.
+            // A binary file in single precision, unless the caller knows better.
             input_bytes: vertices.saturating_mul(12).saturating_add(facets.saturating_mul(13)),
-            density: DensityKind::Uniform,
-            placement: PlacementRule::Fitted,
+            density: DensitySource::Uniform,
+            placement: Placement::Fitted,
             attributes: 0,
             list_bytes: 0,
             refines: false,
             measures: true,
             cells: false,
         }
+    }
+
+    /// With the options of a remesh; `points` are those at first.
+    #[must_use]
+    pub fn of_remesh(self, options: &RemeshOptions) -> Self {
+        let most =
+            |most: Option<usize>| most.map_or(self.points.saturating_mul(2), |most| most as u64).max(self.points);
+        Self {
+            points: options.refine.map_or(self.points, |refine| most(refine.max_points)),
+            steps: options.lloyd as u64 + options.newton as u64,
+            density: source(&options.density),
+            placement: options.placement,
+            refines: options.refine.is_some(),
+            measures: options.measure,
+            ..self
+        }
+    }
+
+    /// With the options of a diagram.
+    #[must_use]
+    pub fn of_diagram(self, diagram: &Diagram) -> Self {
+        Self { steps: 0, density: source(&diagram.density), ..self }
+    }
+
+    /// With the options of a session; `points` are those at first.
+    #[must_use]
+    pub fn of_session(self, session: &Session) -> Self {
+        Self { points: self.points.max(session.options.max_seeds as u64), density: source(&session.density), ..self }
     }
 
     /// How a job with these counts is counted.
@@ -83,7 +114,7 @@ pub struct Need {
     pub seconds: f64,
 }
 
-/// What a job needs, with so many threads.
+/// What a job needs, with `threads` threads.
 pub fn need(counts: &Counts, threads: usize) -> Need {
     let counts = Counts { facets: divided(counts), ..*counts };
     Need {
@@ -105,14 +136,14 @@ fn device_bytes(counts: &Counts) -> u64 {
     if counts.backend != BackendKind::Gpu {
         return 0;
     }
-    let graded = counts.density != DensityKind::Uniform;
+    let graded = counts.density != DensitySource::Uniform;
     let moved = counts.kind != Kind::Rvd && counts.steps > 0;
     SessionForecast { facets: counts.facets, seeds: counts.points, graded, moved }.device_bytes()
 }
 
 const MIB: u64 = 1 << 20;
 
-/// Bytes that facets and points take, so many each.
+/// Bytes of facets and points, from the bytes of one of each.
 fn each(counts: &Counts, facet: u64, point: u64) -> u64 {
     counts.facets.saturating_mul(facet).saturating_add(counts.points.saturating_mul(point))
 }
@@ -122,7 +153,7 @@ fn each(counts: &Counts, facet: u64, point: u64) -> u64 {
 fn host_bytes(counts: &Counts, threads: usize) -> u64 {
     let (least, work) = match counts.kind {
         Kind::Remesh => {
-            let fitted = counts.placement == PlacementRule::Fitted;
+            let fitted = counts.placement == Placement::Fitted;
             let (facet, point) = (530, if fitted { 4000 } else { 3100 });
             // The best result is kept beside the next one.
             let (facet, point) = if counts.refines { (facet * 3 / 2, point * 7 / 4) } else { (facet, point) };
@@ -152,13 +183,13 @@ fn seconds(counts: &Counts, threads: usize) -> f64 {
     let (facets, points, steps) = (counts.facets as f64, counts.points as f64, counts.steps as f64);
     let threads = if counts.backend == BackendKind::Serial { 1.0 } else { threads.max(1) as f64 };
     let density = match counts.density {
-        DensityKind::Uniform | DensityKind::Weights => 0.0,
-        DensityKind::EdgeLengths => 0.5,
-        DensityKind::Curvature => 1.4,
-        DensityKind::FeatureSize => 5.4,
+        DensitySource::Unspecified | DensitySource::Uniform | DensitySource::Weights => 0.0,
+        DensitySource::EdgeLengths => 0.5,
+        DensitySource::Curvature => 1.4,
+        DensitySource::Lfs => 5.4,
     } * facets;
     let step = 0.025 * facets + 0.24 * points;
-    let fit = if counts.placement == PlacementRule::Fitted { 2.7 * facets + 4.5 * points } else { 0.0 };
+    let fit = if counts.placement == Placement::Fitted { 2.7 * facets + 4.5 * points } else { 0.0 };
     let measure = if counts.measures { 0.07e6 + 0.2 * facets + 1.5 * points } else { 0.0 };
     let cells = if counts.cells { 1.5 * (facets + points) } else { 0.0 };
     let (steps, other) = match counts.kind {

@@ -15,14 +15,11 @@ use super::error::{JobApiError, Memory};
 use crate::admission::estimate::{Counts, Need, need};
 use crate::blob::{BlobError, BlobStore, Digest, Owner};
 use crate::engine::Engine;
-use crate::record::Bytes;
-use crate::record::{
-    ArrayForm, AttributeKind, AttributeRef, DensityKind, JobSpec, MeshSource, PlacementRule, RvdOutput, SeedSource,
-    WorkSpec,
-};
+use crate::record::{ArrayRef, Arrays, AttributeRef, Bytes, MeshSource, Operation, Spec, steps};
+use geometry::cvt::density::Count;
 use geometry::mesh::io::{self, DataError, Format};
-use geometry::remesh::RemeshOptions;
 use geometry::rvd::{BackendChoice, BackendKind};
+use wire::proto::ArrayForm;
 
 /// Larger blobs are not read for their counts, nor such in which more is packed.
 const READ_BYTES: u64 = 64 << 20;
@@ -47,7 +44,7 @@ pub struct Forecast {
     engine: Engine,
     /// The most seeds that a job may have.
     max_seeds: u64,
-    /// Who reads a blob for its counts: they lie in memory meanwhile.
+    /// Blobs that are read for their counts: they lie in memory meanwhile.
     reading: Semaphore,
     known: Mutex<HashMap<(Digest, Format), File>>,
 }
@@ -73,13 +70,13 @@ impl Forecast {
     ///
     /// # Errors
     /// `Blob`; `Input` if a blob holds no surface; `TooLarge` and `Packed` if more is packed in it than may be.
-    pub async fn counts(&self, spec: &JobSpec, given: Option<(u64, u64)>) -> Result<Counts, JobApiError> {
-        let owner = Owner::of(&spec.tenant);
+    pub async fn counts(&self, spec: &Spec, given: Option<(u64, u64)>) -> Result<Counts, JobApiError> {
+        let (owner, task) = (Owner::of(&spec.tenant), spec.task());
         // What a caller says of its file may be any number.
         let bytes = |(vertices, facets): (u64, u64), each: (u64, u64)| {
             vertices.saturating_mul(each.0).saturating_add(facets.saturating_mul(each.1))
         };
-        let ((vertices, facets), input_bytes) = match (&spec.mesh, given) {
+        let ((vertices, facets), input_bytes) = match (&task.mesh, given) {
             (MeshSource::Arrays { positions, facets, .. }, _) => {
                 let counts = (positions.count, facets.count);
                 (counts, bytes(counts, (24, 12)))
@@ -87,68 +84,43 @@ impl Forecast {
             (MeshSource::File { .. }, Some(given)) => (given, bytes(given, (12, 13))),
             (MeshSource::File { blob, format, .. }, None) => self.of_file(owner, *blob, *format).await?,
         };
-        let backend = self.engine.backend(spec.choice()).map_or(BackendKind::Parallel, |by| by.kind);
-        let mut counts = Counts { input_bytes, ..Counts::new(spec.kind(), backend, vertices, facets, 0) };
-        counts.list_bytes = self.list_bytes(owner, &spec.work, &counts).await;
-        match &spec.work {
-            WorkSpec::Remesh(work) => {
-                let usual = RemeshOptions::usual();
-                let steps = |given: Option<u32>, usual: usize| given.map_or(usual as u64, u64::from);
-                counts.steps = steps(work.lloyd_steps, usual.lloyd) + steps(work.newton_steps, usual.newton);
-                counts.density = work.density.kind();
-                counts.placement = work.placement.unwrap_or(PlacementRule::Fitted);
-                counts.refines = work.refinement.is_some();
-                if let MeshSource::Arrays { attributes, .. } = &spec.mesh {
-                    counts.attributes = attributes.iter().map(numbers_of).fold(0, u64::saturating_add);
-                }
-                let first = self.points(owner, &work.seeds, facets).await;
-                counts.points = match work.refinement {
-                    Some(refinement) => refinement.max_points.unwrap_or(first.saturating_mul(2)).max(first),
-                    None => first,
-                };
-            }
-            WorkSpec::Rvd(work) => {
-                counts.points = self.points(owner, &work.seeds, facets).await;
-                counts.steps = 0;
-                counts.cells = work.outputs.is_empty() || work.outputs.contains(&RvdOutput::Cells);
-                counts.density = if work.weights.is_some() { DensityKind::Weights } else { DensityKind::Uniform };
-            }
-            WorkSpec::Cvt(work) => {
-                counts.points = work.max_seeds.unwrap_or(0).max(self.points(owner, &work.seeds, facets).await);
-                counts.steps = work.steps();
-                counts.density = work.density.kind();
-            }
-        }
-        Ok(counts)
+        let backend = self.engine.backend(task.backend).map_or(BackendKind::Parallel, |by| by.kind);
+        let points = self.points(owner, task.operation.seeds().count(), task.arrays.seeds, facets).await;
+        let counts = Counts::new(task.operation.kind(), backend, vertices, facets, points);
+        let attributes = match &task.mesh {
+            MeshSource::Arrays { attributes, .. } => attributes.iter().map(numbers_of).fold(0, u64::saturating_add),
+            MeshSource::File { .. } => 0,
+        };
+        let list_bytes = self.list_bytes(owner, task.arrays, &counts).await;
+        let counts = Counts { input_bytes, attributes, list_bytes, ..counts };
+        Ok(match &task.operation {
+            Operation::Remesh(options) => counts.of_remesh(options),
+            Operation::Rvd(diagram) => Counts { cells: diagram.outputs.cells, ..counts.of_diagram(diagram) },
+            Operation::Cvt(session, commands) => Counts { steps: steps(commands), ..counts.of_session(session) },
+        })
     }
 
     /// How many seeds there are at first. Of those that a density implies nothing is known here but that there are seldom
     /// more than half as many as facets.
-    async fn points(&self, owner: Owner, seeds: &SeedSource, facets: u64) -> u64 {
-        match seeds {
-            SeedSource::Sampled { points: Some(points), .. } => *points,
-            SeedSource::Sampled { points: None, .. } => (facets / 2).clamp(1, self.max_seeds),
-            SeedSource::Given(array) if array.count > 0 => array.count,
-            SeedSource::Given(array) => {
+    async fn points(&self, owner: Owner, count: Count, given: Option<ArrayRef>, facets: u64) -> u64 {
+        match (given, count) {
+            (Some(array), _) if array.count > 0 => array.count,
+            (Some(array), _) => {
                 let text = self.size_of(owner, array.blob).await;
                 text.map_or(1, |size_bytes| (size_bytes / TEXT_BYTES).clamp(1, self.max_seeds))
             }
+            (None, Count::Points(points)) => points as u64,
+            (None, Count::Implied) => (facets / 2).clamp(1, self.max_seeds),
         }
     }
 
     /// Bytes of the lists beside a surface: their text, and the numbers that are made of it.
-    async fn list_bytes(&self, owner: Owner, work: &WorkSpec, surface: &Counts) -> u64 {
+    async fn list_bytes(&self, owner: Owner, arrays: Arrays, surface: &Counts) -> u64 {
+        let Arrays { seeds, edge_lengths, weights, creases } = arrays;
         // How many numbers there are, at most.
         let (lengths, edges) = (surface.vertices, surface.facets.saturating_mul(3));
-        let ((lists, creases), seeds) = match work {
-            WorkSpec::Remesh(work) => (([work.density.edge_lengths, work.density.weights], work.creases), &work.seeds),
-            WorkSpec::Cvt(work) => (([work.density.edge_lengths, work.density.weights], None), &work.seeds),
-            WorkSpec::Rvd(work) => (([None, work.weights], None), &work.seeds),
-        };
-        let seeds = if let SeedSource::Given(array) = seeds { Some(*array) } else { None };
-        let lists = lists.map(|list| (list, lengths)).into_iter().chain([(creases, edges), (seeds, 0)]);
         let mut bytes = 0u64;
-        for (array, most) in lists {
+        for (array, most) in [(edge_lengths, lengths), (weights, lengths), (creases, edges), (seeds, 0)] {
             let Some(array) = array else { continue };
             // As it comes. Text is as long as its blob, and has two bytes for a number.
             let size_bytes = self.size_of(owner, array.blob).await.unwrap_or(0);
@@ -196,7 +168,7 @@ impl Forecast {
                 JobApiError::TooLarge { of: Memory::Host, needed_bytes, limit_bytes: limits.host }
             }
             DataError::TooLong { limit } => JobApiError::Packed { limit_bytes: limit as u64 },
-            error => JobApiError::Input { field: "mesh.file".to_owned(), problem: error.to_string() },
+            error => JobApiError::Input { field: "spec.mesh.file".to_owned(), problem: error.to_string() },
         };
         let _turn = self.reading.acquire().await;
         let whole = size_bytes <= READ_BYTES;
@@ -225,15 +197,9 @@ impl Forecast {
 }
 
 /// Numbers of an attribute.
-fn numbers_of(AttributeRef { kind, values, corners, .. }: &AttributeRef) -> u64 {
-    let each = match kind {
-        AttributeKind::Normals => 3,
-        AttributeKind::TextureCoordinates => 2,
-        AttributeKind::Colours => 4,
-        AttributeKind::Scalar => 1,
-    };
+fn numbers_of(AttributeRef { counts, values, corners }: &AttributeRef) -> u64 {
     let corners = corners.map_or(0, |corners| corners.count.saturating_mul(3));
-    values.count.saturating_mul(each).saturating_add(corners)
+    values.count.saturating_mul(counts.numbers).saturating_add(corners)
 }
 
 /// The first bytes of a blob, which say whether it is packed.
@@ -241,7 +207,7 @@ const MAGIC_BYTES: u64 = 3;
 
 fn no_surface() -> JobApiError {
     JobApiError::Input {
-        field: "mesh.file".to_owned(),
+        field: "spec.mesh.file".to_owned(),
         problem: "the blob is no surface in this format; see that the format is right".to_owned(),
     }
 }
@@ -283,7 +249,7 @@ pub fn must_fit(need: &Need, limits: Bytes) -> Result<(), JobApiError> {
     }
 }
 
-/// The most vertices and facets that a file of so many bytes is likely to hold: the shortest that writers make.
+/// The most vertices and facets that a file of `bytes` bytes is likely to hold: the shortest that writers make.
 fn most(format: Format, bytes: u64) -> (u64, u64) {
     let facets = bytes / format.facet_bytes();
     (facets / 2, facets)
@@ -298,8 +264,8 @@ mod tests {
 
     use super::*;
     use crate::blob::put_of;
-    use crate::record::{ArrayRef, Deadlines, RemeshWork};
     use geometry::mesh::shapes::Shape;
+    use wire::proto::{self, JobArrays, JobSpec, MeshFile, RemeshOptions, job_mesh, job_spec};
 
     fn gzip(bytes: Vec<u8>) -> Vec<u8> {
         io::pack_for(Path::new("a.gz"), bytes).unwrap()
@@ -365,30 +331,34 @@ mod tests {
         let blob = put(io::encode(io::Format::Ply, &mesh).unwrap()).await;
         let text = put(b"0 1\n".repeat(1 << 18)).await;
         let forecast = Forecast::new(Arc::clone(&blobs), engine.clone(), 1_000_000);
-        let need_of = async |change: &dyn Fn(&mut RemeshWork)| {
-            let mut work = RemeshWork::new(SeedSource::Sampled { points: Some(100), random_seed: None });
-            change(&mut work);
-            let spec = JobSpec {
-                mesh: MeshSource::File { blob, format: Format::Ply, attributes: None },
-                work: WorkSpec::Remesh(Box::new(work)),
-                backend: None,
-                result: None,
-                priority: None,
-                deadlines: Deadlines::default(),
-                labels: std::collections::BTreeMap::new(),
-                tenant: "t".to_owned(),
-                request_id: String::new(),
+        let need_of = async |arrays: JobArrays| {
+            let file = MeshFile { digest: blob.to_string(), format: Format::Ply.number(), attributes: None };
+            // With lengths, only their ratios count.
+            let points = Some(100);
+            let message = JobSpec {
+                mesh: Some(proto::JobMesh { source: Some(job_mesh::Source::File(file)) }),
+                work: Some(job_spec::Work::Remesh(RemeshOptions { points, ..RemeshOptions::default() })),
+                arrays: Some(arrays),
+                ..JobSpec::default()
             };
+            let spec = Spec::new(message, "t".to_owned(), String::new()).unwrap();
             forecast.need(&forecast.counts(&spec, None).await.unwrap()).memory.host
         };
-        let without = need_of(&|_| {}).await;
-        let list = Some(ArrayRef { blob: text, form: ArrayForm::Text, count: 0 });
+        let without = need_of(JobArrays::default()).await;
+        let array =
+            |form: ArrayForm, count| Some(proto::ArrayRef { digest: text.to_string(), form: form.into(), count });
+        let list = || array(ArrayForm::Text, 0);
         let (facets, vertices) = (mesh.facets().len() as u64, mesh.positions().len() as u64);
-        assert_eq!(need_of(&|work| work.creases = list).await, without + (1 << 20) + 3 * facets * 16);
-        let sizes = need_of(&|work| work.density.edge_lengths = list).await;
+        assert_eq!(
+            need_of(JobArrays { creases: list(), ..JobArrays::default() }).await,
+            without + (1 << 20) + 3 * facets * 16
+        );
+        let sizes = need_of(JobArrays { edge_lengths: list(), ..JobArrays::default() }).await;
         assert_eq!(sizes, without + (1 << 20) + vertices * 16);
-        let edges = Some(ArrayRef { blob: text, form: ArrayForm::U32, count: 1 << 17 });
-        assert_eq!(need_of(&|work| work.creases = edges).await, without + (1 << 20) + (16 << 17));
+        assert_eq!(
+            need_of(JobArrays { creases: array(ArrayForm::U32, 1 << 17), ..JobArrays::default() }).await,
+            without + (1 << 20) + (16 << 17)
+        );
         engine.close();
         tokio::task::spawn_blocking(move || thread.join()).await.unwrap().unwrap();
     }

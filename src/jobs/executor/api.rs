@@ -2,7 +2,7 @@
 //!
 //! Purpose: [`JobApi`], what the services and the command see of jobs.
 //! Invariant: a job of another tenant does not exist for a caller. An answer that is not an error says what is kept.
-//! Must not know: messages, streams, who does the work, where jobs are kept.
+//! Must not know: streams, how work is done, where jobs are kept.
 
 use async_trait::async_trait;
 use tokio::sync::watch;
@@ -11,19 +11,19 @@ pub use crate::admission::error::{JobApiError, Memory};
 use crate::blob::BlobError;
 pub use crate::observe::preview::{Preview, PreviewReceiver};
 use crate::record::event::Events;
-use crate::record::{Job, JobId, JobSpec};
+use crate::record::{Job, JobId, Spec};
 use crate::store::{Created, Page, Query};
 
-/// See the module's head. Whoever calls [`create`](Self::create), [`cancel`](Self::cancel) or [`delete`](Self::delete) runs
-/// it to its end, even if nobody waits for the answer any more.
+/// See the module's head. A call of [`create`](Self::create), [`cancel`](Self::cancel) or [`delete`](Self::delete) must
+/// be run to its end, even if the caller is gone.
 #[async_trait]
 pub trait JobApi: Send + Sync {
-    /// Checks a job, keeps it and queues it. The specification has its tenant and its request's number.
+    /// Keeps a job and queues it.
     ///
     /// # Errors
-    /// `Spec`, `Input`, `TooLarge`, `Packed`; `Blob` if its input is not stored; `Store` if the request came before with another
+    /// `Input`, `TooLarge`, `Packed`; `Blob` if its input is not stored; `Store` if the request came before with another
     /// body; `Job` if the queue is full or the server drains.
-    async fn create(&self, spec: JobSpec) -> Result<Created, JobApiError>;
+    async fn create(&self, spec: Spec) -> Result<Created, JobApiError>;
 
     /// A job.
     ///
@@ -71,13 +71,8 @@ pub trait JobApi: Send + Sync {
     /// What a job would need. Counts that are not given are read from the job's input.
     ///
     /// # Errors
-    /// `Spec`, `Input`, `TooLarge`, `Packed`; `Blob` if counts are not given and the input is not stored.
-    async fn estimate(
-        &self,
-        spec: JobSpec,
-        vertices: Option<u64>,
-        facets: Option<u64>,
-    ) -> Result<Estimate, JobApiError>;
+    /// `Input`, `TooLarge`, `Packed`; `Blob` if counts are not given and the input is not stored.
+    async fn estimate(&self, spec: Spec, vertices: Option<u64>, facets: Option<u64>) -> Result<Estimate, JobApiError>;
 
     /// Ends if nothing can be kept any more: only a new process can go on.
     async fn failed(&self);

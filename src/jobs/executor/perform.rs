@@ -11,21 +11,21 @@ use std::io::Cursor;
 use std::sync::Arc;
 
 use crate::executor::diagram::Diagram;
-use crate::executor::input::{JobBounds, ReadBlob, WorkError, failure, load, load_remesh};
+use crate::executor::input::{ReadBlob, Reader, WorkError, failure};
 use crate::executor::prepared::Prepared;
 use crate::observe::activity::Activity;
-use crate::record::{
-    CvtCommand, CvtWork, FailureKind, JobSpec, RemeshWork, ResultFormat, RvdOutput, RvdWork, SeedChange, SendSeeds,
-    StepKindName, WorkSpec,
-};
+use crate::record::{Command, FailureKind, Operation, ResultFormat, Task, steps};
 use crate::{BackendInfo, Backends};
-use geometry::cvt::{Cvt, CvtOptions, SeedEdit};
+use geometry::cvt::{Cvt, StepKind};
 use geometry::mesh::attributes::{Attributes, ColourDepth, Colours, Normals};
 use geometry::mesh::io::{self, Format};
 use geometry::remesh::report::{IterationFigures, to_json};
-use geometry::remesh::{Observer, Remesh, remesh};
+use geometry::remesh::{Observer, Remesh, RemeshOptions, remesh};
 use geometry::rvd::cell_file::CellWriter;
 use geometry::token::Token;
+use wire::counts::Bounds;
+use wire::options;
+use wire::proto::SeedsWanted;
 
 /// What a job gives: bytes, each part under its name.
 pub(crate) type Parts = Vec<(String, Bytes)>;
@@ -34,34 +34,39 @@ pub(crate) type Parts = Vec<(String, Bytes)>;
 pub(crate) struct JobContext<'a> {
     pub backends: &'a Backends,
     pub blobs: &'a dyn ReadBlob,
-    pub bounds: &'a JobBounds,
+    pub bounds: &'a Bounds,
     pub token: &'a Token,
     /// Hears of stages and steps.
     pub(crate) activity: &'a Activity,
+}
+
+impl JobContext<'_> {
+    fn reader(&self) -> Reader<'_> {
+        Reader { blobs: self.blobs, bounds: self.bounds, token: self.token }
+    }
 }
 
 /// Does the work.
 ///
 /// # Errors
 /// Why it cannot be done, or was stopped.
-pub(crate) fn perform(spec: &JobSpec, context: &JobContext<'_>) -> Result<Parts, WorkError> {
+pub(crate) fn perform(task: &Task, context: &JobContext<'_>) -> Result<Parts, WorkError> {
     context.token.check()?;
-    context.token.enter("read");
-    match &spec.work {
-        WorkSpec::Remesh(work) => of_remesh(spec, work, context),
-        WorkSpec::Rvd(work) => of_rvd(spec, work, context),
-        WorkSpec::Cvt(work) => of_cvt(spec, work, context),
+    match &task.operation {
+        Operation::Remesh(options) => of_remesh(task, options, context),
+        Operation::Rvd(diagram) => of_rvd(task, diagram.clone(), context),
+        Operation::Cvt(session, commands) => of_cvt(task, session.clone(), commands, context),
     }
 }
 
-fn of_remesh(spec: &JobSpec, work: &RemeshWork, context: &JobContext<'_>) -> Result<Parts, WorkError> {
-    let (mesh, options) = load_remesh(spec, work, context.blobs, context.bounds, context.token)?;
-    let backend = Arc::clone(context.backends.choose(spec.choice())?);
+fn of_remesh(task: &Task, options: &RemeshOptions, context: &JobContext<'_>) -> Result<Parts, WorkError> {
+    let (mesh, options) = context.reader().remesh(task, options.clone())?;
+    let backend = Arc::clone(context.backends.choose(task.backend)?);
     let mut observer = context.activity;
     let done = remesh(&mesh, &options, backend.as_ref(), &mut observer, context.token)?;
     drop((mesh, options));
     context.token.enter("write");
-    let mut parts = match spec.result.unwrap_or(ResultFormat::File(Format::Ply)) {
+    let mut parts = match task.result {
         ResultFormat::File(format) => vec![("mesh".to_owned(), file(format, &done)?)],
         ResultFormat::Arrays => arrays(&done),
     };
@@ -80,7 +85,7 @@ fn file(format: Format, done: &Remesh) -> Result<Bytes, WorkError> {
         Some(attributes) => io::encode_with_attributes(format, &done.mesh, attributes).map(|(bytes, _)| bytes),
         None => io::encode(format, &done.mesh),
     };
-    let bytes = encoded.map_err(|error| failure(FailureKind::BadInput, format!("result.file: {error}")))?;
+    let bytes = encoded.map_err(|error| failure(FailureKind::BadInput, format!("spec.result.file: {error}")))?;
     Ok(bytes.into())
 }
 
@@ -146,16 +151,16 @@ fn unwritten(error: std::io::Error) -> WorkError {
     failure(FailureKind::BadInput, format!("the pieces cannot be written: {error}"))
 }
 
-fn of_rvd(spec: &JobSpec, work: &RvdWork, context: &JobContext<'_>) -> Result<Parts, WorkError> {
-    let input = load(spec, context.blobs, context.bounds, context.token)?;
-    let backend = Arc::clone(context.backends.choose(spec.choice())?);
+fn of_rvd(task: &Task, mut wanted: options::Diagram, context: &JobContext<'_>) -> Result<Parts, WorkError> {
+    let input = context.reader().input(task, &mut wanted)?;
+    let backend = Arc::clone(context.backends.choose(task.backend)?);
     context.token.enter("prepare");
     let prepared = Prepared::new(input, context.token)?;
     context.token.enter("diagram");
     let mut diagram = Diagram::open(&prepared, backend.as_ref())?;
-    let has = |output| work.outputs.contains(&output);
+    let options::Outputs { cells, centroids, sums } = wanted.outputs;
     let mut parts = Parts::new();
-    if has(RvdOutput::Cells) || work.outputs.is_empty() {
+    if cells {
         let mut cells = CellWriter::new(Cursor::new(Vec::new()), Cursor::new(Vec::new())).map_err(unwritten)?;
         while let Some(batch) = diagram.batch(backend.as_ref(), context.token)? {
             cells.append(&batch).map_err(unwritten)?;
@@ -164,13 +169,13 @@ fn of_rvd(spec: &JobSpec, work: &RvdWork, context: &JobContext<'_>) -> Result<Pa
         }
         parts.push(("cells".to_owned(), cells.finish().map_err(unwritten)?.into_inner().into()));
     }
-    if has(RvdOutput::Centroids) || has(RvdOutput::Sums) {
-        let sums = diagram.sums(backend.as_ref(), context.token)?;
-        if has(RvdOutput::Centroids) {
-            parts.push(("centroids".to_owned(), points(&sums.centroids)));
+    if centroids || sums {
+        let all = diagram.sums(backend.as_ref(), context.token)?;
+        if centroids {
+            parts.push(("centroids".to_owned(), points(&all.centroids)));
         }
-        if has(RvdOutput::Sums) {
-            for (name, values) in [("masses", &sums.masses), ("areas", &sums.areas), ("energies", &sums.energies)] {
+        if sums {
+            for (name, values) in [("masses", &all.masses), ("areas", &all.areas), ("energies", &all.energies)] {
                 parts.push((name.to_owned(), numbers(values)));
             }
         }
@@ -183,54 +188,47 @@ fn of_rvd(spec: &JobSpec, work: &RvdWork, context: &JobContext<'_>) -> Result<Pa
     Ok(parts)
 }
 
-fn of_cvt(spec: &JobSpec, work: &CvtWork, context: &JobContext<'_>) -> Result<Parts, WorkError> {
-    let input = load(spec, context.blobs, context.bounds, context.token)?;
-    let backend = Arc::clone(context.backends.choose(spec.choice())?);
-    let total: u64 = work.steps();
-    if total > u64::from(context.bounds.max_iterations) {
-        let most = context.bounds.max_iterations;
-        return Err(failure(
-            FailureKind::BadInput,
-            format!("work.cvt.commands: {total} steps; this server takes {most}"),
-        ));
+fn of_cvt(
+    task: &Task,
+    mut session: options::Session,
+    commands: &[Command],
+    context: &JobContext<'_>,
+) -> Result<Parts, WorkError> {
+    let input = context.reader().input(task, &mut session)?;
+    let backend = Arc::clone(context.backends.choose(task.backend)?);
+    let (total, most) = (steps(commands), context.bounds.max_iterations);
+    if total > u64::from(most) {
+        let text = format!("spec.cvt.commands: {total} steps; this server takes {most}");
+        return Err(failure(FailureKind::BadInput, text));
     }
     context.token.enter("prepare");
     let prepared = Prepared::for_steps(input, context.token)?;
-    let mut options = CvtOptions::new();
-    options.max_seeds = work.max_seeds.map_or(0, |most| usize::try_from(most).unwrap_or(usize::MAX));
-    options.projection = work.projection.map_or(options.projection, crate::record::ProjectionRule::projection);
-    let mut cvt = Cvt::new(backend.as_ref(), Arc::clone(&prepared.surface), &prepared.seeds, options)?;
+    let mut cvt = Cvt::new(backend.as_ref(), Arc::clone(&prepared.surface), &prepared.seeds, session.options)?;
     context.token.enter("iterations");
     let (mut parts, mut iterations) = (Parts::new(), Vec::new());
     let mut observer = context.activity;
-    for command in &work.commands {
+    for command in commands {
         match command {
-            CvtCommand::Step { iterations: count, kind, seeds } => {
+            Command::Step { iterations: count, kind, seeds } => {
                 for step in 1..=*count {
                     context.token.check()?;
-                    let it = match kind.unwrap_or(StepKindName::Lloyd) {
-                        StepKindName::Lloyd => cvt.lloyd(context.token)?,
-                        StepKindName::Lbfgs => cvt.lbfgs(context.token)?,
+                    let it = match kind {
+                        StepKind::Lloyd => cvt.lloyd(context.token)?,
+                        StepKind::Lbfgs => cvt.lbfgs(context.token)?,
                     };
                     observer.iteration(&it, total as usize);
                     iterations.push(it);
                     if observer.wants_seeds() {
                         observer.seeds(iterations.len(), &cvt.seeds()?);
                     }
-                    let wanted = match seeds.unwrap_or(SendSeeds::Never) {
-                        SendSeeds::Never => false,
-                        SendSeeds::Last => step == *count,
-                        SendSeeds::Each => true,
-                    };
-                    if wanted {
+                    if *seeds == SeedsWanted::Each || (*seeds == SeedsWanted::Last && step == *count) {
                         keep(&mut cvt, &mut parts)?;
                     }
                 }
             }
-            CvtCommand::Edit { edits, seeds } => {
-                let edits: Vec<SeedEdit> = edits.iter().map(edit).collect();
-                cvt.edit(&edits)?;
-                if seeds.unwrap_or(SendSeeds::Never) != SendSeeds::Never {
+            Command::Edit { edits, seeds } => {
+                cvt.edit(edits)?;
+                if *seeds == SeedsWanted::Last {
                     keep(&mut cvt, &mut parts)?;
                 }
             }
@@ -253,20 +251,12 @@ fn of_cvt(spec: &JobSpec, work: &CvtWork, context: &JobContext<'_>) -> Result<Pa
     Ok(parts)
 }
 
-fn edit(change: &SeedChange) -> SeedEdit {
-    match *change {
-        SeedChange::Move { index, to } => SeedEdit::Move { index, to: DVec3::from_array(to) },
-        SeedChange::Add(to) => SeedEdit::Add { at: DVec3::from_array(to) },
-        SeedChange::Remove(index) => SeedEdit::Remove { index },
-    }
-}
-
 /// The most sets of seeds that a session's job keeps.
 const MOST_SEEDS: usize = 1000;
 
 fn keep(cvt: &mut Cvt, parts: &mut Parts) -> Result<(), WorkError> {
     if parts.len() >= MOST_SEEDS {
-        let text = format!("work.cvt.commands: more than {MOST_SEEDS} sets of seeds are asked for; ask for fewer");
+        let text = format!("spec.cvt.commands: more than {MOST_SEEDS} sets of seeds are asked for; ask for fewer");
         return Err(failure(FailureKind::BadInput, text));
     }
     let name = format!("seeds.{:04}", parts.len() + 1);

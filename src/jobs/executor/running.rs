@@ -1,7 +1,7 @@
 //! One job at work.
 //!
 //! Purpose: [`Work`] claims a job, does it on a host thread, keeps its result and says how it ended.
-//! Invariant: a result is pinned before it is named by the job. Who finds the job changed by others stops and leaves no
+//! Invariant: a result is pinned before it is named by the job. An executor that finds the job changed by others stops and leaves no
 //! pin. A stop because of a shutdown puts the job back. Must not know: queues, messages.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -49,7 +49,7 @@ impl Blobs<'_> {
     fn patiently<T>(&self, call: impl FnMut() -> Result<T, BlobError>) -> Result<T, BlobError> {
         self.0.storage.patiently(self.1, call).map_err(|unstored| match unstored {
             StorageError::Blob(error) => error,
-            // Whoever reads asks the token next.
+            // The reader asks the token next.
             StorageError::Stopped(reason) => BlobError::Unavailable(reason.to_string()),
         })
     }
@@ -59,7 +59,7 @@ impl Blobs<'_> {
             let read = self.0.stores.blobs.read(digest, 0..u64::MAX).await?;
             let mut all = Vec::with_capacity(usize::try_from(read.info.size_bytes).unwrap_or(0));
             let mut bytes = read.bytes;
-            // A file that another program changed would give another result, and nobody would know: the store looks at it.
+            // A file that another program changed would give another result in silence: the store checks it.
             while let Some(piece) = bytes.try_next().await? {
                 all.extend_from_slice(&piece);
             }
@@ -176,7 +176,7 @@ impl AtWork {
         let blobs = Blobs(inner, &self.token);
         let bounds = &inner.options.bounds;
         let context = JobContext { backends, blobs: &blobs, bounds, token: &self.token, activity: &self.activity };
-        let parts = perform(&job.spec, &context).map_err(|trouble| match (trouble, self.token.stopped()) {
+        let parts = perform(job.spec.task(), &context).map_err(|trouble| match (trouble, self.token.stopped()) {
             // It was stopped while it waited for its input.
             (WorkError::Failure(_), Some(reason)) => WorkError::from(reason),
             (trouble, _) => trouble,
@@ -210,7 +210,7 @@ impl AtWork {
             })?;
             result.blobs.insert(name, info.digest);
         }
-        // Before the job names it: what a tenant is told of is its own.
+        // Before the job names it: a tenant sees only its own blobs.
         let (owner, digests): (_, Vec<_>) =
             (Owner::of(&self.job.spec.tenant), result.blobs.values().copied().collect());
         let given = inner.runtime.block_on(async {
@@ -231,7 +231,7 @@ impl AtWork {
             Err(WorkError::Failure(failure)) => failed(failure.kind, failure.message),
             Err(WorkError::Job(error)) => match self.change_of(&error) {
                 Some(change) => change,
-                // Whoever cancelled it has said so.
+                // Its caller cancelled it.
                 None => {
                     self.activity.set_outcome(JobOutcome::Cancelled);
                     inner.runtime.block_on(inner.unpin(&result_pin(job.id)));
@@ -277,9 +277,7 @@ impl AtWork {
         match stopped {
             Some(Stopped::Cancelled) if self.inner.is_draining() => return Some(Change::Release),
             Some(Stopped::Cancelled) => return None,
-            Some(Stopped::Time { limit })
-                if job.spec.deadlines.run_ms.is_some_and(|ms| Duration::from_millis(ms) <= limit) =>
-            {
+            Some(Stopped::Time { limit }) if job.spec.task().deadlines.run.is_some_and(|own| own <= limit) => {
                 return Some(Change::Expire(Cause::RunDeadline));
             }
             Some(Stopped::Time { .. } | Stopped::Memory { .. }) => return Some(failed(FailureKind::TooLarge, text)),

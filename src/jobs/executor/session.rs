@@ -1,7 +1,7 @@
 //! An interactive session of CVT iterations on the engine's threads.
 //!
 //! Purpose: [`CvtSession`] keeps a [`Cvt`] between the commands of its caller. Every command is a
-//! piece of work of its own, so that a caller who thinks blocks nobody.
+//! piece of work of its own, so that a slow caller blocks no other.
 //! Invariant: the state is either here or in one submitted piece; what is dropped is dropped on the
 //! engine's threads. A long command gives way after a slice of time. Must not know: messages.
 
@@ -16,24 +16,13 @@ use crate::{
 };
 use geometry::cvt::{Cvt, CvtOptions, Iteration, SeedEdit, StepKind};
 use geometry::rvd::BackendChoice;
+use wire::proto::SeedsWanted;
 
 /// How long a step command keeps the device before others get a turn.
 const SLICE: Duration = Duration::from_millis(100);
 
 /// Steps in one slice at most: the answers of a slice travel together.
 const SLICE_STEPS: usize = 64;
-
-/// When the seeds are wanted.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum SeedsWanted {
-    /// Not at all.
-    #[default]
-    Never,
-    /// After the last step.
-    Last,
-    /// After each step.
-    Each,
-}
 
 /// Steps that were taken in one turn.
 #[derive(Clone, Debug)]
@@ -75,7 +64,7 @@ impl CvtSession {
         Self { engine, by, cvt: Some(cvt) }
     }
 
-    /// Who does the work.
+    /// The backend that does the work.
     pub fn by(&self) -> &BackendInfo {
         &self.by
     }

@@ -2,7 +2,7 @@
 //!
 //! Purpose: [`Storage::patiently`] repeats what a job wants of the blobs until it succeeds, so that no work is lost by a fault
 //! that somebody will mend; [`Storage::watch`] tells others meanwhile.
-//! Invariant: who waits hears its token. A job that waits keeps its slot: nothing new begins that could not be stored
+//! Invariant: a wait ends with its token. A job that waits keeps its slot: nothing new begins that could not be stored
 //! either. Must not know: which storage it is, what a job does.
 
 use std::thread::sleep;

@@ -36,13 +36,13 @@ pub enum JobOutcome {
     Succeeded,
     /// It has none.
     Failed,
-    /// Nobody wants the result any more.
+    /// The result is no longer wanted.
     Cancelled,
     /// The server ends first. The job is queued again, for the next start.
     Released,
 }
 
-/// Where a job comes from and how large it is, for who counts.
+/// Where a job comes from and how large it is, for metrics.
 #[derive(Clone, Copy, Debug)]
 pub struct Origin {
     /// What is done.
@@ -57,7 +57,7 @@ pub struct Origin {
     pub seeds: u64,
 }
 
-/// Who counts. Every method is called from whatever thread is at work, and returns at once.
+/// Metrics of work. Every method is called from the working thread, and returns at once.
 pub trait Observer: Send + Sync {
     /// A job came, went on, or left.
     fn moved(&self, _kind: Kind, _from: Option<Phase>, _to: Option<Phase>) {}
@@ -71,13 +71,13 @@ pub trait Observer: Send + Sync {
     fn iterated(&self, _steps: u64) {}
     /// A pass ended, for which a backend was busy so long.
     fn passed(&self, _backend: BackendKind, _took: Duration) {}
-    /// Sessions plan so many bytes more on the device, or fewer.
+    /// Change of the bytes that sessions plan on the device.
     fn planned(&self, _bytes: i64) {}
     /// The device was lost.
     fn lost_device(&self) {}
 }
 
-/// Nobody counts.
+/// No metrics.
 impl Observer for () {}
 
 /// Hears of stages and steps of one piece of work, on the thread at work, and returns at once.
@@ -236,7 +236,7 @@ impl Activity {
         self.observer.iterated(steps);
     }
 
-    /// Sessions of the device hold so many bytes more, or fewer.
+    /// Change of the bytes that sessions hold on the device.
     pub(crate) fn planned(&self, bytes: i64) {
         self.observer.planned(bytes);
     }
@@ -245,7 +245,7 @@ impl Activity {
     pub(crate) fn pass(&self, pass: &'static str, backend: BackendKind) -> Pass<'_> {
         let span = {
             let now = self.now();
-            // A session outlives the piece that opened it; then whoever is at work is asked.
+            // A session outlives the piece that opened it; then the piece at work is asked.
             let parent = now.stage.as_ref().map(|stage| &stage.span).filter(|span| !span.is_none());
             match parent.unwrap_or(&now.span) {
                 none if none.is_none() => debug_span!("pass", pass, backend = backend.name()),

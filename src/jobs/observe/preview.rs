@@ -1,8 +1,8 @@
-//! The newest seeds of jobs at work, for who watches them converge.
+//! The newest seeds of jobs at work, for watchers.
 //!
 //! Purpose: a watcher asks `Previews` for a job, and the work shows its seeds there after each step. Invariant: only the newest
-//! seeds of a job are held, and only while somebody watches; work that nobody watches reads nothing back. The work never waits
-//! for a watcher. Must not know: jobs' records, who watches, what is drawn.
+//! seeds of a job are held, and only while the job is watched; work without watchers reads nothing back. The work never waits
+//! for a watcher. Must not know: jobs' records, watchers, what is drawn.
 
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -13,7 +13,7 @@ use tokio::sync::watch;
 
 use crate::record::JobId;
 
-/// How long a job counts as watched after somebody asked: who watches asks again once it has drawn.
+/// How long a job counts as watched after a request: a watcher asks again once it has drawn.
 const INTEREST: Duration = Duration::from_secs(10);
 
 /// Larger sets are not shown, so that watching costs no memory worth counting beside the work: 24 MB.
@@ -69,7 +69,7 @@ impl Previews {
         self.lock().get(&id).is_some_and(Watched::is_watched)
     }
 
-    /// Shows the seeds of a job after so many steps.
+    /// Shows the seeds of a job after `steps` steps.
     pub(crate) fn show(&self, id: JobId, steps: u64, seeds: &[DVec3]) {
         if seeds.len() > MOST_SEEDS || !self.is_watched(id) {
             return;

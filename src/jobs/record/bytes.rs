@@ -1,7 +1,6 @@
 //! The two memories that jobs share.
 //!
-//! Purpose: [`Bytes`] is what a job needs of them, or what there is. Invariant: sums never overflow. Must not know: who needs
-//! it, or what for.
+//! Purpose: [`Bytes`] is what a job needs of them, or what there is. Invariant: sums never overflow. Must not know: jobs.
 
 use serde::{Deserialize, Serialize};
 

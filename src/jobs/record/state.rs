@@ -7,11 +7,11 @@
 //! | succeeded | | | | | | | expired |
 //! | failed, cancelled, expired | | | | | | | |
 //!
-//! | transition | who makes it |
+//! | transition | made by |
 //! | --- | --- |
 //! | claim | an executor that takes a lease |
 //! | release | the executor that has the lease and stops before the job is done, as at shutdown |
-//! | orphan | whoever finds that the executor is gone: the process at its start, or any process once the lease ran out |
+//! | orphan | the process at its start, or any process once the lease ran out: the executor is gone |
 //! | succeed | the executor that has the lease |
 //! | fail | the executor that has the lease; or the one that finds that a queued job cannot run, or has crashed too often |
 //! | cancel | the caller |

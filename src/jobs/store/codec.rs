@@ -17,8 +17,9 @@ use serde::{Deserialize, Serialize};
 use super::StoreError;
 use crate::record::{Bytes, Status};
 
-/// The layout that is written. 2 has the memory that a job needs. Older ones are read: what they lack has a default.
-const VERSION: u8 = 2;
+/// The layout that is written. Layout 2 added the memory that a job needs, layout 3 has specifications as messages. Older ones
+/// are read.
+const VERSION: u8 = 3;
 
 /// What is kept of a job beside its specification: what changes, and what lists look for.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

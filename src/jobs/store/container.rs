@@ -10,7 +10,7 @@ use super::{
     operations as ops,
 };
 use crate::record::event::{Events, Log, Progress};
-use crate::record::{Change, Job, JobId, Time, ValidSpec};
+use crate::record::{Change, Job, JobId, Spec, Time};
 use std::time::Duration;
 
 /// See the module's head.
@@ -38,7 +38,7 @@ impl<C: Container> JobStore for C {
         self.write(|tables, live, now| ops::create(tables, live, job, now))
     }
 
-    fn requested(&self, spec: ValidSpec) -> Answer<'_, Option<Job>> {
+    fn requested(&self, spec: Spec) -> Answer<'_, Option<Job>> {
         self.read(None, move |tables, _| ops::requested(tables, &spec))
     }
 

@@ -1,8 +1,8 @@
-//! Progress of running jobs that is not in the tables yet, and who waits for events.
+//! Progress of running jobs that is not in the tables yet, and waits for events.
 //!
 //! Purpose: [`Live`]: iterations come often and matter little, so they are kept in memory until the state changes.
 //! Invariant: an entry is of the attempt that runs. Numbers are given away only below what the head has reserved.
-//! [`Waiters`] wakes those who wait after what they wait for can be read. Must not know: tables, clocks.
+//! [`Waiters`] wakes waits once the event can be read. Must not know: tables, clocks.
 
 use std::collections::HashMap;
 use std::sync::{Mutex, MutexGuard, PoisonError};
@@ -37,7 +37,7 @@ impl Live {
     }
 }
 
-/// Who waits, by job.
+/// Waits, by job.
 #[derive(Debug, Default)]
 pub(crate) struct Waiters(Mutex<HashMap<JobId, watch::Sender<()>>>);
 
@@ -47,7 +47,7 @@ impl Waiters {
         self.lock().entry(id).or_insert_with(|| watch::channel(()).0).subscribe()
     }
 
-    /// Wakes who waits for one of these.
+    /// Wakes the waits for these.
     pub(crate) fn wake(&self, ids: &[JobId]) {
         let mut waiters = self.lock();
         if waiters.is_empty() {
@@ -60,7 +60,7 @@ impl Waiters {
         }
     }
 
-    /// Forgets a job that nobody waits for any more.
+    /// Forgets a job without waits.
     pub(crate) fn leave(&self, id: JobId) {
         let mut waiters = self.lock();
         if waiters.get(&id).is_some_and(|sender| sender.receiver_count() == 0) {
@@ -91,7 +91,7 @@ impl Waiters {
     }
 }
 
-/// Somebody who waits, and may stop doing so at any time.
+/// A wait, which may be dropped at any time.
 struct Place<'a> {
     waiters: &'a Waiters,
     id: JobId,

@@ -1,6 +1,6 @@
 //! Jobs in memory, gone with the process: for `--ephemeral`, and for jobs of the streams.
 //!
-//! Invariant: one lock, held for one operation; nobody waits under it. Must not know: what operations do.
+//! Invariant: one lock, held for one operation; no wait under it. Must not know: what operations do.
 
 use std::collections::BTreeMap;
 use std::ops::{Bound, ControlFlow};

@@ -12,9 +12,9 @@ use super::tables::{Order, Table, Tables, TablesMut};
 use super::{Created, NewJob, Offer, Orphans, Page, PageToken, Query, Recovered, Retention, StoreError, Swept};
 use crate::record::event::{Event, Events, Log, Progress, What};
 use crate::record::state::State;
-use crate::record::{Bytes, Cause, Change, Failure, FailureKind, Holder, Job, JobId, JobSpec, Status, Time, ValidSpec};
+use crate::record::{Bytes, Cause, Change, Failure, FailureKind, Holder, Job, JobId, Spec, Status, Time};
 
-/// Numbers of events that are reserved at once: so many are skipped at most if the process goes down.
+/// Numbers of events that are reserved at once: the most that are skipped if the process goes down.
 const RESERVED: u64 = 1024;
 
 type StoreResult<T> = Result<T, StoreError>;
@@ -32,8 +32,8 @@ fn time_key(time: Time, id: JobId) -> Vec<u8> {
 }
 
 /// Where a waiting job stands: the highest priority first, then the oldest.
-fn line_key(spec: &JobSpec, id: JobId) -> Vec<u8> {
-    let priority = spec.priority.unwrap_or(0).clamp(-100, 100);
+fn line_key(spec: &Spec, id: JobId) -> Vec<u8> {
+    let priority = spec.task().priority;
     [&[u8::try_from(100 - priority).unwrap_or(u8::MAX)], &id.0[..]].concat()
 }
 
@@ -72,12 +72,12 @@ fn missing(table: Table, id: JobId) -> StoreError {
     StoreError::Damaged { path: format!("{}/{id}", table.name()).into(), what: "it is missing".to_owned() }
 }
 
-fn spec(tables: &(impl Tables + ?Sized), id: JobId) -> StoreResult<ValidSpec> {
+fn spec(tables: &(impl Tables + ?Sized), id: JobId) -> StoreResult<Spec> {
     Ok(spec_and_length(tables, id)?.0)
 }
 
 /// A specification, and how many bytes it takes encoded.
-fn spec_and_length(tables: &(impl Tables + ?Sized), id: JobId) -> StoreResult<(ValidSpec, usize)> {
+fn spec_and_length(tables: &(impl Tables + ?Sized), id: JobId) -> StoreResult<(Spec, usize)> {
     let bytes = tables.get(Table::Specs, &id.0)?.ok_or_else(|| missing(Table::Specs, id))?;
     Ok((decode(&format!("specs/{id}"), &bytes)?, bytes.len()))
 }
@@ -125,13 +125,13 @@ pub(crate) fn create(tables: &mut dyn TablesMut, live: &mut Live, new: NewJob, n
     if tables.get(Table::Heads, &id.0)?.is_some() {
         return Err(StoreError::NameTaken { id });
     }
-    let status = Status::new(&wanted, now);
+    let status = Status::new(wanted.task().deadlines, now);
     let mut log = Log::default();
     log.push(Event { number: 1, at: now, what: What::State { state: State::Queued, attempt: 0 } });
     let head = Head {
         tenant: wanted.tenant.clone(),
         request_id: wanted.request_id.clone(),
-        labels: wanted.labels.clone(),
+        labels: wanted.message().labels.clone().into_iter().collect(),
         status,
         needs: (needs != Bytes::default()).then_some(needs),
         next_event: 2,
@@ -168,7 +168,7 @@ pub(crate) fn adopt(tables: &mut dyn TablesMut, id: JobId, head: &Head, spec: &[
 }
 
 /// The job that the same request made before.
-pub(crate) fn requested(tables: &(impl Tables + ?Sized), wanted: &ValidSpec) -> StoreResult<Option<Job>> {
+pub(crate) fn requested(tables: &(impl Tables + ?Sized), wanted: &Spec) -> StoreResult<Option<Job>> {
     if wanted.request_id.is_empty() {
         return Ok(None);
     }
@@ -273,8 +273,10 @@ pub(crate) fn change(
     let before = head(tables, id)?;
     at_version(&before, id, at)?;
     let spec = spec(tables, id)?;
-    let status =
-        before.status.changed(spec.deadlines, change, now).map_err(|cause| StoreError::Transition { id, cause })?;
+    let status = before
+        .status
+        .changed(spec.task().deadlines, change, now)
+        .map_err(|cause| StoreError::Transition { id, cause })?;
     let mut log = log(tables, id)?;
     let mut number = before.reserved_events;
     if let Some(Entry { next, log: progress }) = live.take(id) {

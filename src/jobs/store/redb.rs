@@ -4,7 +4,7 @@
 //! commit, and only then answers all of it. While a commit is on its way to the disk the next group gathers.
 //! Invariant: what was answered is on the disk, and a group is there as a whole or not at all. Readers see committed groups
 //! only. Progress of running jobs needs no commit: it is in memory, and gets into the journal with the next change of the job's
-//! state. A failed commit ends the store, since nobody knows what of it the disk has. Must not know: what operations do.
+//! state. A failed commit ends the store, since it is unknown what of it the disk has. Must not know: what operations do.
 
 mod directory;
 pub(crate) mod repair;
@@ -178,7 +178,7 @@ impl Drop for RedbStore {
     fn drop(&mut self) {
         self.commands = None;
         self.shared.waiters.close();
-        // It has no more to do than what waits; a panic in it was told to who asked.
+        // It has no more to do than what waits; its caller has heard of a panic.
         drop(self.writer.take().map(JoinHandle::join));
     }
 }
@@ -368,7 +368,7 @@ impl Writer {
             };
             let touched = std::mem::take(&mut self.live.touched);
             self.publish(&touched);
-            // Who is answered now is likely to come back with more.
+            // Callers that are answered now are likely to come back with more.
             expected = Expected { count: waiting.len() + replies.len(), patience: start.elapsed() / 8 };
             replies.into_iter().for_each(|reply| reply(outcome.clone()));
             // Those that were not begun hear that the store is closed.

@@ -24,7 +24,7 @@ use super::ranges::{Wanted, is_known, wanted};
 use crate::service::{Desk, EmptyUpload, RequestError, Share, check_owned, keep, timely};
 use jobs::blob::{BlobError, BlobInfo, BlobStore, Chunk, Digest, Owner, UploadId};
 
-/// Pieces of an upload are stored once they have so many bytes.
+/// Bytes of an upload that are stored at once.
 const PIECE: usize = 1 << 20;
 
 /// The digest of a path.

@@ -63,7 +63,7 @@ fn broken(error: &(dyn Error + 'static)) -> RequestError {
     }
 }
 
-/// Takes a body that nobody wants, for a client that reads no answer before it has sent everything: to close a connection
+/// Discards a body, for a client that reads no answer before it has sent everything: to close a connection
 /// while bytes are unread would reset it, and the answer would be lost. Within limits: the rest is the client's loss.
 pub(super) async fn pass_over(body: Body) {
     const BYTES: usize = 64 << 20;
@@ -145,7 +145,7 @@ async fn gather(desk: &Desk, headers: &HeaderMap, arriving: &mut Arriving<'_>) -
     Ok((kept.all.into(), kept.share))
 }
 
-/// So many packed bytes are unpacked before others have their turn: 4 MiB at most come of them.
+/// Packed bytes that are unpacked before others have their turn: at most 4 MiB come of them.
 const STEP: usize = 4 << 10;
 
 /// Bytes that are kept, and counted before there is room for them.

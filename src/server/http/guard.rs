@@ -37,7 +37,7 @@ pub(super) struct Guard {
     pub(super) route: Route,
 }
 
-/// Who asks.
+/// The caller.
 #[derive(Clone, Debug)]
 pub(super) struct Client {
     /// In whose name.
@@ -203,7 +203,7 @@ fn until_cut(desk: &Desk, pass: Option<&Pass>) -> impl Future<Output = RequestEr
 pub(super) async fn unknown(State(desk): State<Desk>, mut request: Request) -> Response {
     let mut counted = Counted::new(&desk.metrics, OTHER, OTHER);
     let response = match desk.access.admit(&mut request, None) {
-        // Whoever needs no key, or has a good one, hears of what there is.
+        // A caller that needs no key, or has a good one, may know what exists.
         Ok(_) | Err(Refusal::Unknown) => {
             let text = "there is no such route, or not with this method; GET /v1/openapi.json lists all";
             let is_route = super::ROUTES.iter().any(|route| matches(route.path, request.uri().path()));

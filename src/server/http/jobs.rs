@@ -1,9 +1,10 @@
 //! `/v1/jobs`: jobs that outlive their request.
 //!
 //! Invariant: every question is asked in the name of the caller's tenant. Events come once and in order, and go on after the
-//! number that a client says it has. Must not know: who does jobs, where they are kept.
+//! number that a client says it has. Must not know: how jobs are done, where they are kept.
 
 use std::convert::Infallible;
+use std::fmt::Display;
 use std::time::Duration;
 
 use axum::body::{Body, Bytes, to_bytes};
@@ -22,7 +23,7 @@ use super::problem::{Answered, Problem, wrong};
 use crate::service::{self, Desk, Detail, Fault, FaultKind, Phase, RequestError, job_id, to_the_end};
 use jobs::record::event::{Event, Progress, What};
 use jobs::record::state::State as JobState;
-use jobs::record::{Cause, Failure, FailureKind, Job, JobId, JobSpec, Outcome, ResultFormat};
+use jobs::record::{Cause, Failure, FailureKind, Job, JobId, Outcome, ResultFormat, Spec};
 use jobs::store::Query;
 use telemetry::trace;
 
@@ -40,15 +41,9 @@ pub(super) fn answer(status: StatusCode, body: &Value) -> Response {
     (status, [(CONTENT_TYPE, "application/json")], body.to_string()).into_response()
 }
 
-/// A job, as it is told.
+/// A job as JSON.
 pub(super) fn told(job: &Job) -> Value {
     let status = &job.status;
-    let mut spec = serde_json::to_value(&*job.spec).unwrap_or_default();
-    if let Value::Object(spec) = &mut spec {
-        // Nobody's business, and told beside it.
-        spec.shift_remove("tenant");
-        spec.shift_remove("request_id");
-    }
     let (mut failure, mut results, mut expired_by) = (Value::Null, json!({}), Value::Null);
     match &status.outcome {
         None => {}
@@ -66,7 +61,7 @@ pub(super) fn told(job: &Job) -> Value {
         "changed_ms": status.changed,
         "attempts": status.attempts,
         "crashes": status.crashes,
-        "spec": spec,
+        "spec": wire::json::to_value(job.spec.message()),
         "failure": failure,
         "results": results,
         "expired_by": expired_by,
@@ -95,26 +90,26 @@ pub(super) async fn create(
 }
 
 /// What a job is asked to do: the options of a remesh with the digest of its surface, or a whole specification as jobs are
-/// told with.
-fn specification(bytes: &[u8], tenant: &str) -> Result<JobSpec, RequestError> {
-    let body = |error: serde_json::Error| wrong("body", format!("cannot be read: {error}"));
-    let Value::Object(mut object) = serde_json::from_slice(bytes).map_err(body)? else {
+/// answered with.
+fn specification(bytes: &[u8], tenant: &str) -> Result<Spec, RequestError> {
+    let body = |error: &dyn Display| wrong("body", format!("cannot be read: {error}"));
+    let Value::Object(mut object) = serde_json::from_slice(bytes).map_err(|error| body(&error))? else {
         return Err(wrong("body", "is no object of JSON"));
     };
-    if object.contains_key("work") {
-        let request_id = object.shift_remove("request_id");
-        object.shift_remove("tenant");
-        let mut spec: JobSpec = serde_json::from_value(Value::Object(object)).map_err(body)?;
-        spec.tenant = tenant.to_owned();
-        spec.request_id = request_id.and_then(|id| Some(id.as_str()?.to_owned())).unwrap_or_default();
-        return Ok(spec);
-    }
-    let mut asked = Asked::of_json(object)?;
-    let mesh = asked.digest("mesh")?.ok_or_else(|| wrong("mesh", "is missing; it is the digest of a blob"))?;
-    let format = asked.format("format")?;
-    let format = format.ok_or_else(|| wrong("format", format!("is missing; it must be one of {}", media::names())))?;
-    let to = asked.format("to")?.unwrap_or(format);
-    asked.remesh(mesh, format, to, tenant)
+    let (message, request_id) = if object.get("mesh").is_some_and(Value::is_object) {
+        let request_id = object.shift_remove("request_id").and_then(|id| Some(id.as_str()?.to_owned()));
+        let message = wire::json::from_value(Value::Object(object)).map_err(|error| body(&error))?;
+        (message, request_id.unwrap_or_default())
+    } else {
+        let mut asked = Asked::of_json(object)?;
+        let mesh = asked.digest("mesh")?.ok_or_else(|| wrong("mesh", "is missing; it is the digest of a blob"))?;
+        let format = asked.format("format")?;
+        let format =
+            format.ok_or_else(|| wrong("format", format!("is missing; it must be one of {}", media::names())))?;
+        let to = asked.format("to")?.unwrap_or(format);
+        asked.remesh(mesh, format, to)?
+    };
+    Ok(Spec::new(message, tenant.to_owned(), request_id)?)
 }
 
 /// `GET /v1/jobs`.
@@ -202,9 +197,8 @@ pub(super) async fn send_result(
         let names: Vec<&str> = set.blobs.keys().map(String::as_str).collect();
         return Err(wrong("name", format!("is {name:?}; this job's results are {}", names.join(", "))).into());
     };
-    let media_type = match (name, job.spec.result) {
-        (MESH, Some(ResultFormat::File(format))) => media::media_type(format),
-        (MESH, None) => media::media_type(geometry::mesh::io::Format::Ply),
+    let media_type = match (name, job.spec.task().result) {
+        (MESH, ResultFormat::File(format)) => media::media_type(format),
         ("report", _) => "application/json",
         _ => "application/octet-stream",
     };
@@ -220,7 +214,10 @@ fn without_result(job: &Job) -> Fault {
     match &job.status.outcome {
         Some(Outcome::Failed(Failure { kind, message })) => match kind {
             FailureKind::BadInput => {
-                let detail = Detail::Field { path: "spec".to_owned(), description: message.clone() };
+                // It begins with the path of a field, if one is wrong.
+                let path = message.split_once(": ").map(|(path, _)| path).filter(|path| path.starts_with("spec."));
+                let path = path.unwrap_or("spec").to_owned();
+                let detail = Detail::Field { path, description: message.clone() };
                 Fault::new(FaultKind::InvalidArgument, message.clone()).with(detail)
             }
             FailureKind::MissingInput => of(FaultKind::FailedPrecondition, message, "missing_input"),
@@ -261,7 +258,7 @@ pub(super) async fn events(
     let job = desk.api.get(&client.tenant, id).await?;
     let is_over = job.status.state.is_ended();
     if is_over && desk.api.events(&client.tenant, id, after, 1).await?.events.is_empty() {
-        // A browser asks again until it is told this.
+        // A browser asks again until it gets this.
         return Ok(StatusCode::NO_CONTENT.into_response());
     }
     let (sender, receiver) = mpsc::channel(WAITING_EVENTS);

@@ -1,13 +1,13 @@
 //! What is asked for, as a query and as JSON have it.
 //!
-//! Purpose: [`Asked`] is names and values, whichever way they came; [`Asked::remesh`] makes a specification of them.
+//! Purpose: [`Asked`] is names and values, whichever way they came; [`Asked::remesh`] makes a job's message of them.
 //! Invariant: an option has one name, that of the command line; one that is not known, is there twice or cannot be read is
 //! refused by its name. What is not given stays so. Must not know: whether a specification makes sense.
 
 use std::collections::BTreeMap;
+use std::time::Duration;
 
 use form_urlencoded::parse;
-use serde::de::DeserializeOwned;
 use serde_json::Value;
 
 use super::media;
@@ -15,9 +15,9 @@ use super::problem::wrong;
 use crate::service::RequestError;
 use geometry::mesh::io::Format;
 use jobs::blob::Digest;
-use jobs::record::{
-    ArrayForm, ArrayRef, Deadlines, DensityKind, DensitySpec, JobSpec, MeshSource, PlacementRule, ProjectionRule,
-    RefineSpec, RemeshWork, ResultFormat, SeedSource, Tolerance, WorkSpec,
+use wire::fields::{self, Fields, whole};
+use wire::proto::{
+    self, ArrayForm, ArrayRef, BackendChoice, JobArrays, JobSpec, MeshFile, job_mesh, job_spec, result_format,
 };
 
 type Read<T> = Result<T, RequestError>;
@@ -83,22 +83,6 @@ impl Asked {
         self.take(name, "a whole number, and not too large", |text| T::try_from(whole(text)?).ok())
     }
 
-    fn number(&mut self, name: &str) -> Read<Option<f64>> {
-        self.take(name, "a number", |text| text.parse::<f64>().ok().filter(|number| number.is_finite()))
-    }
-
-    fn choice<T: DeserializeOwned>(&mut self, name: &str, must: &str) -> Read<Option<T>> {
-        self.take(name, must, |text| {
-            let word = match text {
-                // Words of the command line.
-                "lfs" => "feature_size",
-                "surface" if name == "projection" => "on_surface",
-                other => other,
-            };
-            serde_json::from_value(Value::String(word.to_owned())).ok()
-        })
-    }
-
     pub(super) fn text(&mut self, name: &str) -> Option<String> {
         self.values.remove(name)
     }
@@ -113,14 +97,16 @@ impl Asked {
 
     /// A list of text in a blob.
     fn list(&mut self, name: &str) -> Read<Option<ArrayRef>> {
-        Ok(self.digest(name)?.map(|blob| ArrayRef { blob, form: ArrayForm::Text, count: 0 }))
+        let list = |digest: Digest| ArrayRef { digest: digest.to_string(), form: ArrayForm::Text.into(), count: 0 };
+        Ok(self.digest(name)?.map(list))
     }
 
-    fn milliseconds(&mut self, name: &str) -> Read<Option<u64>> {
+    fn duration(&mut self, name: &str) -> Read<Option<prost_types::Duration>> {
         let seconds = self.take(name, "seconds, above 0", |text| {
             text.parse::<f64>().ok().filter(|seconds| *seconds > 0.0 && *seconds < 1e9)
         })?;
-        Ok(seconds.map(|seconds| (1e3 * seconds).ceil() as u64))
+        let parts = |seconds: f64| Duration::from_millis((1e3 * seconds).ceil() as u64).try_into().ok();
+        Ok(seconds.and_then(parts))
     }
 
     /// The labels.
@@ -137,84 +123,62 @@ impl Asked {
         }
     }
 
-    /// The remesh of a surface in a blob.
-    pub(super) fn remesh(mut self, blob: Digest, format: Format, to: Format, tenant: &str) -> Read<JobSpec> {
-        let seeds = SeedSource::Sampled { points: self.whole("points")?, random_seed: self.whole("seed")? };
-        let mut work = RemeshWork::new(seeds);
-        work.density = DensitySpec {
-            source: self.choice::<DensityKind>("density", "uniform, curvature or lfs")?,
-            edge_length: self.number("edge_length")?,
-            edge_lengths: self.list("sizes")?,
-            weights: None,
-            adaptivity: self.number("adaptivity")?,
-            gradation: self.number("gradation")?,
-        };
-        work.lloyd_steps = self.whole("lloyd")?;
-        work.newton_steps = self.whole("newton")?;
-        work.projection = self.choice::<ProjectionRule>("projection", "free or surface")?;
-        work.placement = self.choice::<PlacementRule>("placement", "fitted, surface or centroids")?;
-        work.crease_angle_deg = self.number("crease_angle")?;
-        work.creases = self.list("creases")?;
-        work.boundaries = self.choice("boundaries", "keep or free")?;
-        work.thin = self.choice("thin", "finer or even")?;
-        work.measure = self.choice("measure", "topology or full")?;
-        let max_points = self.whole("max_points")?;
-        work.refinement = match (self.number("max_deviation")?, max_points) {
-            (Some(percent), max_points) => {
-                Some(RefineSpec { tolerance: Tolerance::DiagonalPercent(percent), max_points })
-            }
-            (None, Some(_)) => return Err(wrong("max_points", "needs max_deviation")),
-            (None, None) => None,
-        };
+    /// The remesh of a surface in a blob, and the request's id.
+    pub(super) fn remesh(mut self, blob: Digest, format: Format, to: Format) -> Read<(JobSpec, String)> {
+        let mut options = Fields::default();
+        for field in fields::all() {
+            let Some(text) = self.values.remove(&field.name) else { continue };
+            let must = |must| wrong(&*field.name, format!("is {text:?}; it must be {must}"));
+            options.set(&field.name, &text).map_err(must)?;
+        }
+        let arrays =
+            JobArrays { edge_lengths: self.list("sizes")?, creases: self.list("creases")?, ..JobArrays::default() };
         let attributes = self.take("attributes", "true or false", |text| text.parse().ok())?;
-        let spec = JobSpec {
-            mesh: MeshSource::File { blob, format, attributes },
-            work: WorkSpec::Remesh(Box::new(work)),
-            backend: self.choice("backend", "auto, gpu, parallel or serial")?,
-            result: Some(ResultFormat::File(to)),
+        let file = MeshFile { digest: blob.to_string(), format: format.number(), attributes };
+        let named = |text: &str| BackendChoice::from_str_name(&format!("BACKEND_CHOICE_{}", text.to_ascii_uppercase()));
+        let backend = |text: &str| named(text).filter(|choice| *choice != BackendChoice::Unspecified);
+        let message = JobSpec {
+            mesh: Some(proto::JobMesh { source: Some(job_mesh::Source::File(file)) }),
+            work: Some(job_spec::Work::Remesh(options.finish())),
+            arrays: Some(arrays).filter(|arrays| *arrays != JobArrays::default()),
+            backend: self.take("backend", "auto, gpu, parallel or serial", backend)?.unwrap_or_default().into(),
+            result: Some(proto::ResultFormat { form: Some(result_format::Form::File(to.number())) }),
             priority: self.take("priority", "a whole number from -100 to 100", |text| text.parse().ok())?,
-            deadlines: Deadlines {
-                queue_ms: self.milliseconds("queue_deadline_s")?,
-                run_ms: self.milliseconds("run_deadline_s")?,
-            },
-            labels: self.labels(),
-            tenant: tenant.to_owned(),
-            request_id: self.text("request_id").unwrap_or_default(),
+            queue_deadline: self.duration("queue_deadline_s")?,
+            run_deadline: self.duration("run_deadline_s")?,
+            labels: self.labels().into_iter().collect(),
         };
+        let request_id = self.text("request_id").unwrap_or_default();
         self.finish()?;
-        Ok(spec)
+        Ok((message, request_id))
     }
-}
-
-/// A whole number as people write it: `10000`, `1e4`.
-fn whole(text: &str) -> Option<u64> {
-    /// Up to here every whole number is one of double precision.
-    const EXACT: f64 = (1u64 << 53) as f64;
-    let real = || text.parse::<f64>().ok().filter(|x| (0.0..=EXACT).contains(x) && x.fract() == 0.0);
-    text.parse().ok().or_else(|| real().map(|x| x as u64))
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use jobs::record::Spec;
 
-    fn spec(query: &str) -> Result<JobSpec, String> {
-        let asked = Asked::of_query(Some(query)).map_err(|error| error.to_string())?;
-        asked.remesh(Digest::of(b"a"), Format::Obj, Format::Ply, "me").map_err(|error| error.to_string())
+    fn spec(query: &str) -> Result<Spec, String> {
+        let read = || {
+            let asked = Asked::of_query(Some(query))?;
+            let (message, request_id) = asked.remesh(Digest::of(b"a"), Format::Obj, Format::Ply)?;
+            Ok::<_, RequestError>(Spec::new(message, "me".to_owned(), request_id)?)
+        };
+        read().map_err(|error| error.to_string())
     }
 
     #[test]
     fn a_query_and_an_object_ask_for_the_same() {
         let query = spec("points=1e4&seed=7&density=lfs&lloyd=3&thin=even&attributes=false&label=a=b%20c&priority=-3");
         let object = serde_json::json!({
-            "points": 10_000, "seed": 7, "density": "feature_size", "lloyd": "3", "thin": "even", "attributes": false,
+            "points": 10_000, "seed": 7, "density": "lfs", "lloyd": "3", "thin": "even", "attributes": false,
             "labels": { "a": "b c" }, "priority": -3, "projection": null,
         });
         let Value::Object(object) = object else { panic!("an object") };
         let asked = Asked::of_json(object).unwrap();
-        let other = asked.remesh(Digest::of(b"a"), Format::Obj, Format::Ply, "me").unwrap();
-        assert_eq!(query.unwrap(), other);
-        other.check().unwrap();
+        let (other, _) = asked.remesh(Digest::of(b"a"), Format::Obj, Format::Ply).unwrap();
+        assert_eq!(*query.unwrap().message(), other);
     }
 
     #[test]
@@ -224,10 +188,10 @@ mod tests {
             ("points=-1", "points is \"-1\""),
             ("points=1.5", "points is"),
             ("points=1&points=2", "points is there twice"),
-            ("density=blue", "density is \"blue\"; it must be uniform, curvature or lfs"),
+            ("density=blue", "density is \"blue\"; it must be uniform, weights, edge_lengths, curvature or lfs"),
             ("edge_length=nan", "edge_length"),
             ("label=a", "label is KEY=VALUE"),
-            ("max_points=7", "max_points needs max_deviation"),
+            ("points=9&max_points=70", "spec.remesh.max_points is given without max_deviation"),
             ("sizes=abc", "sizes is"),
             ("queue_deadline_s=0", "queue_deadline_s"),
         ] {

@@ -140,7 +140,7 @@ impl Problem {
         }
         let mut response = (status, headers, self.json(status).to_string()).into_response();
         if let Some(refused) = self.0.refused {
-            // For who counts.
+            // For metrics.
             response.extensions_mut().insert(refused);
         }
         response

@@ -7,7 +7,7 @@ use std::ops::Range;
 use axum::http::HeaderMap;
 use axum::http::header::{IF_NONE_MATCH, IF_RANGE, RANGE};
 
-/// What is wanted of so many bytes.
+/// The range that is wanted of `total` bytes.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) enum Wanted {
     All,
@@ -25,7 +25,7 @@ pub(super) fn is_known(headers: &HeaderMap, tag: &str) -> bool {
         .any(|one| one == "*" || one == tag)
 }
 
-/// What is wanted of something with this tag and so many bytes.
+/// The range that is wanted of a resource with this tag and length.
 pub(super) fn wanted(headers: &HeaderMap, tag: &str, size: u64) -> Wanted {
     if headers.get(IF_RANGE).is_some_and(|value| value.as_bytes() != tag.as_bytes()) {
         return Wanted::All;

@@ -22,9 +22,10 @@ use super::problem::{Answered, wrong};
 use crate::service::{self, Desk, Phase, RequestError};
 use geometry::mesh::io::Format;
 use jobs::blob::Digest;
-use jobs::executor::api::{JobApi, JobApiError};
+use jobs::executor::api::JobApi;
 use jobs::record::state::State as JobState;
-use jobs::record::{Job, JobId, JobSpec, MeshSource, ResultFormat};
+use jobs::record::{Job, JobId, Spec};
+use wire::proto::{self, JobSpec, job_mesh, result_format};
 
 /// `POST /v1/remesh`.
 pub(super) async fn remesh(
@@ -36,7 +37,7 @@ pub(super) async fn remesh(
     let wanted = match wanted(&parts, &client) {
         Ok(wanted) => wanted,
         Err(error) => {
-            // Who asks first has sent nothing yet.
+            // A client that waits for `100 Continue` has sent nothing yet.
             if !parts.headers.contains_key(EXPECT) {
                 pass_over(body).await;
             }
@@ -54,7 +55,9 @@ pub(super) async fn remesh(
 
 /// What is asked for, before the surface is there.
 struct Asking {
-    spec: JobSpec,
+    message: JobSpec,
+    request_id: String,
+    tenant: String,
     format: Option<Format>,
     to: Option<Format>,
 }
@@ -68,23 +71,24 @@ fn wanted(parts: &Parts, client: &Client) -> Result<Asking, RequestError> {
     let to = asked.format("to")?.or_else(|| media::of_types(header(ACCEPT)));
     let any = Format::Ply;
     let nothing = Digest::of(&[]);
-    let spec = asked.remesh(nothing, format.unwrap_or(any), to.or(format).unwrap_or(any), &client.tenant)?;
-    spec.clone().check().map_err(JobApiError::from)?;
-    Ok(Asking { spec, format, to })
+    let (message, request_id) = asked.remesh(nothing, format.unwrap_or(any), to.or(format).unwrap_or(any))?;
+    Spec::new(message.clone(), client.tenant.clone(), request_id.clone())?;
+    Ok(Asking { message, request_id, tenant: client.tenant.clone(), format, to })
 }
 
 impl Asking {
     /// The job, of a surface that is stored now.
-    fn of(self, digest: Digest, bytes: &[u8]) -> Result<JobSpec, RequestError> {
-        let Self { mut spec, format, to } = self;
+    fn of(self, digest: Digest, bytes: &[u8]) -> Result<Spec, RequestError> {
+        let Self { mut message, request_id, tenant, format, to } = self;
         let found = format.or_else(|| Format::of_bytes(bytes)).ok_or_else(|| {
             wrong("format", format!("is missing, and the body does not say; it must be one of {}", media::names()))
         })?;
-        if let MeshSource::File { blob, format, .. } = &mut spec.mesh {
-            (*blob, *format) = (digest, found);
+        if let Some(proto::JobMesh { source: Some(job_mesh::Source::File(file)) }) = &mut message.mesh {
+            (file.digest, file.format) = (digest.to_string(), found.number());
         }
-        spec.result = Some(ResultFormat::File(to.unwrap_or(found)));
-        Ok(spec)
+        let form = Some(result_format::Form::File(to.unwrap_or(found).number()));
+        message.result = Some(proto::ResultFormat { form });
+        Ok(Spec::new(message, tenant, request_id)?)
     }
 }
 

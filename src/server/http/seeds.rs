@@ -1,4 +1,4 @@
-//! `/v1/jobs/{id}/seeds`: where the seeds of a job at work are, for who draws its cells.
+//! `/v1/jobs/{id}/seeds`: where the seeds of a job at work are, for drawing its cells.
 //!
 //! Invariant: an answer has the newest seeds, after more steps than the caller has seen; steps between may be left out. A
 //! request waits for a limited time and holds memory that is counted. Must not know: how seeds get here, what is drawn.

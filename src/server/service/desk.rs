@@ -1,8 +1,8 @@
-//! What the doors have in common: what can be asked of jobs and blobs, in whose name, and for how long.
+//! Request handling that gRPC and HTTP share.
 //!
-//! Purpose: [`Desk`] is what a door is given; the functions here are what a call is made of, whatever protocol it came in.
-//! Invariant: a change of jobs runs to its end, even if its caller goes. Nothing is waited for without a limit. A blob is
-//! there for a tenant that has it, and for nobody else. Must not know: messages, requests, how errors are told.
+//! Purpose: [`Desk`] has the parts that a handler needs; the functions here are the steps of calls.
+//! Invariant: a change of jobs runs to its end, even if its caller goes. Nothing is waited for without a limit. A blob
+//! exists only for a tenant that has it. Must not know: messages, requests, how errors are worded.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -17,7 +17,7 @@ use jobs::JobError;
 use jobs::blob::{BlobError, BlobInfo, BlobStore, Digest, Owner, UploadId, UploadStatus, put_of};
 use jobs::executor::api::{JobApi, JobApiError};
 use jobs::record::event::{Event, What};
-use jobs::record::{JobId, JobSpec};
+use jobs::record::{JobId, Spec};
 use jobs::store::Created;
 use telemetry::trace;
 
@@ -33,7 +33,7 @@ const LOOK_EVERY: Duration = Duration::from_secs(10);
 /// Events of a watch that are looked up at once.
 const EVENTS: usize = 64;
 
-/// What a door works with.
+/// The parts that a handler needs.
 #[derive(Clone)]
 pub struct Desk {
     pub api: Arc<dyn JobApi>,
@@ -50,10 +50,10 @@ pub(crate) async fn create(
     api: Arc<dyn JobApi>,
     blobs: &dyn BlobStore,
     most: Option<u64>,
-    wanted: JobSpec,
+    wanted: Spec,
 ) -> Result<Created, RequestError> {
     if let Some(limit_bytes) = most {
-        // Results are kept whatever their size: who has all that it may have gets no more of them.
+        // Results are kept whatever their size: a tenant at its limit gets no more of them.
         let used_bytes = blobs.owned_bytes(Owner::of(&wanted.tenant)).await?;
         if used_bytes >= limit_bytes {
             return Err(Refusal::Bytes { used_bytes, limit_bytes }.into());
@@ -72,7 +72,7 @@ pub(crate) async fn to_the_end<T: Send + 'static>(
     }
 }
 
-/// Tells the events of a job after number `after`, until it has ended and all are told.
+/// Passes on the events of a job after number `after`, until it has ended and all were passed on.
 pub(crate) async fn follow<F: Future<Output = Result<(), RequestError>>>(
     api: &dyn JobApi,
     tenant: &str,
@@ -94,7 +94,7 @@ pub(crate) async fn follow<F: Future<Output = Result<(), RequestError>>>(
         if ended {
             return Ok(());
         }
-        // Who watches after the last event of an ended job would wait for ever. Its events are looked up once more, since
+        // A watch after the last event of an ended job would wait for ever. Its events are looked up once more, since
         // it may have ended between the two looks.
         ended = api.get(tenant, id).await?.status.state.is_ended();
         if !ended && let Ok(come) = tokio::time::timeout(LOOK_EVERY, api.wait(tenant, id, after)).await {
@@ -111,7 +111,7 @@ pub(crate) async fn timely<T>(work: impl Future<Output = Result<T, BlobError>>) 
     }
 }
 
-/// For who does not have a blob it is not stored.
+/// A blob that the owner does not have is not stored for it.
 pub(crate) async fn check_owned(store: &dyn BlobStore, owner: Owner, digest: Digest) -> Result<(), RequestError> {
     match timely(store.is_owned(owner, digest)).await? {
         true => Ok(()),

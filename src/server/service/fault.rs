@@ -1,6 +1,6 @@
-//! What is told of an error, whatever protocol it is told in.
+//! What callers learn of an error, in every protocol.
 //!
-//! Purpose: DESIGN's table, once: [`Fault`] of each [`RequestError`]. Each door puts it in its own words: gRPC in `status`,
+//! Purpose: the one table: [`Fault`] of each [`RequestError`]. Each interface puts it in its own words: gRPC in `status`,
 //! HTTP in its problems. Invariant: what the caller can mend is `InvalidArgument` with a field; what time mends says when to
 //! try again; faults of ours say nothing of our insides. Must not know: where an error arose, how any protocol looks.
 
@@ -8,7 +8,6 @@ use std::time::Duration;
 
 use super::RequestError;
 use super::access::{Refusal, TENANT};
-use super::convert::spec::path_of;
 use super::refusal;
 use geometry::cvt::density::DensityError;
 use jobs::blob::BlobError;
@@ -22,7 +21,6 @@ use geometry::rvd::RvdError;
 use geometry::token::Stopped;
 use jobs::JobError;
 use jobs::executor::api::JobApiError;
-use jobs::record::SpecError;
 use jobs::store::StoreError;
 use wire::WireError;
 
@@ -143,7 +141,7 @@ fn of_refusal(refusal: Refusal) -> Fault {
         Fault::new(Kind::ResourceExhausted, text.clone()).with(Detail::Retry(after)).with(quota)
     };
     match refusal {
-        // No details: nobody is told what of a key is wrong.
+        // No details: what of a key is wrong stays here.
         Refusal::Unauthenticated => Fault::new(Kind::Unauthenticated, text),
         Refusal::Role(_) | Refusal::Tenant | Refusal::Host | Refusal::Origin => {
             Fault::new(Kind::PermissionDenied, text)
@@ -161,8 +159,7 @@ fn of_wire(error: WireError) -> Fault {
     match error {
         WireError::Field { path, reason } => invalid(text, path, reason),
         WireError::Order(_) => invalid(text.clone(), "message".into(), text),
-        WireError::Options(error) => of_remesh(&error),
-        // A server asks nobody.
+        // A server calls no other.
         WireError::Answer(_) => Fault::new(Kind::Internal, "the request failed by a fault of the server"),
     }
 }
@@ -191,12 +188,12 @@ fn of_remesh(error: &RemeshError) -> Fault {
     let path = match error {
         RemeshError::NoThickness => "mesh.facets".to_owned(),
         RemeshError::Feature(FeatureError::NoSuchEdge { crease, .. }) => format!("mesh.creases[{crease}]"),
-        RemeshError::Feature(FeatureError::BadAngle(_)) => "header.crease_angle_deg".to_owned(),
+        RemeshError::Feature(FeatureError::BadAngle(_)) => "header.options.crease_angle".to_owned(),
         RemeshError::Feature(FeatureError::Stopped(reason)) => return of_stopped(*reason),
         RemeshError::TooFewSeeds { .. } => "seeds".to_owned(),
         RemeshError::Density(error) => return of_density(error),
-        RemeshError::RefineUnfitted => "header.refinement".to_owned(),
-        RemeshError::RefineLimit { .. } => "header.refinement.max_points".to_owned(),
+        RemeshError::RefineUnfitted => "header.options.max_deviation".to_owned(),
+        RemeshError::RefineLimit { .. } => "header.options.max_points".to_owned(),
         // What an upload carries is checked when it is collected, where its index is known.
         RemeshError::Attributes(_) => "mesh.attributes".to_owned(),
         RemeshError::Rvd(error) => return of_rvd(error),
@@ -219,9 +216,9 @@ fn of_density(error: &DensityError) -> Fault {
     let path = match error {
         DensityError::SizeCount { .. } => "mesh.edge_lengths".to_owned(),
         DensityError::BadSize { vertex, .. } => format!("mesh.edge_lengths[{vertex}]"),
-        DensityError::BadOption { name, .. } => format!("header.density.{}", name.replace(' ', "_")),
-        DensityError::NoCount | DensityError::PointLimit { .. } => "header.seeds.sampled.points".to_owned(),
-        DensityError::TooManyPoints { .. } => "header.density".to_owned(),
+        DensityError::BadOption { name, .. } => format!("header.options.density.{}", name.replace(' ', "_")),
+        DensityError::NoCount | DensityError::PointLimit { .. } => "header.options.points".to_owned(),
+        DensityError::TooManyPoints { .. } => "header.options.density".to_owned(),
         DensityError::Stopped(reason) => return of_stopped(*reason),
     };
     invalid(error.to_string(), path, error.to_string())
@@ -306,31 +303,16 @@ fn of_blob(error: &BlobError) -> Fault {
 fn of_job_api(error: JobApiError) -> Fault {
     let text = error.to_string();
     match error {
-        JobApiError::Spec(error) => of_spec(&error),
-        JobApiError::Input { field, problem } => {
-            let path = path_of(&field);
-            invalid(format!("{path} {problem}"), path, problem)
-        }
+        JobApiError::Input { field, problem } => invalid(text, field, problem),
         JobApiError::TooLarge { .. } => invalid(text.clone(), "spec".to_owned(), text),
         JobApiError::Packed { .. } => {
-            let path = path_of("mesh.file");
-            invalid(format!("{path} {text}"), path, text)
+            let path = "spec.mesh.file";
+            invalid(format!("{path} {text}"), path.to_owned(), text)
         }
         JobApiError::Store(error) => of_store(&error),
         JobApiError::Blob(error) => of_blob(&error),
         JobApiError::Job(error) => of_job(&error),
     }
-}
-
-/// Says the field as messages call it.
-fn of_spec(error: &SpecError) -> Fault {
-    let path = path_of(error.field());
-    let text = error.to_string();
-    let text = match text.strip_prefix(error.field()) {
-        Some(rest) if !error.field().is_empty() => format!("{path}{rest}"),
-        _ => text,
-    };
-    invalid(text.clone(), path, text)
 }
 
 fn of_store(error: &StoreError) -> Fault {

@@ -23,10 +23,11 @@ use geometry::token::Token;
 use need::Needs;
 use wire::assemble::Uploaded;
 use wire::chunks::{byte_chunks, point_chunks};
-use wire::counts::{Bounds, SeedCounts};
+use wire::counts::Bounds;
+use wire::options::{Start, fill};
 use wire::proto::{self, ArrayKind, Chunk};
-use wire::upload::{Incoming, Upload};
-use wire::{attributes, codec, density};
+use wire::upload::{Checked, Incoming, Upload};
+use wire::{attributes, codec};
 
 pub(super) mod blobs;
 mod cvt;
@@ -106,15 +107,14 @@ impl proto::remesh_service_server::RemeshService for Handlers {
 
 /// What was uploaded.
 struct Received {
-    seeds: SeedCounts,
     arrays: Uploaded,
     /// Its memory. Held until the job is done.
     share: Share,
 }
 
 /// What was uploaded, and its place in the queue, reserved since its header.
-struct Admitted<H> {
-    header: H,
+struct Admitted<O> {
+    header: Checked<O>,
     received: Received,
     reservation: Reservation,
     request: AdmissionRequest,
@@ -131,10 +131,10 @@ async fn upload<M: Into<Incoming<H>>, H: Needs>(
     shared: &Shared,
     tenant: &str,
     inbox: &mut Inbox<M>,
-) -> Result<Admitted<H>, RequestError> {
+) -> Result<Admitted<H::Options>, RequestError> {
     let Limits { upload_idle, upload: limit, .. } = shared.limits;
     let deadline = tokio::time::Instant::now() + limit;
-    let mut upload = Upload::new(bounds(&shared.limits));
+    let mut upload = Upload::<H>::new(bounds(&shared.limits));
     let mut share = shared.budget.share();
     let mut kept = None;
     loop {
@@ -147,12 +147,12 @@ async fn upload<M: Into<Incoming<H>>, H: Needs>(
         let complete = upload.take(message.map(Into::into), |bytes| share.grow(bytes))?;
         let (request, reservation) = match (kept.take(), upload.header()) {
             (Some(kept), _) => kept,
-            (None, Some(header)) => (need::admission_request(shared, tenant, header)?, shared.engine.reserve()?),
+            (None, Some(header)) => (need::admission_request::<H>(shared, tenant, header)?, shared.engine.reserve()?),
             // Nothing can come before the header.
             (None, None) => (AdmissionRequest::default(), shared.engine.reserve()?),
         };
-        if let Some((header, seeds, arrays)) = complete {
-            return Ok(Admitted { header, received: Received { seeds, arrays, share }, reservation, request });
+        if let Some((header, arrays)) = complete {
+            return Ok(Admitted { header, received: Received { arrays, share }, reservation, request });
         }
         kept = Some((request, reservation));
     }
@@ -171,39 +171,30 @@ pub(super) fn replay(recording: &mut &[u8], limits: &Limits) -> Result<Input, Re
             })?),
         };
         let complete = upload.take(message.map(Into::into), |bytes| share.grow(bytes))?;
-        if let Some((header, seeds, arrays)) = complete {
-            let received = Received { seeds, arrays, share };
-            return Ok(input(received, header.density.as_ref(), limits, &Token::default())?.0);
+        if let Some((mut header, arrays)) = complete {
+            return Ok(input(Received { arrays, share }, &mut header.options, &Token::default())?.0);
         }
     }
 }
 
-/// Makes the engine's input of an upload.
-fn input(
-    received: Received,
-    density: Option<&proto::DensityOptions>,
-    limits: &Limits,
-    token: &Token,
-) -> Result<(Input, Share), RequestError> {
+/// Makes the engine's input of an upload, and fills in its options.
+fn input(received: Received, options: &mut dyn Start, token: &Token) -> Result<(Input, Share), RequestError> {
     token.enter("read");
-    let Received { seeds, arrays, share } = received;
-    let Uploaded { positions, facets, weights, seeds: points, edge_lengths, creases, attributes } = arrays;
-    let density = density::of(density, weights, edge_lengths, limits.max_seeds)?;
+    let Received { arrays, share } = received;
+    let Uploaded { positions, facets, weights, seeds, edge_lengths, creases, attributes } = arrays;
+    fill(options, seeds, edge_lengths, weights);
     let mesh = TriMesh::new(positions, facets).map_err(JobError::from)?;
     token.check().map_err(JobError::from)?;
     let attributes = match attributes.is_empty() {
         true => None,
-        false => Some(attributes::collect(&mesh, attributes)?),
+        false => Some(attributes::collect(&mesh, attributes).map_err(|error| error.under("mesh"))?),
     };
-    let seeds = match seeds {
-        SeedCounts::Uploaded(_) => Seeds::Given(points),
-        SeedCounts::Sampled { points, seed } => Seeds::Sample { points: points as usize, seed },
-        SeedCounts::Implied { seed } => Seeds::Implied { seed },
-    };
+    let (seeds, density) = options.start();
+    let (seeds, density) = (std::mem::replace(seeds, Seeds::Given(Vec::new())), std::mem::take(density));
     Ok((Input { mesh, density, seeds, creases, attributes }, share))
 }
 
-/// Does long work that needs no backend, on a thread that may block. When the caller goes the work is told to stop, and
+/// Does long work that needs no backend, on a thread that may block. When the caller goes, the work is cancelled, and
 /// its place is free once it has: work that went on without a place would be as many threads as there are such callers.
 async fn apart<R: Send + 'static>(
     shared: &Shared,
@@ -230,13 +221,12 @@ async fn apart<R: Send + 'static>(
 async fn prepare(
     shared: &Shared,
     received: Received,
-    density: Option<proto::DensityOptions>,
+    mut options: impl Start + Send + 'static,
     by: fn(Input, &Token) -> Result<Prepared, JobError>,
     token: &Token,
 ) -> Result<(Arc<Prepared>, Share), RequestError> {
-    let limits = shared.limits;
     apart(shared, token, move |token| {
-        let (input, share) = input(received, density.as_ref(), &limits, token)?;
+        let (input, share) = input(received, &mut options, token)?;
         Ok((Arc::new(by(input, token)?), share))
     })
     .await
@@ -286,7 +276,7 @@ impl Clock {
         proto::Timing { queue_ms: self.queue_ms, compute_ms: self.compute_ms }
     }
 
-    /// Tells the log who did the work and how long it took.
+    /// Logs the backend and how long the work took.
     fn note(self, method: &'static str, by: &BackendInfo) {
         let Self { queue_ms, compute_ms } = self;
         tracing::info!(method, backend = by.kind.name(), adapter = by.adapter, queue_ms, compute_ms, "worked");

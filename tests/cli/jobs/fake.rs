@@ -92,7 +92,7 @@ fn moment() -> Option<prost_types::Timestamp> {
 
 /// A remesh in this state.
 pub(super) fn job(state: JobState) -> Job {
-    let work = Some(proto::job_spec::Work::Remesh(proto::RemeshJob::default()));
+    let work = Some(proto::job_spec::Work::Remesh(proto::RemeshOptions::default()));
     let spec = Some(proto::JobSpec { work, ..Default::default() });
     Job { id: ID.to_owned(), spec, state: state.into(), created: moment(), ..Default::default() }
 }

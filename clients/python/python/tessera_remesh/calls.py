@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Iterator
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -17,10 +18,15 @@ Density = Literal["uniform", "curvature", "lfs"]
 
 
 def _density(given: Any) -> dict[str, Any]:
-    """A name, or a weight for each vertex."""
-    if given is None or isinstance(given, str):
-        return {"density": given}
-    return {"weights": meshes._floats(given)}
+    """A name, or a weight for each vertex. "uniform" is as none: beside it there may be sizes."""
+    if given is None:
+        return {"density": None}
+    if not isinstance(given, str):
+        return {"weights": meshes._floats(given)}
+    words = get_args(Density)
+    if given not in words:
+        raise _engine.InputError(f"density is {given!r}; it is one of {', '.join(words)}")
+    return {"density": None if given == "uniform" else given}
 
 
 def _carried(attributes: Any, surface: Surface) -> Attributes | None:
@@ -37,10 +43,7 @@ def _carried(attributes: Any, surface: Surface) -> Attributes | None:
 
 
 def _edges(given: ArrayLike | None) -> Any:
-    if given is None:
-        return None
-    array = np.asarray(given)
-    return array.reshape(0, 2).astype(np.int32) if array.size == 0 else array
+    return None if given is None or np.size(given) == 0 else np.asarray(given)
 
 
 def _one_size(points: Any, edge_length: Any, sizes: Any) -> None:
@@ -144,13 +147,9 @@ def remesh(
         service.ServerError: the server said no.
         KeyboardInterrupt: Ctrl-C; the work has stopped.
     """
-    names = (
-        "points edge_length density sizes gradation adaptivity max_deviation max_points crease_angle creases boundaries thin "
-        "placement lloyd newton projection seed seeds attributes measure backend threads"
-    )
     values = locals()
     surface = meshes.surface(mesh, faces)
-    options, carried = remesh_options(surface, {name: values[name] for name in names.split()})
+    options, carried = remesh_options(surface, {name: values[name] for name in OPTIONS})
     with listener(progress) as listen:
         if endpoint is not None:
             from .service import Client
@@ -160,6 +159,14 @@ def remesh(
         _no_server(server)
         options["attributes"] = None if carried is None else carried._to_engine()
         return to_remesh(surface, _engine.remesh(surface.vertices, surface.faces, options, listen))
+
+
+#: The keywords of `remesh` that say what it does, and their defaults.
+OPTIONS = {
+    name: parameter.default
+    for name, parameter in inspect.signature(remesh).parameters.items()
+    if name not in ("mesh", "faces", "progress", "endpoint", "server")
+}
 
 
 def to_remesh(surface: Surface, done: dict[str, Any]) -> Remesh:

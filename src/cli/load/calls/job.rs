@@ -20,9 +20,9 @@ use wire::pieces::{Incoming, PIECE_BYTES, piece};
 use wire::proto::blob_service_client::BlobServiceClient;
 use wire::proto::job_service_client::JobServiceClient;
 use wire::proto::{
-    CancelJobRequest, CreateJobRequest, DeleteJobRequest, DeleteRequest, DrawnSeeds, FindMissingRequest, GetJobRequest,
-    Job, JobMesh, JobSeeds, JobSpec, JobState, ListJobsRequest, MeshFile, MeshFormat, ReadRequest, RemeshJob, RvdJob,
-    WatchJobRequest, WriteRequest, job_event, job_mesh, job_seeds, job_spec,
+    CancelJobRequest, CreateJobRequest, DeleteJobRequest, DeleteRequest, FindMissingRequest, GetJobRequest, Job,
+    JobMesh, JobSpec, JobState, ListJobsRequest, MeshFile, MeshFormat, ReadRequest, WatchJobRequest, WriteRequest,
+    job_event, job_mesh, job_spec,
 };
 
 /// The label of all jobs of a run; its value is the run's name.
@@ -100,17 +100,10 @@ impl At<'_> {
     }
 
     fn spec(&self, kind: Kind, digest: String) -> JobSpec {
-        let drawn = DrawnSeeds { points: Some(self.surface.points), random_seed: Some(self.random_seed) };
-        let seeds = Some(JobSeeds { source: Some(job_seeds::Source::Drawn(drawn)) });
         let file = MeshFile { digest, format: MeshFormat::Ply.into(), attributes: None };
         let work = match kind {
-            Kind::RvdJob => job_spec::Work::Rvd(RvdJob { seeds, ..RvdJob::default() }),
-            _ => job_spec::Work::Remesh(RemeshJob {
-                seeds,
-                lloyd_steps: self.caller.settings.lloyd,
-                newton_steps: self.caller.settings.newton,
-                ..RemeshJob::default()
-            }),
+            Kind::RvdJob => job_spec::Work::Rvd(self.diagram_options()),
+            _ => job_spec::Work::Remesh(self.remesh_options()),
         };
         JobSpec {
             mesh: Some(JobMesh { source: Some(job_mesh::Source::File(file)) }),
@@ -129,7 +122,7 @@ impl At<'_> {
         match (told, why) {
             // The result of a job that ended before is taken as if nothing had been said.
             (Err(End::Status(status)), Why::Cancel) if status.code() == Code::FailedPrecondition => return Ok(()),
-            // Who gave up is told so, whatever becomes of the job.
+            // The caller gave up, whatever becomes of the job.
             (_, Why::TooLong | Why::Stop) | (Err(_), Why::Cancel) => {}
             (Ok(_), Why::Cancel) => watch_job(tally, self.door, &ends, id).await?,
         }

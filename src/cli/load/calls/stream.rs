@@ -11,10 +11,7 @@ use super::{Answers, Asked, At, End, Pace};
 use crate::remote::Door;
 use wire::arrays::Arrays;
 use wire::proto::remesh_service_client::RemeshServiceClient;
-use wire::proto::{
-    self, ArrayKind, Chunk, ComputeRvdRequest, CvtRequest, RemeshRequest, RvdOutput, SampledSeeds, SeedSource, Timing,
-    seed_source,
-};
+use wire::proto::{self, ArrayKind, Chunk, ComputeRvdRequest, CvtRequest, RemeshRequest, RvdOutput, Timing};
 
 /// Steps of a session.
 const CVT_STEPS: u32 = 5;
@@ -51,7 +48,7 @@ impl Flow {
         Self { begin: Instant::now(), left: Left::default(), first: None, arrays: Arrays::default() }
     }
 
-    /// So many bytes of the result came.
+    /// Counts bytes of the result.
     async fn came(&mut self, bytes: usize, asked: &mut Asked, pace: &mut Pace) {
         self.first.get_or_insert_with(Instant::now);
         asked.came_bytes += bytes as u64;
@@ -83,21 +80,14 @@ fn unended<T>() -> Result<T, End> {
 }
 
 impl At<'_> {
-    fn seeds(&self) -> SeedSource {
-        let sampled = SampledSeeds { points: self.surface.points, random_seed: self.random_seed };
-        SeedSource { source: Some(seed_source::Source::Sampled(sampled)) }
-    }
-
     pub(super) async fn remesh(&self, asked: &mut Asked, pace: &mut Pace) -> Result<(), End> {
         use proto::remesh_request::Message as Ask;
         use proto::remesh_response::Message as Answer;
         let header = proto::RemeshHeader {
-            mesh: Some(self.surface.header),
-            seeds: Some(self.seeds()),
+            mesh: Some(self.surface.header.clone()),
+            seeds: 0,
             backend: self.caller.settings.backend.into(),
-            lloyd_steps: self.caller.settings.lloyd,
-            newton_steps: self.caller.settings.newton,
-            ..proto::RemeshHeader::default()
+            options: Some(self.remesh_options()),
         };
         let chunks = self.surface.chunks.iter().cloned().map(Ask::Chunk);
         let all = [Ask::Header(header)].into_iter().chain(chunks).chain([Ask::Finish(proto::Finish {})]);
@@ -128,10 +118,13 @@ impl At<'_> {
         use proto::compute_rvd_request::Message as Ask;
         use proto::compute_rvd_response::Message as Answer;
         let header = proto::ComputeRvdHeader {
-            mesh: Some(self.surface.header),
-            seeds: Some(self.seeds()),
+            mesh: Some(self.surface.header.clone()),
+            seeds: 0,
             backend: self.caller.settings.backend.into(),
-            outputs: vec![RvdOutput::Cells.into(), RvdOutput::Centroids.into()],
+            options: Some(proto::DiagramOptions {
+                outputs: vec![RvdOutput::Cells.into(), RvdOutput::Centroids.into()],
+                ..self.diagram_options()
+            }),
         };
         let chunks = self.surface.chunks.iter().cloned().map(Ask::Chunk);
         let all = [Ask::Header(header)].into_iter().chain(chunks).chain([Ask::Finish(proto::Finish {})]);
@@ -167,10 +160,14 @@ impl At<'_> {
         use proto::cvt_request::Message as Ask;
         use proto::cvt_response::Message as Answer;
         let header = proto::CvtHeader {
-            mesh: Some(self.surface.header),
-            seeds: Some(self.seeds()),
+            mesh: Some(self.surface.header.clone()),
+            seeds: 0,
             backend: self.caller.settings.backend.into(),
-            ..proto::CvtHeader::default()
+            options: Some(proto::CvtOptions {
+                points: self.surface.points(),
+                seed: Some(self.random_seed),
+                ..proto::CvtOptions::default()
+            }),
         };
         let step = proto::CvtStep { iterations: CVT_STEPS, ..proto::CvtStep::default() };
         let chunks = self.surface.chunks.iter().cloned().map(Ask::Chunk);

@@ -81,7 +81,7 @@ impl<'a> Job<'a, '_> {
         self.token.check()?;
 
         self.enter("iterations");
-        let max_seeds = options.refine.map_or(0, |r| r.max_points);
+        let max_seeds = options.refine.and_then(|refine| refine.max_points).unwrap_or(0);
         let cvt_options = CvtOptions { projection: options.projection, max_seeds };
         let mut cvt = Cvt::new(self.backend, Arc::clone(&surface), &first, cvt_options)?;
         cvt.bring_closest(closest);

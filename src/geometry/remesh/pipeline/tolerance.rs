@@ -19,7 +19,7 @@ use crate::remesh::constants::{
     PROGRESS_SHARE, SHORTEST_SHARE, SPENT_SHARE, TOLERANCE_AIM, VAIN_GROWTH,
 };
 use crate::remesh::report::RefineEnd;
-use crate::remesh::{Refine, RemeshError, RemeshOptions, Seeds};
+use crate::remesh::{Limits, RemeshError, RemeshOptions, Seeds};
 
 /// A result and how far it is.
 struct Measured<'a> {
@@ -38,7 +38,7 @@ impl Measured<'_> {
 struct Search<'a, 'j, 'b> {
     job: &'j mut Job<'a, 'b>,
     comparison: Comparison<'a>,
-    limits: Refine,
+    limits: Limits,
     /// The nearest result so far.
     best: Measured<'a>,
     /// Points and largest distance of the first one.
@@ -69,7 +69,7 @@ pub(super) fn refine<'a>(
     job: &mut Job<'a, '_>,
     prepared: Prepared<'a>,
     options: &RemeshOptions,
-    limits: Refine,
+    limits: Limits,
     random_seed: u64,
 ) -> Result<Attempt<'a>, RemeshError> {
     let options = RemeshOptions { refine: None, ..options.clone() };
@@ -92,7 +92,7 @@ pub(super) fn add<'a>(
     job: &mut Job<'a, '_>,
     prepared: Prepared<'a>,
     options: &RemeshOptions,
-    limits: Refine,
+    limits: Limits,
 ) -> Result<Attempt<'a>, RemeshError> {
     let mut tolerance = limits.tolerance;
     let mut search = Search::begin(job, prepared, options.clone(), limits, tolerance)?;
@@ -114,13 +114,13 @@ impl<'a, 'j, 'b> Search<'a, 'j, 'b> {
         job: &'j mut Job<'a, 'b>,
         prepared: Prepared<'a>,
         options: RemeshOptions,
-        limits: Refine,
+        limits: Limits,
         tolerance: f64,
     ) -> Result<Self, RemeshError> {
         let comparison = Comparison::new(job.separated, limits.tolerance, job.token)?;
         let best = attempt(job, &comparison, prepared, options, tolerance)?;
         let first = (best.points(), best.distances.largest);
-        let limits = limits.with_max_points(limits.max_points.max(first.0));
+        let limits = Limits { max_points: limits.max_points.max(first.0), ..limits };
         Ok(Self { job, comparison, limits, best, first, rounds: 0, compared: 0, passes_of_others: 0 })
     }
 
@@ -154,7 +154,7 @@ impl<'a, 'j, 'b> Search<'a, 'j, 'b> {
     /// Rounds with shorter edges, from these lengths or from those of the best result.
     fn shorten(&mut self, from: Option<Vec<f64>>, random_seed: u64) -> Result<(), RemeshError> {
         let (separated, token) = (self.job.separated, self.job.token);
-        let Refine { tolerance, max_points } = self.limits;
+        let Limits { tolerance, max_points } = self.limits;
         let mut lengths = match from {
             Some(lengths) => lengths,
             None => self.best.attempt.plan.lengths(separated, token)?,
@@ -209,7 +209,7 @@ impl<'a, 'j, 'b> Search<'a, 'j, 'b> {
             return Ok(());
         }
         self.rounds += 1;
-        let options = RemeshOptions { refine: Some(self.limits), ..self.best.options.clone() };
+        let options = RemeshOptions { refine: Some(self.limits.into()), ..self.best.options.clone() };
         self.attempt(options, TOLERANCE_AIM * self.limits.tolerance)
     }
 

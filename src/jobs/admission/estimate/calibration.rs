@@ -22,8 +22,8 @@ struct Case {
     facets: u64,
     points: u64,
     steps: u64,
-    density: DensityKind,
-    placement: PlacementRule,
+    density: DensitySource,
+    placement: Placement,
     /// Bytes that it took.
     measured: u64,
 }
@@ -33,15 +33,15 @@ enum Source {
     File(&'static str),
 }
 
-use DensityKind::{Curvature, FeatureSize, Uniform};
+use DensitySource::{Curvature, Lfs, Uniform};
 use Kind::{Remesh, Rvd};
-use PlacementRule::{Fitted, Surface};
+use Placement::{Fitted, Surface};
 use Source::{File, Shape};
 
 #[rustfmt::skip]
 const fn case(
     kind: Kind, surface: Source, [vertices, facets]: [u64; 2], [points, steps]: [u64; 2],
-    density: DensityKind, placement: PlacementRule, measured: u64,
+    density: DensitySource, placement: Placement, measured: u64,
 ) -> Case {
     Case { kind, surface, vertices, facets, points, steps, density, placement, measured }
 }
@@ -51,7 +51,7 @@ const fn case(
 const FITTED: &[Case] = &[
     case(Remesh, Shape("torus", 1000), [504, 1008], [300, 35], Uniform, Fitted, 26_900_000),
     case(Remesh, Shape("sphere", 10_000), [4842, 9680], [1000, 35], Uniform, Fitted, 44_000_000),
-    case(Remesh, File("rocker-arm.obj"), [10_044, 20_088], [15_000, 35], FeatureSize, Fitted, 134_400_000),
+    case(Remesh, File("rocker-arm.obj"), [10_044, 20_088], [15_000, 35], Lfs, Fitted, 134_400_000),
     case(Remesh, File("dragon_vrip_res3.ply"), [22_998, 47_486], [5000, 35], Uniform, Fitted, 134_300_000),
     case(Remesh, File("stanford-bunny.obj"), [34_834, 69_451], [300, 35], Uniform, Fitted, 74_400_000),
     case(Remesh, File("stanford-bunny.obj"), [34_834, 69_451], [10_000, 35], Uniform, Fitted, 135_200_000),
@@ -64,7 +64,7 @@ const FITTED: &[Case] = &[
     case(Remesh, Shape("plane", 20_000), [10_201, 20_000], [300_000, 8], Uniform, Fitted, 1_151_800_000),
     case(Remesh, Shape("hills", 300_000), [150_544, 299_538], [30_000, 15], Uniform, Fitted, 356_100_000),
     case(Remesh, Shape("torus", 1_000_000), [499_746, 999_492], [1000, 35], Uniform, Fitted, 496_600_000),
-    case(Remesh, Shape("torus", 1_000_000), [499_746, 999_492], [10_000, 9], FeatureSize, Fitted, 547_300_000),
+    case(Remesh, Shape("torus", 1_000_000), [499_746, 999_492], [10_000, 9], Lfs, Fitted, 547_300_000),
     case(Remesh, Shape("torus", 1_000_000), [499_746, 999_492], [100_000, 10], Uniform, Fitted, 845_500_000),
     case(Remesh, Shape("torus", 1_000_000), [499_746, 999_492], [1_000_000, 4], Uniform, Fitted, 3_551_300_000),
     case(Remesh, Shape("torus", 2_000_000), [999_824, 1_999_648], [10_000, 9], Uniform, Fitted, 988_000_000),
@@ -82,7 +82,7 @@ const HELD_OUT: &[Case] = &[
     case(Remesh, File("fandisk.obj"), [6475, 12_946], [20_000, 35], Curvature, Fitted, 140_900_000),
     case(Remesh, File("rocker-arm.obj"), [10_044, 20_088], [50_000, 35], Uniform, Fitted, 249_200_000),
     case(Remesh, Shape("genus12", 60_000), [30_008, 60_060], [20_000, 35], Uniform, Fitted, 150_900_000),
-    case(Remesh, File("nefertiti.obj"), [49_971, 99_938], [10_000, 35], FeatureSize, Fitted, 149_900_000),
+    case(Remesh, File("nefertiti.obj"), [49_971, 99_938], [10_000, 35], Lfs, Fitted, 149_900_000),
     case(Remesh, Shape("sphere", 200_000), [100_002, 200_000], [500_000, 9], Uniform, Fitted, 1_675_700_000),
     case(Remesh, Shape("hills", 400_000), [200_704, 399_618], [100_000, 15], Uniform, Surface, 501_700_000),
     case(Remesh, Shape("sheets", 800_000), [401_408, 799_236], [5000, 9], Uniform, Fitted, 453_700_000),
@@ -143,7 +143,7 @@ impl Case {
             };
             let density = match density {
                 Curvature => "curvature",
-                FeatureSize => "lfs",
+                Lfs => "lfs",
                 _ => "uniform",
             };
             let (lloyd, newton) = ((self.steps - newton).to_string(), newton.to_string());

@@ -6,12 +6,12 @@ use super::*;
 
 const KINDS: [Kind; 3] = [Kind::Remesh, Kind::Rvd, Kind::Cvt];
 const BACKENDS: [BackendKind; 3] = [BackendKind::Serial, BackendKind::Parallel, BackendKind::Gpu];
-const DENSITIES: [DensityKind; 5] = [
-    DensityKind::Uniform,
-    DensityKind::Weights,
-    DensityKind::EdgeLengths,
-    DensityKind::Curvature,
-    DensityKind::FeatureSize,
+const DENSITIES: [DensitySource; 5] = [
+    DensitySource::Uniform,
+    DensitySource::Weights,
+    DensitySource::EdgeLengths,
+    DensitySource::Curvature,
+    DensitySource::Lfs,
 ];
 
 /// From few to more than there can be.
@@ -34,7 +34,7 @@ prop_compose! {
             steps,
             input_bytes,
             density: DENSITIES[density],
-            placement: if flags & 1 == 0 { PlacementRule::Fitted } else { PlacementRule::Surface },
+            placement: if flags & 1 == 0 { Placement::Fitted } else { Placement::Surface },
             attributes,
             list_bytes,
             refines: flags & 2 != 0,
@@ -97,12 +97,12 @@ fn the_most_of_everything_is_a_number() {
 }
 
 /// Bytes that sessions really had (`memory.device_bytes` of reports of llvmpipe).
-const ON_DEVICE: [(Kind, u64, u64, DensityKind, u64); 5] = [
-    (Kind::Remesh, 69_451, 10_000, DensityKind::Uniform, 48_038_700),
-    (Kind::Remesh, 999_492, 100_000, DensityKind::Uniform, 326_364_028),
-    (Kind::Remesh, 64, 50_000, DensityKind::Uniform, 69_331_216),
-    (Kind::Remesh, 99_938, 50_000, DensityKind::FeatureSize, 93_962_328),
-    (Kind::Rvd, 999_492, 100_000, DensityKind::Uniform, 299_854_544),
+const ON_DEVICE: [(Kind, u64, u64, DensitySource, u64); 5] = [
+    (Kind::Remesh, 69_451, 10_000, DensitySource::Uniform, 48_038_700),
+    (Kind::Remesh, 999_492, 100_000, DensitySource::Uniform, 326_364_028),
+    (Kind::Remesh, 64, 50_000, DensitySource::Uniform, 69_331_216),
+    (Kind::Remesh, 99_938, 50_000, DensitySource::Lfs, 93_962_328),
+    (Kind::Rvd, 999_492, 100_000, DensitySource::Uniform, 299_854_544),
 ];
 
 #[test]
@@ -111,7 +111,7 @@ fn device_bytes_are_those_of_sessions() {
         let counts = Counts { density, ..Counts::new(kind, BackendKind::Gpu, facets / 2, facets, points) };
         let ratio = need(&counts, 2).memory.device as f64 / measured as f64;
         // Graded seeds may crowd, and need a finer grid then; none did here.
-        let most = if density == DensityKind::Uniform { 1.1 } else { 3.0 };
+        let most = if density == DensitySource::Uniform { 1.1 } else { 3.0 };
         assert!((0.95..most).contains(&ratio), "{facets} facets, {points} points: {ratio}");
     }
 }

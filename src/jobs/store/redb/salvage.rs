@@ -14,7 +14,7 @@ use ::redb::{Builder, ConcurrencyMode, ReadTransaction, ReadableDatabase, Readab
 
 use super::{Table, definition};
 use crate::record::event::Log;
-use crate::record::{JobId, ValidSpec};
+use crate::record::{JobId, Spec};
 use crate::store::codec::{Head, decode, encode};
 
 /// The byte of redb's header that says which of the two roots counts, and whether the file is to be recovered before it is
@@ -23,7 +23,7 @@ const FLAGS_AT: u64 = 9;
 const SECOND_ROOT: u8 = 1;
 const TO_BE_RECOVERED: u8 = 2;
 
-/// A file may have been so many times as long.
+/// The most that a file may have been longer, as a factor.
 const LONGEST_CUT: u64 = 64;
 
 /// The rows of one table, by key.
@@ -114,7 +114,7 @@ impl Rows {
         for key in ids {
             let Some(id) = key.last_chunk().map(|bytes| JobId(*bytes)) else { continue };
             let head = self.heads.get(&key).and_then(|bytes| decode::<Head>("head", bytes).ok());
-            let spec = self.specs.get(&key).filter(|bytes| decode::<ValidSpec>("spec", bytes).is_ok());
+            let spec = self.specs.get(&key).filter(|bytes| decode::<Spec>("spec", bytes).is_ok());
             // Without its events a job is still what it is.
             let log = self.logs.get(&key).filter(|bytes| decode::<Log>("log", bytes).is_ok()).cloned();
             let log = log.or_else(|| encode("log", &Log::default()).ok());

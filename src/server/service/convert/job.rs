@@ -1,11 +1,10 @@
 //! Jobs, their events, and questions about them.
 //!
-//! Invariant: a job is told with its specification as it was given; its tenant, its holder and its version are nobody's
-//! business. A page is as long as a message may be, and says where the next begins.
+//! Invariant: a job is answered with its specification as it was given, without tenant, holder and version. A page is as long as a message may be, and says where the next begins.
 
 use prost::Message as _;
 
-use super::{At, Choice, spec, time, timestamp};
+use super::{failure_value, state, state_value, time, timestamp};
 use jobs::executor::api::Estimate;
 use jobs::record::event::{Event, Progress, What};
 use jobs::record::{Cause, Failure, Job, Outcome, ResultSet, Status};
@@ -30,14 +29,14 @@ pub(in crate::service) fn message(job: &Job) -> proto::Job {
             results = blobs.iter().map(blob).collect();
         }
         Some(Outcome::Failed(Failure { kind, message })) => {
-            failure = Some(proto::JobFailure { kind: kind.value(), message: message.clone() });
+            failure = Some(proto::JobFailure { kind: failure_value(*kind).into(), message: message.clone() });
         }
         Some(Outcome::Expired(cause)) => expired_by = cause_name(*cause).to_owned(),
     }
     proto::Job {
         id: job.id.to_string(),
-        spec: Some(spec::message(&job.spec)),
-        state: state.value(),
+        spec: Some(job.spec.message().clone()),
+        state: state_value(*state).into(),
         created: Some(timestamp(*created)),
         started: started.map(timestamp),
         changed: Some(timestamp(*changed)),
@@ -63,7 +62,9 @@ pub(in crate::service) fn event(event: Event) -> proto::JobEvent {
     use proto::job_event::What as Told;
     let Event { number, at, what } = event;
     let what = match what {
-        What::State { state, attempt } => Told::State(proto::JobStateChange { state: state.value(), attempt }),
+        What::State { state, attempt } => {
+            Told::State(proto::JobStateChange { state: state_value(state).into(), attempt })
+        }
         What::Progress(Progress::Stage { name, done, total }) => Told::Stage(proto::JobStage { name, done, total }),
         What::Progress(Progress::Iteration { index, total, kind, energy, gradient_norm, ms }) => {
             Told::Iteration(proto::JobIteration { index, total, kind, energy, gradient_norm, ms })
@@ -75,17 +76,19 @@ pub(in crate::service) fn event(event: Event) -> proto::JobEvent {
 /// What a list is asked for.
 pub(in crate::service) fn query(request: proto::ListJobsRequest, tenant: String) -> Result<Query, WireError> {
     let proto::ListJobsRequest { page_size, page_token, states, labels, created_since, created_before } = request;
-    let row = At::Top("states");
-    let states = states.into_iter().enumerate().map(|(i, state)| Choice::chosen(&row.item(i), state));
+    let one = |(i, value): (usize, i32)| {
+        let wrong = || WireError::field(format!("states[{i}]"), format!("is {value}, which is no state"));
+        state(value).ok_or_else(wrong)
+    };
     let token = match page_token.is_empty() {
         true => None,
         false => Some(page_token.parse().map_err(|_| {
-            At::Top("page_token").wrong("is none that this server gave; leave it empty for the first page")
+            WireError::field("page_token", "is none that this server gave; leave it empty for the first page")
         })?),
     };
-    let limited = |name, given: Option<_>| given.map(|given| time(&At::Top(name), given)).transpose();
+    let limited = |name, given: Option<_>| given.map(|given| time(name, given)).transpose();
     Ok(Query {
-        states: states.collect::<Result<_, _>>()?,
+        states: states.into_iter().enumerate().map(one).collect::<Result<_, _>>()?,
         labels: labels.into_iter().collect(),
         tenant: Some(tenant),
         since: limited("created_since", created_since)?,

@@ -1,7 +1,7 @@
 //! `BlobService`: uploads that can go on after a cut, downloads of ranges, and questions about blobs.
 //!
 //! Invariant: while one piece of an upload is stored the next may arrive, and no more; of a download only what waits for
-//! the client is held. A blob is there for a tenant that has it, and for nobody else: whatever is asked of another's, the
+//! the client is held. A blob exists only for a tenant that has it: whatever is asked of another's, the
 //! answer is that of a blob that is not stored. Bytes are handed on, never copied. An upload that is cut in any way stays as far as it is stored.
 //! Must not know: where blobs lie, how statuses look.
 
@@ -13,7 +13,7 @@ use tonic::{Request, Response, Status, Streaming};
 use crate::config::Limits;
 use crate::service::access::Caller;
 use crate::service::budget::{Budget, Share};
-use crate::service::convert::{At, digest};
+use crate::service::convert::digest;
 use crate::service::desk::{EmptyUpload, STORE_TIME, check_owned, timely};
 use crate::service::stream::{Answers, Gate, Inbox, Kind, Outbox, answer, respond};
 use crate::service::{Phase, RequestError, tenant};
@@ -73,7 +73,7 @@ impl proto::blob_service_server::BlobService for Blobs {
         let tenant = tenant::of(request.metadata(), request.extensions()).map_err(RequestError::from)?;
         self.ask("QueryWriteStatus", request, |message, _, store| async move {
             let proto::QueryWriteStatusRequest { digest: named, size_bytes } = message;
-            let upload = UploadId::new(digest(&At::Top("digest"), &named)?, size_bytes).of(&tenant);
+            let upload = UploadId::new(digest("digest", &named)?, size_bytes).of(&tenant);
             let UploadStatus { kept_bytes, complete } = store.upload_status(upload).await?;
             Ok(proto::QueryWriteStatusResponse { kept_bytes, complete })
         })
@@ -94,13 +94,12 @@ impl proto::blob_service_server::BlobService for Blobs {
         request: Request<proto::FindMissingRequest>,
     ) -> Result<Response<proto::FindMissingResponse>, Status> {
         self.ask("FindMissing", request, |message, owner, store| async move {
-            let at = At::Top("digests");
             let named = message.digests;
             if named.len() > MOST_DIGESTS {
                 let text = format!("are {}; ask for at most {MOST_DIGESTS} at once", named.len());
-                return Err(WireError::field(at.to_string(), text).into());
+                return Err(WireError::field("digests", text).into());
             }
-            let digests = named.iter().enumerate().map(|(i, text)| digest(&At::Item(&at, i), text));
+            let digests = named.iter().enumerate().map(|(i, text)| digest(&format!("digests[{i}]"), text));
             let missing = store.find_missing_of(owner, &digests.collect::<Result<Vec<_>, _>>()?).await?;
             Ok(proto::FindMissingResponse { digests: missing.iter().map(Digest::to_string).collect() })
         })
@@ -109,7 +108,7 @@ impl proto::blob_service_server::BlobService for Blobs {
 
     async fn stat(&self, request: Request<proto::StatRequest>) -> Result<Response<proto::StatResponse>, Status> {
         self.ask("Stat", request, |message, owner, store| async move {
-            let named = digest(&At::Top("digest"), &message.digest)?;
+            let named = digest("digest", &message.digest)?;
             check_owned(&*store, owner, named).await?;
             let BlobInfo { digest, size_bytes } = store.stat(named).await?;
             Ok(proto::StatResponse { digest: digest.to_string(), size_bytes })
@@ -119,7 +118,7 @@ impl proto::blob_service_server::BlobService for Blobs {
 
     async fn delete(&self, request: Request<proto::DeleteRequest>) -> Result<Response<proto::DeleteResponse>, Status> {
         self.ask("Delete", request, |message, owner, store| async move {
-            store.disown(owner, digest(&At::Top("digest"), &message.digest)?).await?;
+            store.disown(owner, digest("digest", &message.digest)?).await?;
             Ok(proto::DeleteResponse {})
         })
         .await
@@ -138,7 +137,7 @@ impl Blobs {
         let Some((mut message, mut share)) = self.next(&mut inbox, deadline).await? else {
             return Err(WireError::Order("the stream ended before its first message, which names the blob").into());
         };
-        let upload = UploadId::new(digest(&At::Top("digest"), &message.digest)?, message.size_bytes).of(tenant);
+        let upload = UploadId::new(digest("digest", &message.digest)?, message.size_bytes).of(tenant);
         let mut status = timely(self.store.begin_within(upload, most)).await?;
         let _empty = EmptyUpload::new(&self.store, upload);
         while !status.complete {
@@ -209,8 +208,7 @@ async fn store(
 
 /// Later messages may name the blob again, and no other.
 fn check_same(upload: UploadId, message: &proto::WriteRequest) -> Result<(), WireError> {
-    let at = At::Top("digest");
-    if !message.digest.is_empty() && digest(&at, &message.digest)? != upload.digest {
+    if !message.digest.is_empty() && digest("digest", &message.digest)? != upload.digest {
         return Err(WireError::field("digest", "is another than in the first message; a stream is one upload"));
     }
     if message.size_bytes != 0 && message.size_bytes != upload.size_bytes {
@@ -228,7 +226,7 @@ async fn send(
 ) -> Result<(), RequestError> {
     let proto::ReadRequest { digest: named, offset, limit_bytes } = message;
     let end = if limit_bytes == 0 { u64::MAX } else { offset.saturating_add(limit_bytes) };
-    let wanted = digest(&At::Top("digest"), &named)?;
+    let wanted = digest("digest", &named)?;
     check_owned(&*store, owner, wanted).await?;
     let mut read = timely(store.read(wanted, offset..end)).await?;
     let size_bytes = read.info.size_bytes;

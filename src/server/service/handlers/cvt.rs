@@ -8,11 +8,10 @@ use std::sync::Arc;
 use super::*;
 pub(super) use ::jobs::Timed;
 use ::jobs::executor::prepared::Prepared;
-pub(super) use ::jobs::executor::session::{CvtSession, SeedsWanted};
+pub(super) use ::jobs::executor::session::CvtSession;
 use wire::WireError;
-use wire::counts::within;
-use wire::options::of_cvt;
-use wire::proto::{CvtDone, CvtEdit, CvtEdited, CvtRequest, CvtResponse, CvtStep};
+use wire::options::within;
+use wire::proto::{CvtDone, CvtEdit, CvtEdited, CvtRequest, CvtResponse, CvtStep, SeedsWanted};
 use wire::proto::{cvt_request as request, cvt_response as response};
 
 fn wrap(message: response::Message) -> CvtResponse {
@@ -32,10 +31,9 @@ pub(super) async fn handle(
 ) -> Result<(), RequestError> {
     let _place = shared.gate.admit_session()?;
     let Admitted { header, received, reservation, request } = upload(&shared, &tenant, &mut inbox).await?;
-    let wish = codec::backend(header.backend)?;
-    let options = of_cvt(&header)?;
+    let (wish, options) = (header.backend, header.options.options);
     let token = shared.engine.token();
-    let (prepared, _share) = prepare(&shared, received, header.density, Prepared::for_steps, &token).await?;
+    let (prepared, _share) = prepare(&shared, received, header.options, Prepared::for_steps, &token).await?;
     let mut pending = CvtSession::open(&shared.engine, Arc::clone(&prepared), wish, options, (reservation, request))?;
     let position = pending.position;
     let Timed { value, queue_ms, compute_ms } = pending.wait().await?;
@@ -76,9 +74,11 @@ struct Talk {
 
 impl Talk {
     async fn step(&mut self, step: CvtStep) -> Result<(), RequestError> {
-        let wanted = seeds_wanted(step.seeds, "step.seeds")?;
-        let kind = codec::step_kind(step.kind)?;
-        within("step.iterations", step.iterations.into(), 1, self.limits.max_iterations.into())?;
+        let read = || {
+            within("iterations", step.iterations.into(), 1, self.limits.max_iterations.into())?;
+            Ok((codec::step_kind(step.kind)?, codec::seeds_wanted(step.seeds)?))
+        };
+        let (kind, wanted) = read().map_err(|error: WireError| error.under("step"))?;
         let total = step.iterations as usize;
         let mut left = total;
         while left > 0 {
@@ -98,8 +98,9 @@ impl Talk {
     }
 
     async fn edit(&mut self, edit: CvtEdit) -> Result<(), RequestError> {
-        let wanted = seeds_wanted(edit.seeds, "edit.seeds")?;
-        let timed = self.session.edit(codec::edits(&edit.edits)?).await?;
+        let read = || Ok((codec::edits(&edit.edits)?, codec::seeds_wanted(edit.seeds)?));
+        let (edits, wanted) = read().map_err(|error: WireError| error.under("edit"))?;
+        let timed = self.session.edit(edits).await?;
         self.clock.add(timed.queue_ms, timed.compute_ms);
         let edited = CvtEdited { seeds: self.session.seed_count() as u64 };
         self.outbox.send(wrap(response::Message::Edited(edited))).await?;
@@ -125,15 +126,5 @@ impl Talk {
             seeds: self.session.seed_count() as u64,
         };
         self.outbox.send(wrap(response::Message::Done(done))).await
-    }
-}
-
-/// When a command wants the seeds.
-fn seeds_wanted(value: i32, path: &str) -> Result<SeedsWanted, WireError> {
-    match proto::SeedsWanted::try_from(value) {
-        Ok(proto::SeedsWanted::Unspecified | proto::SeedsWanted::Never) => Ok(SeedsWanted::Never),
-        Ok(proto::SeedsWanted::Last) => Ok(SeedsWanted::Last),
-        Ok(proto::SeedsWanted::Each) => Ok(SeedsWanted::Each),
-        Err(_) => Err(WireError::unknown_enum(path, value)),
     }
 }

@@ -34,10 +34,10 @@ pub(super) async fn handle(
     outbox: Outbox<ComputeRvdResponse>,
 ) -> Result<(), RequestError> {
     let Admitted { header, received, reservation, request } = upload(&shared, &tenant, &mut inbox).await?;
-    let (choice, outputs) = (codec::backend(header.backend)?, codec::outputs(&header.outputs)?);
+    let (choice, outputs) = (header.backend, header.options.outputs);
     let by = shared.engine.backend(choice)?;
     let token = shared.engine.token();
-    let (prepared, _share) = prepare(&shared, received, None, Prepared::new, &token).await?;
+    let (prepared, _share) = prepare(&shared, received, header.options, Prepared::new, &token).await?;
     let for_device = Arc::clone(&prepared);
     let mut pending = shared.engine.submit_as(
         token.clone(),

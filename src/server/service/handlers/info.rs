@@ -1,7 +1,7 @@
 //! `ServerService`: what the server says of itself.
 //!
-//! Invariant: it is answered whatever the condition of the server, and from the values that everything else is told from.
-//! Must not know: who finds faults, how jobs are done.
+//! Invariant: it is answered whatever the condition of the server, from the values that health and metrics have.
+//! Must not know: how faults are found, how jobs are done.
 
 use tonic::{Request, Response, Status};
 

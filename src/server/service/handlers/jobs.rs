@@ -1,7 +1,7 @@
 //! `JobService`: questions about jobs, and watches of one.
 //!
 //! Invariant: every question is asked in the name of the caller's tenant. A watch holds the events that it sends now, and
-//! ends with the job, or with an error. Must not know: who does jobs, where they are kept, how statuses look.
+//! ends with the job, or with an error. Must not know: how jobs are done, where they are kept, how statuses look.
 
 use std::sync::Arc;
 
@@ -9,14 +9,15 @@ use tonic::{Request, Response, Status};
 
 use crate::service::access::Caller;
 use crate::service::budget::Budget;
-use crate::service::convert::{job, job_id, spec};
+use crate::service::convert::{job, job_id};
 use crate::service::desk::{self, DESK_TIME, to_the_end};
 use crate::service::stream::{Answers, Gate, Kind, Outbox, answer, respond};
 use crate::service::{Phase, RequestError, tenant};
 use jobs::blob::BlobStore;
 use jobs::executor::api::JobApi;
+use jobs::record::Spec;
 use jobs::record::event::Event;
-use wire::proto;
+use wire::{WireError, proto};
 
 /// The service.
 pub(in crate::service) struct Jobs {
@@ -57,7 +58,7 @@ impl proto::job_service_server::JobService for Jobs {
         let most = request.extensions().get::<Caller>().and_then(|caller| caller.bytes);
         let blobs = Arc::clone(&self.blobs);
         self.ask("CreateJob", request, |message, tenant, api| async move {
-            let wanted = spec::of(message.spec, tenant, message.request_id)?;
+            let wanted = spec(message.spec, tenant, message.request_id)?;
             let created = desk::create(api, &*blobs, most, wanted).await?;
             Ok(proto::CreateJobResponse { job: Some(job::message(&created.job)), existed: created.existed })
         })
@@ -130,11 +131,17 @@ impl proto::job_service_server::JobService for Jobs {
     ) -> Result<Response<proto::EstimateJobResponse>, Status> {
         self.ask("EstimateJob", request, |message, tenant, api| async move {
             let proto::EstimateJobRequest { spec: wanted, vertices, facets } = message;
-            let wanted = spec::of(wanted, tenant, String::new())?;
+            let wanted = spec(wanted, tenant, String::new())?;
             Ok(job::estimate(api.estimate(wanted, vertices, facets).await?))
         })
         .await
     }
+}
+
+/// A specification that was checked.
+fn spec(message: Option<proto::JobSpec>, tenant: String, request_id: String) -> Result<Spec, WireError> {
+    let message = message.ok_or_else(|| WireError::field("spec", "is missing; say what the job is to do"))?;
+    Spec::new(message, tenant, request_id)
 }
 
 /// Sends an event.

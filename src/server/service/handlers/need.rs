@@ -3,27 +3,26 @@
 //! Invariant: a stream whose job never fits is refused before its arrays are sent. Must not know: how needs are computed
 //! (`job::estimate`), messages but for headers.
 
-use super::{Shared, bounds};
+use super::Shared;
 use crate::service::RequestError;
+use geometry::cvt::density::Count;
 use geometry::remesh::RemeshOptions;
-use geometry::rvd::BackendKind;
 use jobs::admission::estimate::{Counts, Kind, need};
 use jobs::admission::forecast::must_fit;
 use jobs::observe::activity::Origin;
-use jobs::record::{DensityKind, PlacementRule};
 use jobs::{AdmissionRequest, admission};
-use wire::codec;
-use wire::counts::{MeshCounts, SeedCounts};
-use wire::proto::{self, ComputeRvdHeader, CvtHeader, RemeshHeader};
-use wire::upload::Header;
+use wire::options::{Diagram, Session, Start};
+use wire::proto::{ComputeRvdHeader, CvtHeader, RemeshHeader};
+use wire::upload::{Checked, Header};
 
 /// A header that says what its job needs.
-pub(super) trait Needs: Header {
+pub(super) trait Needs: Header<Options: Start> {
+    const KIND: Kind;
     /// Whether later pieces continue what the first one makes.
     const HAS_CONTINUATIONS: bool;
 
-    /// The counts, where the mesh and the seeds are of these.
-    fn counts(&self, by: BackendKind, mesh: MeshCounts, points: u64) -> Counts;
+    /// The counts with the options.
+    fn counts(counts: Counts, options: &Self::Options) -> Counts;
 }
 
 /// The admission request of a stream's job, in the name of its tenant.
@@ -33,16 +32,19 @@ pub(super) trait Needs: Header {
 pub(super) fn admission_request<H: Needs>(
     shared: &Shared,
     tenant: &str,
-    header: &H,
+    header: &Checked<H::Options>,
 ) -> Result<AdmissionRequest, RequestError> {
-    let by = shared.engine.backend(codec::backend(header.backend())?)?;
-    let (mesh, seeds) = header.check(&bounds(&shared.limits))?;
-    let points = match seeds {
-        SeedCounts::Uploaded(points) | SeedCounts::Sampled { points, .. } => points,
+    let by = shared.engine.backend(header.backend)?;
+    let Checked { mesh, options, attributes, .. } = header;
+    let points = match options.seeds().count() {
+        _ if mesh.seeds > 0 => mesh.seeds,
+        Count::Points(points) => points as u64,
         // Nothing is known yet: seldom more than half as many as facets.
-        SeedCounts::Implied { .. } => (mesh.facets / 2).clamp(1, shared.limits.max_seeds.max(1)),
+        Count::Implied => (mesh.facets / 2).clamp(1, shared.limits.max_seeds.max(1)),
     };
-    let counts = header.counts(by.kind, mesh, points);
+    let counts = H::counts(Counts::new(H::KIND, by.kind, mesh.vertices, mesh.facets, points), options);
+    let attributes = attributes.iter().fold(0, |sum, array| array.values.saturating_mul(3).saturating_add(sum));
+    let counts = Counts { attributes, ..counts };
     let need = need(&counts, by.threads);
     must_fit(&need, shared.engine.memory())?;
     let request = admission::request(&shared.engine, tenant, &counts, &need);
@@ -51,60 +53,30 @@ pub(super) fn admission_request<H: Needs>(
     Ok(AdmissionRequest { has_continuations: H::HAS_CONTINUATIONS, origin, ..request })
 }
 
-fn density(options: Option<&proto::DensityOptions>, mesh: MeshCounts) -> DensityKind {
-    use proto::DensitySource as Source;
-    match options.map_or(Source::Unspecified, proto::DensityOptions::source) {
-        Source::Curvature => DensityKind::Curvature,
-        Source::FeatureSize => DensityKind::FeatureSize,
-        _ if mesh.edge_lengths > 0 => DensityKind::EdgeLengths,
-        _ if mesh.weights > 0 => DensityKind::Weights,
-        _ => DensityKind::Uniform,
-    }
-}
-
 impl Needs for RemeshHeader {
+    const KIND: Kind = Kind::Remesh;
     const HAS_CONTINUATIONS: bool = false;
 
-    fn counts(&self, by: BackendKind, mesh: MeshCounts, points: u64) -> Counts {
-        let usual = RemeshOptions::usual();
-        let steps = |given: Option<u32>, usual: usize| given.map_or(usual as u64, u64::from);
-        let most = self.refinement.map(|r| r.max_points.unwrap_or(points.saturating_mul(2)).max(points));
-        Counts {
-            steps: steps(self.lloyd_steps, usual.lloyd) + steps(self.newton_steps, usual.newton),
-            density: density(self.density.as_ref(), mesh),
-            placement: match self.placement() {
-                proto::Placement::Surface => PlacementRule::Surface,
-                proto::Placement::Centroids => PlacementRule::Centroids,
-                proto::Placement::Fitted | proto::Placement::Unspecified => PlacementRule::Fitted,
-            },
-            attributes: self.attributes.iter().fold(0, |sum, array| array.values.saturating_mul(3).saturating_add(sum)),
-            refines: self.refinement.is_some(),
-            measures: self.measure() != proto::Measure::Topology,
-            ..Counts::new(Kind::Remesh, by, mesh.vertices, mesh.facets, most.unwrap_or(points))
-        }
+    fn counts(counts: Counts, options: &RemeshOptions) -> Counts {
+        counts.of_remesh(options)
     }
 }
 
 impl Needs for ComputeRvdHeader {
+    const KIND: Kind = Kind::Rvd;
     const HAS_CONTINUATIONS: bool = true;
 
-    fn counts(&self, by: BackendKind, mesh: MeshCounts, points: u64) -> Counts {
-        // Pieces are sent as they come, and not kept.
-        Counts {
-            steps: 0,
-            density: density(None, mesh),
-            ..Counts::new(Kind::Rvd, by, mesh.vertices, mesh.facets, points)
-        }
+    // Pieces are sent as they come, and not kept.
+    fn counts(counts: Counts, options: &Diagram) -> Counts {
+        counts.of_diagram(options)
     }
 }
 
 impl Needs for CvtHeader {
+    const KIND: Kind = Kind::Cvt;
     const HAS_CONTINUATIONS: bool = true;
 
-    fn counts(&self, by: BackendKind, mesh: MeshCounts, points: u64) -> Counts {
-        Counts {
-            density: density(self.density.as_ref(), mesh),
-            ..Counts::new(Kind::Cvt, by, mesh.vertices, mesh.facets, self.max_seeds.max(points))
-        }
+    fn counts(counts: Counts, options: &Session) -> Counts {
+        counts.of_session(options)
     }
 }

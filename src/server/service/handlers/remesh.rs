@@ -11,11 +11,11 @@ use super::*;
 use ::jobs::observe::activity::Listener;
 pub(super) use ::jobs::{Admission, Retry, Timed};
 use geometry::cvt::Iteration;
-use geometry::remesh::Remesh;
+use geometry::remesh::{Remesh, RemeshOptions};
+use wire::attributes::AttributeCounts;
 use wire::chunks::{facet_chunks, index_chunks};
-use wire::options::{RemeshArrays, of_remesh};
 use wire::proto::remesh_response as response;
-use wire::proto::{ArrayKind, AttributeHeader, RemeshDone, RemeshRequest, RemeshResponse};
+use wire::proto::{ArrayKind, RemeshDone, RemeshRequest, RemeshResponse};
 
 /// Progress that waits for the client.
 const EVENTS: usize = 256;
@@ -54,15 +54,15 @@ pub(super) async fn handle(
     outbox: Outbox<RemeshResponse>,
 ) -> Result<(), RequestError> {
     let Admitted { header, received, reservation, request } = upload(&shared, &tenant, &mut inbox).await?;
-    let wish = codec::backend(header.backend)?;
+    let Checked { backend: wish, mut options, attributes: announced, .. } = header;
     let by = shared.engine.backend(wish)?;
-    let (limits, density) = (shared.limits, header.density);
     let token = shared.engine.token();
-    let work = move |token: &Token| input(received, density.as_ref(), &limits, token);
-    let (input, mut share) = apart(&shared, &token, work).await?;
-    let Input { mesh, density, seeds, creases, attributes } = input;
-    let options = of_remesh(&header, RemeshArrays { density, seeds, creases, attributes }, &bounds(&limits))?;
-    let announced = header.attributes;
+    let (mesh, options, mut share) = apart(&shared, &token, move |token| {
+        let (input, share) = input(received, &mut options, token)?;
+        let Input { mesh, density, seeds, creases, attributes } = input;
+        Ok((mesh, RemeshOptions { density, seeds, creases, attributes, ..options }, share))
+    })
+    .await?;
     let (events, mut heard) = mpsc::channel(EVENTS);
     let mut pending =
         shared.engine.submit_as(token, Admission::Reserved(request), Retry::Restart, move |backends, context| {
@@ -127,7 +127,7 @@ fn bytes(result: &Remesh) -> u64 {
 async fn send_result(
     outbox: &Outbox<RemeshResponse>,
     result: &Remesh,
-    announced: &[AttributeHeader],
+    announced: &[AttributeCounts],
     by: &BackendInfo,
     clock: Clock,
 ) -> Result<(), RequestError> {

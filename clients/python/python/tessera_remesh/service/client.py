@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 
 from .. import meshes
 from .._engine import InputError
-from ..calls import remesh_options, to_remesh
+from ..calls import OPTIONS, remesh_options, to_remesh
 from ..meshes import Attributes, Surface
 from ..progress import Engine, ProgressLike, listener
 from ..results import CvtStep, Remesh, Rvd
@@ -26,7 +26,7 @@ from .errors import JobFailed, ServerError, server_error
 from .session import steps
 
 #: Bytes of a message; the server's own are 4 MiB at most.
-OPTIONS = [("grpc.max_receive_message_length", 16 << 20)]
+CHANNEL = [("grpc.max_receive_message_length", 16 << 20)]
 
 
 class _Server:
@@ -53,8 +53,8 @@ class _Server:
     def channel(self, kind: Any) -> Any:
         if self.secure:
             credentials = grpc.ssl_channel_credentials(root_certificates=self.ca)
-            return kind.secure_channel(self.target, credentials, options=OPTIONS)
-        return kind.insecure_channel(self.target, options=OPTIONS)
+            return kind.secure_channel(self.target, credentials, options=CHANNEL)
+        return kind.insecure_channel(self.target, options=CHANNEL)
 
 
 def _method(call: Any) -> str:
@@ -358,18 +358,11 @@ def _remesh_arguments(
 ) -> tuple[Surface, dict[str, Any], Attributes | None, ProgressLike]:
     surface = meshes.surface(mesh, faces)
     progress: ProgressLike = options.pop("progress", None)
-    given: dict[str, Any] = dict.fromkeys(
-        (
-            "edge_length density sizes gradation adaptivity max_deviation max_points crease_angle creases boundaries thin "
-            "placement lloyd newton projection seed seeds backend"
-        ).split()
-    )
-    given.update(points=points, attributes=True, measure=True)
     for name in options:
-        if name not in given:
+        # Threads are of this process.
+        if name not in OPTIONS or name == "threads":
             raise TypeError(f"there is no argument {name}")
-    given.update(options)
-    taken, carried = remesh_options(surface, given)
+    taken, carried = remesh_options(surface, {**OPTIONS, "points": points, **options})
     return surface, taken, carried, progress
 
 

@@ -45,25 +45,17 @@ class ConnectionLost(ServerError):
     """The server could not be reached, in time or at all."""
 
 
-# An option's place in a specification, and the fields that are called otherwise than their keyword.
+# Where options and arrays lie in messages, and the fields that are called otherwise than their keyword.
 _OPTION = re.compile(
-    r"spec\.(?:remesh|rvd|cvt)\.(?:seeds\.drawn\.|seeds\.(?=given)|density\.|refinement\.)?(\w+)(.*)", re.DOTALL
+    r"(?:spec|header)\.(?:(?:remesh|rvd|cvt\.options|arrays|options)\.|mesh\.(?=weights|edge_lengths)|(?=seeds))"
+    r"(?:density\.)?(\w+)(.*)",
+    re.DOTALL,
 )
-_KEYWORDS = {
-    "crease_angle_deg": "crease_angle",
-    "diagonal_percent": "max_deviation",
-    "edge_lengths": "sizes",
-    "given": "seeds",
-    "lloyd_steps": "lloyd",
-    "newton_steps": "newton",
-    "random_seed": "seed",
-    "refinement": "max_deviation",
-    "source": "density",
-}
+_KEYWORDS = {"edge_lengths": "sizes", "source": "density"}
 
 
-def _by_keyword(text: str) -> str:
-    """A text that begins with a field of a specification, with the keyword in its place."""
+def by_keyword(text: str) -> str:
+    """A text that begins with a field of a message, with the keyword in its place."""
     found = _OPTION.match(text)
     return text if found is None else _KEYWORDS.get(found[1], found[1]) + found[2]
 
@@ -80,9 +72,9 @@ def server_error(error: grpc.RpcError) -> ServerError:
                 bad, retry = error_details_pb2.BadRequest(), error_details_pb2.RetryInfo()
                 if detail.Unpack(bad):
                     for violation in bad.field_violations:
-                        fields[_by_keyword(violation.field)] = _by_keyword(violation.description)
+                        fields[by_keyword(violation.field)] = by_keyword(violation.description)
                 elif detail.Unpack(retry):
                     retry_after = retry.retry_delay.ToTimedelta().total_seconds()
     lost = status == grpc.StatusCode.UNAVAILABLE and retry_after is None
     kind = ConnectionLost if lost or status == grpc.StatusCode.DEADLINE_EXCEEDED else ServerError
-    return kind(status.name, _by_keyword(call.details() or ""), fields, retry_after)
+    return kind(status.name, by_keyword(call.details() or ""), fields, retry_after)

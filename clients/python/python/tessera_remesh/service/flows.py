@@ -15,10 +15,11 @@ from typing import Any, Union
 import google_crc32c
 import numpy as np
 
+from .._engine import InputError
 from ..meshes import Attributes, Surface
 from ..progress import Engine
 from ._stubs import blob_pb2, job_pb2, remesh_pb2
-from .errors import ConnectionLost, JobFailed, ServerError
+from .errors import ConnectionLost, JobFailed, ServerError, by_keyword
 
 PIECE_BYTES = 1 << 20
 #: Waits between tries where the server does not say how long.
@@ -185,7 +186,7 @@ def result(job: str, patience: float) -> Flow:
     state = job_pb2.JobState.Name(ended.state).removeprefix("JOB_STATE_").lower()
     if state != "succeeded":
         kind = job_pb2.JobFailureKind.Name(ended.failure.kind).removeprefix("JOB_FAILURE_KIND_").lower()
-        message = ended.failure.message or ended.expired_by
+        message = by_keyword(ended.failure.message) or ended.expired_by
         raise JobFailed(job, state, "" if kind == "unspecified" else kind, message)
     return {blob.name: blob.digest for blob in ended.results}
 
@@ -241,8 +242,6 @@ def _doubles(values: Any, patience: float) -> Flow:
 def _indices(values: Any, patience: float) -> Flow:
     array = np.asarray(values)
     if array.size and (array.min() < 0 or array.max() >= 2**31):
-        from .._engine import InputError
-
         raise InputError("an index is negative or too large")
     return (yield from _array(array, "U32", patience))
 
@@ -280,85 +279,61 @@ def _mesh(surface: Surface, carried: Attributes | None, patience: float) -> Flow
     return job_pb2.JobMesh(arrays=arrays)
 
 
-def _seeds(options: dict[str, Any], patience: float) -> Flow:
-    if options.get("seeds") is not None:
-        return job_pb2.JobSeeds(given=(yield from _floats(options["seeds"], patience)))
-    return job_pb2.JobSeeds(drawn=job_pb2.DrawnSeeds(points=options.get("points"), random_seed=options.get("seed")))
+def set_option(message: Any, name: str, value: Any, keyword: str = "") -> None:
+    """Sets a field, unless the value is None. The words of an enum are the ends of its values' names, but for the first."""
+    if value is None:
+        return
+    keyword, given = keyword or name, value
+    enum = message.DESCRIPTOR.fields_by_name[name].enum_type
+    if enum is not None:
+        prefix = enum.values[0].name.removesuffix("UNSPECIFIED")
+        words = {known.name.removeprefix(prefix).lower(): known.number for known in enum.values[1:]}
+        if not isinstance(value, str) or value not in words:
+            raise InputError(f"{keyword} is {value!r}; it is one of {', '.join(words)}")
+        given = words[value]
+    try:
+        setattr(message, name, given)
+    except (TypeError, ValueError) as error:
+        raise InputError(f"{keyword} is {value!r}: {error}") from None
 
 
-def _density(options: dict[str, Any], patience: float) -> Flow:
-    density = job_pb2.JobDensity()
-    sources = {"uniform": "UNIFORM", "curvature": "CURVATURE", "lfs": "FEATURE_SIZE"}
-    if options.get("density") is not None:
-        density.source = _word(remesh_pb2.DensitySource, "DENSITY_SOURCE_", "density", options["density"], sources)
-    if options.get("sizes") is not None:
-        density.source = remesh_pb2.DENSITY_SOURCE_EDGE_LENGTHS
-        density.edge_lengths.CopyFrom((yield from _doubles(options["sizes"], patience)))
-    if options.get("weights") is not None:
-        density.source = remesh_pb2.DENSITY_SOURCE_WEIGHTS
-        density.weights.CopyFrom((yield from _doubles(options["weights"], patience)))
-    for name in ("edge_length", "gradation", "adaptivity"):
-        if options.get(name) is not None:
-            setattr(density, name, options[name])
-    return density
+def set_options(message: Any, options: dict[str, Any]) -> Any:
+    """Sets the fields that are called as an option, and gives the message. Options of the density lie beside the others."""
+    for field in message.DESCRIPTOR.fields:
+        if field.name != "density":
+            set_option(message, field.name, options.get(field.name))
+            continue
+        for inner in field.message_type.fields:
+            keyword = "density" if inner.name == "source" else inner.name
+            set_option(message.density, inner.name, options.get(keyword), keyword)
+    return message
 
 
-def _word(enum: Any, prefix: str, name: str, word: str, words: dict[str, str]) -> Any:
-    from .._engine import InputError
-
-    if word not in words:
-        raise InputError(f"{name} is {word!r}; it is one of {', '.join(words)}")
-    return enum.Value(prefix + words[word])
-
-
-WORDS = {
-    "projection": (remesh_pb2.Projection, "PROJECTION_", {"free": "FREE", "surface": "ON_SURFACE"}),
-    "placement": (
-        remesh_pb2.Placement,
-        "PLACEMENT_",
-        {"fitted": "FITTED", "surface": "SURFACE", "centroids": "CENTROIDS"},
-    ),
-    "boundaries": (remesh_pb2.BoundaryRule, "BOUNDARY_RULE_", {"keep": "KEEP", "free": "FREE"}),
-    "thin": (remesh_pb2.ThinRule, "THIN_RULE_", {"finer": "FINER", "even": "EVEN"}),
-    "backend": (
-        remesh_pb2.BackendChoice,
-        "BACKEND_CHOICE_",
-        {"auto": "AUTO", "gpu": "GPU", "parallel": "PARALLEL", "serial": "SERIAL"},
-    ),
-}
+#: Arrays beside a surface, their keywords, and how they are sent.
+BESIDE = (
+    ("seeds", "seeds", _floats),
+    ("edge_lengths", "sizes", _doubles),
+    ("weights", "weights", _doubles),
+    ("creases", "creases", _indices),
+)
 
 
-def _choose(message: Any, name: str, options: dict[str, Any]) -> None:
-    if options.get(name) is not None:
-        enum, prefix, words = WORDS[name]
-        setattr(message, name, _word(enum, prefix, name, options[name], words))
-
-
-def _spec(mesh: Any, options: dict[str, Any], **work: Any) -> Any:
-    spec = job_pb2.JobSpec(mesh=mesh, result=job_pb2.ResultFormat(arrays=True), **work)
-    _choose(spec, "backend", options)
+def _spec(surface: Surface, carried: Attributes | None, options: dict[str, Any], patience: float, **work: Any) -> Flow:
+    """Uploads what a job needs, and gives its specification."""
+    spec = job_pb2.JobSpec(result=job_pb2.ResultFormat(arrays=True), **work)
+    set_option(spec, "backend", options.get("backend"))
+    spec.mesh.CopyFrom((yield from _mesh(surface, carried, patience)))
+    for name, keyword, send in BESIDE:
+        if options.get(keyword) is not None:
+            getattr(spec.arrays, name).CopyFrom((yield from send(options[keyword], patience)))
     return spec
 
 
 def remesh_spec(surface: Surface, options: dict[str, Any], carried: Attributes | None, patience: float) -> Flow:
     """Uploads what a remesh needs, and gives its specification."""
-    work = job_pb2.RemeshJob(
-        seeds=(yield from _seeds(options, patience)), density=(yield from _density(options, patience))
-    )
-    for name in ("projection", "placement", "boundaries", "thin"):
-        _choose(work, name, options)
-    for name, field in (("lloyd", "lloyd_steps"), ("newton", "newton_steps"), ("crease_angle", "crease_angle_deg")):
-        if options.get(name) is not None:
-            setattr(work, field, options[name])
-    if options.get("creases") is not None and len(options["creases"]):
-        work.creases.CopyFrom((yield from _indices(options["creases"], patience)))
-    if options.get("max_deviation") is not None:
-        work.refinement.diagonal_percent = options["max_deviation"]
-        if options.get("max_points") is not None:
-            work.refinement.max_points = options["max_points"]
-    if options.get("measure") is False:
-        work.measure = remesh_pb2.MEASURE_TOPOLOGY
-    return _spec((yield from _mesh(surface, carried, patience)), options, remesh=work)
+    measure = "topology" if options.get("measure") is False else None
+    work = set_options(remesh_pb2.RemeshOptions(), {**options, "measure": measure})
+    return (yield from _spec(surface, carried, options, patience, remesh=work))
 
 
 def remesh(
@@ -414,10 +389,8 @@ def rvd(surface: Surface, options: dict[str, Any], started: Callable[[str], obje
     outputs = [remesh_pb2.RVD_OUTPUT_CENTROIDS, remesh_pb2.RVD_OUTPUT_SUMS]
     if options["pieces"]:
         outputs.append(remesh_pb2.RVD_OUTPUT_CELLS)
-    work = job_pb2.RvdJob(seeds=(yield from _seeds(options, patience)), outputs=outputs)
-    if options.get("weights") is not None:
-        work.weights.CopyFrom((yield from _doubles(options["weights"], patience)))
-    spec = _spec((yield from _mesh(surface, None, patience)), options, rvd=work)
+    work = set_options(remesh_pb2.DiagramOptions(outputs=outputs), options)
+    spec = yield from _spec(surface, None, options, patience, rvd=work)
     blobs = yield from done(spec, None, started, patience)
     given = options["seeds"]
     made: dict[str, Any] = {

@@ -12,7 +12,7 @@ import numpy as np
 from ..meshes import Surface
 from ..results import CvtStep
 from ._stubs import remesh_pb2
-from .flows import PIECE_BYTES, _choose, _word
+from .flows import PIECE_BYTES, set_option, set_options
 
 #: As the engine's test of convergence: see `steps`.
 _END = object()
@@ -34,24 +34,12 @@ def _header(surface: Surface, options: dict[str, Any]) -> Any:
     def count(name: str) -> int:
         return 0 if options.get(name) is None else len(options[name])
 
-    header = remesh_pb2.CvtHeader(
-        mesh=remesh_pb2.MeshHeader(vertices=len(surface.vertices), facets=len(surface.faces), weights=count("weights"))
+    mesh = remesh_pb2.MeshHeader(
+        vertices=len(surface.vertices), facets=len(surface.faces), weights=count("weights"), edge_lengths=count("sizes")
     )
-    if count("seeds"):
-        header.seeds.uploaded = count("seeds")
-    else:
-        header.seeds.sampled.points = options.get("points") or 0
-        header.seeds.sampled.random_seed = options.get("seed") or 0
-    _choose(header, "projection", options)
-    _choose(header, "backend", options)
-    density = header.density
-    if options.get("density") is not None:
-        sources = {"uniform": "UNIFORM", "curvature": "CURVATURE", "lfs": "FEATURE_SIZE"}
-        density.source = _word(remesh_pb2.DensitySource, "DENSITY_SOURCE_", "density", options["density"], sources)
-    density.edge_lengths = count("sizes")
-    for name in ("edge_length", "gradation", "adaptivity"):
-        if options.get(name) is not None:
-            setattr(density, name, options[name])
+    taken = set_options(remesh_pb2.CvtOptions(), options)
+    header = remesh_pb2.CvtHeader(mesh=mesh, seeds=count("seeds"), options=taken)
+    set_option(header, "backend", options.get("backend"))
     return header
 
 

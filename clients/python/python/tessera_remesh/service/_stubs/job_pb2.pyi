@@ -138,85 +138,17 @@ class JobMesh(_message.Message):
     arrays: MeshArrays
     def __init__(self, file: _Optional[_Union[MeshFile, _Mapping]] = ..., arrays: _Optional[_Union[MeshArrays, _Mapping]] = ...) -> None: ...
 
-class DrawnSeeds(_message.Message):
-    __slots__ = ("points", "random_seed")
-    POINTS_FIELD_NUMBER: _ClassVar[int]
-    RANDOM_SEED_FIELD_NUMBER: _ClassVar[int]
-    points: int
-    random_seed: int
-    def __init__(self, points: _Optional[int] = ..., random_seed: _Optional[int] = ...) -> None: ...
-
-class JobSeeds(_message.Message):
-    __slots__ = ("drawn", "given")
-    DRAWN_FIELD_NUMBER: _ClassVar[int]
-    GIVEN_FIELD_NUMBER: _ClassVar[int]
-    drawn: DrawnSeeds
-    given: ArrayRef
-    def __init__(self, drawn: _Optional[_Union[DrawnSeeds, _Mapping]] = ..., given: _Optional[_Union[ArrayRef, _Mapping]] = ...) -> None: ...
-
-class JobDensity(_message.Message):
-    __slots__ = ("source", "edge_length", "edge_lengths", "weights", "adaptivity", "gradation")
-    SOURCE_FIELD_NUMBER: _ClassVar[int]
-    EDGE_LENGTH_FIELD_NUMBER: _ClassVar[int]
+class JobArrays(_message.Message):
+    __slots__ = ("seeds", "edge_lengths", "weights", "creases")
+    SEEDS_FIELD_NUMBER: _ClassVar[int]
     EDGE_LENGTHS_FIELD_NUMBER: _ClassVar[int]
     WEIGHTS_FIELD_NUMBER: _ClassVar[int]
-    ADAPTIVITY_FIELD_NUMBER: _ClassVar[int]
-    GRADATION_FIELD_NUMBER: _ClassVar[int]
-    source: _remesh_pb2.DensitySource
-    edge_length: float
+    CREASES_FIELD_NUMBER: _ClassVar[int]
+    seeds: ArrayRef
     edge_lengths: ArrayRef
     weights: ArrayRef
-    adaptivity: float
-    gradation: float
-    def __init__(self, source: _Optional[_Union[_remesh_pb2.DensitySource, str]] = ..., edge_length: _Optional[float] = ..., edge_lengths: _Optional[_Union[ArrayRef, _Mapping]] = ..., weights: _Optional[_Union[ArrayRef, _Mapping]] = ..., adaptivity: _Optional[float] = ..., gradation: _Optional[float] = ...) -> None: ...
-
-class JobRefinement(_message.Message):
-    __slots__ = ("length", "diagonal_percent", "max_points")
-    LENGTH_FIELD_NUMBER: _ClassVar[int]
-    DIAGONAL_PERCENT_FIELD_NUMBER: _ClassVar[int]
-    MAX_POINTS_FIELD_NUMBER: _ClassVar[int]
-    length: float
-    diagonal_percent: float
-    max_points: int
-    def __init__(self, length: _Optional[float] = ..., diagonal_percent: _Optional[float] = ..., max_points: _Optional[int] = ...) -> None: ...
-
-class RemeshJob(_message.Message):
-    __slots__ = ("seeds", "density", "lloyd_steps", "newton_steps", "projection", "placement", "crease_angle_deg", "creases", "boundaries", "thin", "refinement", "measure")
-    SEEDS_FIELD_NUMBER: _ClassVar[int]
-    DENSITY_FIELD_NUMBER: _ClassVar[int]
-    LLOYD_STEPS_FIELD_NUMBER: _ClassVar[int]
-    NEWTON_STEPS_FIELD_NUMBER: _ClassVar[int]
-    PROJECTION_FIELD_NUMBER: _ClassVar[int]
-    PLACEMENT_FIELD_NUMBER: _ClassVar[int]
-    CREASE_ANGLE_DEG_FIELD_NUMBER: _ClassVar[int]
-    CREASES_FIELD_NUMBER: _ClassVar[int]
-    BOUNDARIES_FIELD_NUMBER: _ClassVar[int]
-    THIN_FIELD_NUMBER: _ClassVar[int]
-    REFINEMENT_FIELD_NUMBER: _ClassVar[int]
-    MEASURE_FIELD_NUMBER: _ClassVar[int]
-    seeds: JobSeeds
-    density: JobDensity
-    lloyd_steps: int
-    newton_steps: int
-    projection: _remesh_pb2.Projection
-    placement: _remesh_pb2.Placement
-    crease_angle_deg: float
     creases: ArrayRef
-    boundaries: _remesh_pb2.BoundaryRule
-    thin: _remesh_pb2.ThinRule
-    refinement: JobRefinement
-    measure: _remesh_pb2.Measure
-    def __init__(self, seeds: _Optional[_Union[JobSeeds, _Mapping]] = ..., density: _Optional[_Union[JobDensity, _Mapping]] = ..., lloyd_steps: _Optional[int] = ..., newton_steps: _Optional[int] = ..., projection: _Optional[_Union[_remesh_pb2.Projection, str]] = ..., placement: _Optional[_Union[_remesh_pb2.Placement, str]] = ..., crease_angle_deg: _Optional[float] = ..., creases: _Optional[_Union[ArrayRef, _Mapping]] = ..., boundaries: _Optional[_Union[_remesh_pb2.BoundaryRule, str]] = ..., thin: _Optional[_Union[_remesh_pb2.ThinRule, str]] = ..., refinement: _Optional[_Union[JobRefinement, _Mapping]] = ..., measure: _Optional[_Union[_remesh_pb2.Measure, str]] = ...) -> None: ...
-
-class RvdJob(_message.Message):
-    __slots__ = ("seeds", "weights", "outputs")
-    SEEDS_FIELD_NUMBER: _ClassVar[int]
-    WEIGHTS_FIELD_NUMBER: _ClassVar[int]
-    OUTPUTS_FIELD_NUMBER: _ClassVar[int]
-    seeds: JobSeeds
-    weights: ArrayRef
-    outputs: _containers.RepeatedScalarFieldContainer[_remesh_pb2.RvdOutput]
-    def __init__(self, seeds: _Optional[_Union[JobSeeds, _Mapping]] = ..., weights: _Optional[_Union[ArrayRef, _Mapping]] = ..., outputs: _Optional[_Iterable[_Union[_remesh_pb2.RvdOutput, str]]] = ...) -> None: ...
+    def __init__(self, seeds: _Optional[_Union[ArrayRef, _Mapping]] = ..., edge_lengths: _Optional[_Union[ArrayRef, _Mapping]] = ..., weights: _Optional[_Union[ArrayRef, _Mapping]] = ..., creases: _Optional[_Union[ArrayRef, _Mapping]] = ...) -> None: ...
 
 class CvtJobCommand(_message.Message):
     __slots__ = ("step", "edit")
@@ -227,18 +159,12 @@ class CvtJobCommand(_message.Message):
     def __init__(self, step: _Optional[_Union[_remesh_pb2.CvtStep, _Mapping]] = ..., edit: _Optional[_Union[_remesh_pb2.CvtEdit, _Mapping]] = ...) -> None: ...
 
 class CvtJob(_message.Message):
-    __slots__ = ("seeds", "density", "projection", "max_seeds", "commands")
-    SEEDS_FIELD_NUMBER: _ClassVar[int]
-    DENSITY_FIELD_NUMBER: _ClassVar[int]
-    PROJECTION_FIELD_NUMBER: _ClassVar[int]
-    MAX_SEEDS_FIELD_NUMBER: _ClassVar[int]
+    __slots__ = ("options", "commands")
+    OPTIONS_FIELD_NUMBER: _ClassVar[int]
     COMMANDS_FIELD_NUMBER: _ClassVar[int]
-    seeds: JobSeeds
-    density: JobDensity
-    projection: _remesh_pb2.Projection
-    max_seeds: int
+    options: _remesh_pb2.CvtOptions
     commands: _containers.RepeatedCompositeFieldContainer[CvtJobCommand]
-    def __init__(self, seeds: _Optional[_Union[JobSeeds, _Mapping]] = ..., density: _Optional[_Union[JobDensity, _Mapping]] = ..., projection: _Optional[_Union[_remesh_pb2.Projection, str]] = ..., max_seeds: _Optional[int] = ..., commands: _Optional[_Iterable[_Union[CvtJobCommand, _Mapping]]] = ...) -> None: ...
+    def __init__(self, options: _Optional[_Union[_remesh_pb2.CvtOptions, _Mapping]] = ..., commands: _Optional[_Iterable[_Union[CvtJobCommand, _Mapping]]] = ...) -> None: ...
 
 class ResultFormat(_message.Message):
     __slots__ = ("file", "arrays")
@@ -249,7 +175,7 @@ class ResultFormat(_message.Message):
     def __init__(self, file: _Optional[_Union[MeshFormat, str]] = ..., arrays: bool = ...) -> None: ...
 
 class JobSpec(_message.Message):
-    __slots__ = ("mesh", "remesh", "rvd", "cvt", "backend", "result", "priority", "queue_deadline", "run_deadline", "labels")
+    __slots__ = ("mesh", "remesh", "rvd", "cvt", "backend", "result", "priority", "queue_deadline", "run_deadline", "labels", "arrays")
     class LabelsEntry(_message.Message):
         __slots__ = ("key", "value")
         KEY_FIELD_NUMBER: _ClassVar[int]
@@ -267,9 +193,10 @@ class JobSpec(_message.Message):
     QUEUE_DEADLINE_FIELD_NUMBER: _ClassVar[int]
     RUN_DEADLINE_FIELD_NUMBER: _ClassVar[int]
     LABELS_FIELD_NUMBER: _ClassVar[int]
+    ARRAYS_FIELD_NUMBER: _ClassVar[int]
     mesh: JobMesh
-    remesh: RemeshJob
-    rvd: RvdJob
+    remesh: _remesh_pb2.RemeshOptions
+    rvd: _remesh_pb2.DiagramOptions
     cvt: CvtJob
     backend: _remesh_pb2.BackendChoice
     result: ResultFormat
@@ -277,7 +204,8 @@ class JobSpec(_message.Message):
     queue_deadline: _duration_pb2.Duration
     run_deadline: _duration_pb2.Duration
     labels: _containers.ScalarMap[str, str]
-    def __init__(self, mesh: _Optional[_Union[JobMesh, _Mapping]] = ..., remesh: _Optional[_Union[RemeshJob, _Mapping]] = ..., rvd: _Optional[_Union[RvdJob, _Mapping]] = ..., cvt: _Optional[_Union[CvtJob, _Mapping]] = ..., backend: _Optional[_Union[_remesh_pb2.BackendChoice, str]] = ..., result: _Optional[_Union[ResultFormat, _Mapping]] = ..., priority: _Optional[int] = ..., queue_deadline: _Optional[_Union[datetime.timedelta, _duration_pb2.Duration, _Mapping]] = ..., run_deadline: _Optional[_Union[datetime.timedelta, _duration_pb2.Duration, _Mapping]] = ..., labels: _Optional[_Mapping[str, str]] = ...) -> None: ...
+    arrays: JobArrays
+    def __init__(self, mesh: _Optional[_Union[JobMesh, _Mapping]] = ..., remesh: _Optional[_Union[_remesh_pb2.RemeshOptions, _Mapping]] = ..., rvd: _Optional[_Union[_remesh_pb2.DiagramOptions, _Mapping]] = ..., cvt: _Optional[_Union[CvtJob, _Mapping]] = ..., backend: _Optional[_Union[_remesh_pb2.BackendChoice, str]] = ..., result: _Optional[_Union[ResultFormat, _Mapping]] = ..., priority: _Optional[int] = ..., queue_deadline: _Optional[_Union[datetime.timedelta, _duration_pb2.Duration, _Mapping]] = ..., run_deadline: _Optional[_Union[datetime.timedelta, _duration_pb2.Duration, _Mapping]] = ..., labels: _Optional[_Mapping[str, str]] = ..., arrays: _Optional[_Union[JobArrays, _Mapping]] = ...) -> None: ...
 
 class JobFailure(_message.Message):
     __slots__ = ("kind", "message")

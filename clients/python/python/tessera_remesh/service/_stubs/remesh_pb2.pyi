@@ -25,7 +25,7 @@ class Projection(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
     __slots__ = ()
     PROJECTION_UNSPECIFIED: _ClassVar[Projection]
     PROJECTION_FREE: _ClassVar[Projection]
-    PROJECTION_ON_SURFACE: _ClassVar[Projection]
+    PROJECTION_SURFACE: _ClassVar[Projection]
 
 class ArrayKind(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
     __slots__ = ()
@@ -78,7 +78,7 @@ class DensitySource(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
     DENSITY_SOURCE_WEIGHTS: _ClassVar[DensitySource]
     DENSITY_SOURCE_EDGE_LENGTHS: _ClassVar[DensitySource]
     DENSITY_SOURCE_CURVATURE: _ClassVar[DensitySource]
-    DENSITY_SOURCE_FEATURE_SIZE: _ClassVar[DensitySource]
+    DENSITY_SOURCE_LFS: _ClassVar[DensitySource]
 
 class StepKind(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
     __slots__ = ()
@@ -134,7 +134,7 @@ POSITION_TYPE_F32: PositionType
 POSITION_TYPE_F64: PositionType
 PROJECTION_UNSPECIFIED: Projection
 PROJECTION_FREE: Projection
-PROJECTION_ON_SURFACE: Projection
+PROJECTION_SURFACE: Projection
 ARRAY_KIND_UNSPECIFIED: ArrayKind
 ARRAY_KIND_POSITIONS: ArrayKind
 ARRAY_KIND_FACETS: ArrayKind
@@ -172,7 +172,7 @@ DENSITY_SOURCE_UNIFORM: DensitySource
 DENSITY_SOURCE_WEIGHTS: DensitySource
 DENSITY_SOURCE_EDGE_LENGTHS: DensitySource
 DENSITY_SOURCE_CURVATURE: DensitySource
-DENSITY_SOURCE_FEATURE_SIZE: DensitySource
+DENSITY_SOURCE_LFS: DensitySource
 STEP_KIND_UNSPECIFIED: StepKind
 STEP_KIND_LLOYD: StepKind
 STEP_KIND_LBFGS: StepKind
@@ -229,46 +229,90 @@ class AttributeHeader(_message.Message):
     def __init__(self, kind: _Optional[_Union[AttributeKind, str]] = ..., name: _Optional[str] = ..., type: _Optional[_Union[AttributeType, str]] = ..., values: _Optional[int] = ..., by_corner: bool = ...) -> None: ...
 
 class MeshHeader(_message.Message):
-    __slots__ = ("vertices", "facets", "position_type", "weights")
+    __slots__ = ("vertices", "facets", "position_type", "weights", "edge_lengths", "creases", "attributes")
     VERTICES_FIELD_NUMBER: _ClassVar[int]
     FACETS_FIELD_NUMBER: _ClassVar[int]
     POSITION_TYPE_FIELD_NUMBER: _ClassVar[int]
     WEIGHTS_FIELD_NUMBER: _ClassVar[int]
+    EDGE_LENGTHS_FIELD_NUMBER: _ClassVar[int]
+    CREASES_FIELD_NUMBER: _ClassVar[int]
+    ATTRIBUTES_FIELD_NUMBER: _ClassVar[int]
     vertices: int
     facets: int
     position_type: PositionType
     weights: int
-    def __init__(self, vertices: _Optional[int] = ..., facets: _Optional[int] = ..., position_type: _Optional[_Union[PositionType, str]] = ..., weights: _Optional[int] = ...) -> None: ...
+    edge_lengths: int
+    creases: int
+    attributes: _containers.RepeatedCompositeFieldContainer[AttributeHeader]
+    def __init__(self, vertices: _Optional[int] = ..., facets: _Optional[int] = ..., position_type: _Optional[_Union[PositionType, str]] = ..., weights: _Optional[int] = ..., edge_lengths: _Optional[int] = ..., creases: _Optional[int] = ..., attributes: _Optional[_Iterable[_Union[AttributeHeader, _Mapping]]] = ...) -> None: ...
 
-class SampledSeeds(_message.Message):
-    __slots__ = ("points", "random_seed")
-    POINTS_FIELD_NUMBER: _ClassVar[int]
-    RANDOM_SEED_FIELD_NUMBER: _ClassVar[int]
-    points: int
-    random_seed: int
-    def __init__(self, points: _Optional[int] = ..., random_seed: _Optional[int] = ...) -> None: ...
-
-class SeedSource(_message.Message):
-    __slots__ = ("uploaded", "sampled")
-    UPLOADED_FIELD_NUMBER: _ClassVar[int]
-    SAMPLED_FIELD_NUMBER: _ClassVar[int]
-    uploaded: int
-    sampled: SampledSeeds
-    def __init__(self, uploaded: _Optional[int] = ..., sampled: _Optional[_Union[SampledSeeds, _Mapping]] = ...) -> None: ...
-
-class DensityOptions(_message.Message):
-    __slots__ = ("source", "edge_length", "edge_lengths", "adaptivity", "gradation")
+class Density(_message.Message):
+    __slots__ = ("source", "edge_length", "adaptivity", "gradation")
     SOURCE_FIELD_NUMBER: _ClassVar[int]
     EDGE_LENGTH_FIELD_NUMBER: _ClassVar[int]
-    EDGE_LENGTHS_FIELD_NUMBER: _ClassVar[int]
     ADAPTIVITY_FIELD_NUMBER: _ClassVar[int]
     GRADATION_FIELD_NUMBER: _ClassVar[int]
     source: DensitySource
     edge_length: float
-    edge_lengths: int
     adaptivity: float
     gradation: float
-    def __init__(self, source: _Optional[_Union[DensitySource, str]] = ..., edge_length: _Optional[float] = ..., edge_lengths: _Optional[int] = ..., adaptivity: _Optional[float] = ..., gradation: _Optional[float] = ...) -> None: ...
+    def __init__(self, source: _Optional[_Union[DensitySource, str]] = ..., edge_length: _Optional[float] = ..., adaptivity: _Optional[float] = ..., gradation: _Optional[float] = ...) -> None: ...
+
+class RemeshOptions(_message.Message):
+    __slots__ = ("points", "seed", "density", "lloyd", "newton", "projection", "placement", "crease_angle", "boundaries", "thin", "max_deviation", "max_deviation_length", "max_points", "measure")
+    POINTS_FIELD_NUMBER: _ClassVar[int]
+    SEED_FIELD_NUMBER: _ClassVar[int]
+    DENSITY_FIELD_NUMBER: _ClassVar[int]
+    LLOYD_FIELD_NUMBER: _ClassVar[int]
+    NEWTON_FIELD_NUMBER: _ClassVar[int]
+    PROJECTION_FIELD_NUMBER: _ClassVar[int]
+    PLACEMENT_FIELD_NUMBER: _ClassVar[int]
+    CREASE_ANGLE_FIELD_NUMBER: _ClassVar[int]
+    BOUNDARIES_FIELD_NUMBER: _ClassVar[int]
+    THIN_FIELD_NUMBER: _ClassVar[int]
+    MAX_DEVIATION_FIELD_NUMBER: _ClassVar[int]
+    MAX_DEVIATION_LENGTH_FIELD_NUMBER: _ClassVar[int]
+    MAX_POINTS_FIELD_NUMBER: _ClassVar[int]
+    MEASURE_FIELD_NUMBER: _ClassVar[int]
+    points: int
+    seed: int
+    density: Density
+    lloyd: int
+    newton: int
+    projection: Projection
+    placement: Placement
+    crease_angle: float
+    boundaries: BoundaryRule
+    thin: ThinRule
+    max_deviation: float
+    max_deviation_length: float
+    max_points: int
+    measure: Measure
+    def __init__(self, points: _Optional[int] = ..., seed: _Optional[int] = ..., density: _Optional[_Union[Density, _Mapping]] = ..., lloyd: _Optional[int] = ..., newton: _Optional[int] = ..., projection: _Optional[_Union[Projection, str]] = ..., placement: _Optional[_Union[Placement, str]] = ..., crease_angle: _Optional[float] = ..., boundaries: _Optional[_Union[BoundaryRule, str]] = ..., thin: _Optional[_Union[ThinRule, str]] = ..., max_deviation: _Optional[float] = ..., max_deviation_length: _Optional[float] = ..., max_points: _Optional[int] = ..., measure: _Optional[_Union[Measure, str]] = ...) -> None: ...
+
+class DiagramOptions(_message.Message):
+    __slots__ = ("points", "seed", "outputs")
+    POINTS_FIELD_NUMBER: _ClassVar[int]
+    SEED_FIELD_NUMBER: _ClassVar[int]
+    OUTPUTS_FIELD_NUMBER: _ClassVar[int]
+    points: int
+    seed: int
+    outputs: _containers.RepeatedScalarFieldContainer[RvdOutput]
+    def __init__(self, points: _Optional[int] = ..., seed: _Optional[int] = ..., outputs: _Optional[_Iterable[_Union[RvdOutput, str]]] = ...) -> None: ...
+
+class CvtOptions(_message.Message):
+    __slots__ = ("points", "seed", "density", "projection", "max_seeds")
+    POINTS_FIELD_NUMBER: _ClassVar[int]
+    SEED_FIELD_NUMBER: _ClassVar[int]
+    DENSITY_FIELD_NUMBER: _ClassVar[int]
+    PROJECTION_FIELD_NUMBER: _ClassVar[int]
+    MAX_SEEDS_FIELD_NUMBER: _ClassVar[int]
+    points: int
+    seed: int
+    density: Density
+    projection: Projection
+    max_seeds: int
+    def __init__(self, points: _Optional[int] = ..., seed: _Optional[int] = ..., density: _Optional[_Union[Density, _Mapping]] = ..., projection: _Optional[_Union[Projection, str]] = ..., max_seeds: _Optional[int] = ...) -> None: ...
 
 class Finish(_message.Message):
     __slots__ = ()
@@ -387,16 +431,16 @@ class RvdFigures(_message.Message):
     def __init__(self, area: _Optional[float] = ..., pairs: _Optional[int] = ..., relaunched_pairs: _Optional[int] = ..., f64_finished_pairs: _Optional[int] = ..., empty_cells: _Optional[int] = ..., duplicate_seeds: _Optional[int] = ...) -> None: ...
 
 class ComputeRvdHeader(_message.Message):
-    __slots__ = ("mesh", "seeds", "backend", "outputs")
+    __slots__ = ("mesh", "seeds", "backend", "options")
     MESH_FIELD_NUMBER: _ClassVar[int]
     SEEDS_FIELD_NUMBER: _ClassVar[int]
     BACKEND_FIELD_NUMBER: _ClassVar[int]
-    OUTPUTS_FIELD_NUMBER: _ClassVar[int]
+    OPTIONS_FIELD_NUMBER: _ClassVar[int]
     mesh: MeshHeader
-    seeds: SeedSource
+    seeds: int
     backend: BackendChoice
-    outputs: _containers.RepeatedScalarFieldContainer[RvdOutput]
-    def __init__(self, mesh: _Optional[_Union[MeshHeader, _Mapping]] = ..., seeds: _Optional[_Union[SeedSource, _Mapping]] = ..., backend: _Optional[_Union[BackendChoice, str]] = ..., outputs: _Optional[_Iterable[_Union[RvdOutput, str]]] = ...) -> None: ...
+    options: DiagramOptions
+    def __init__(self, mesh: _Optional[_Union[MeshHeader, _Mapping]] = ..., seeds: _Optional[int] = ..., backend: _Optional[_Union[BackendChoice, str]] = ..., options: _Optional[_Union[DiagramOptions, _Mapping]] = ...) -> None: ...
 
 class ComputeRvdRequest(_message.Message):
     __slots__ = ("header", "chunk", "finish")
@@ -439,20 +483,16 @@ class ComputeRvdResponse(_message.Message):
     def __init__(self, accepted: _Optional[_Union[Accepted, _Mapping]] = ..., progress: _Optional[_Union[Progress, _Mapping]] = ..., cells: _Optional[_Union[CellsChunk, _Mapping]] = ..., chunk: _Optional[_Union[Chunk, _Mapping]] = ..., done: _Optional[_Union[RvdDone, _Mapping]] = ...) -> None: ...
 
 class CvtHeader(_message.Message):
-    __slots__ = ("mesh", "seeds", "backend", "projection", "max_seeds", "density")
+    __slots__ = ("mesh", "seeds", "backend", "options")
     MESH_FIELD_NUMBER: _ClassVar[int]
     SEEDS_FIELD_NUMBER: _ClassVar[int]
     BACKEND_FIELD_NUMBER: _ClassVar[int]
-    PROJECTION_FIELD_NUMBER: _ClassVar[int]
-    MAX_SEEDS_FIELD_NUMBER: _ClassVar[int]
-    DENSITY_FIELD_NUMBER: _ClassVar[int]
+    OPTIONS_FIELD_NUMBER: _ClassVar[int]
     mesh: MeshHeader
-    seeds: SeedSource
+    seeds: int
     backend: BackendChoice
-    projection: Projection
-    max_seeds: int
-    density: DensityOptions
-    def __init__(self, mesh: _Optional[_Union[MeshHeader, _Mapping]] = ..., seeds: _Optional[_Union[SeedSource, _Mapping]] = ..., backend: _Optional[_Union[BackendChoice, str]] = ..., projection: _Optional[_Union[Projection, str]] = ..., max_seeds: _Optional[int] = ..., density: _Optional[_Union[DensityOptions, _Mapping]] = ...) -> None: ...
+    options: CvtOptions
+    def __init__(self, mesh: _Optional[_Union[MeshHeader, _Mapping]] = ..., seeds: _Optional[int] = ..., backend: _Optional[_Union[BackendChoice, str]] = ..., options: _Optional[_Union[CvtOptions, _Mapping]] = ...) -> None: ...
 
 class CvtStart(_message.Message):
     __slots__ = ()
@@ -557,46 +597,16 @@ class CvtResponse(_message.Message):
     def __init__(self, accepted: _Optional[_Union[Accepted, _Mapping]] = ..., progress: _Optional[_Union[Progress, _Mapping]] = ..., iteration: _Optional[_Union[Iteration, _Mapping]] = ..., chunk: _Optional[_Union[Chunk, _Mapping]] = ..., edited: _Optional[_Union[CvtEdited, _Mapping]] = ..., done: _Optional[_Union[CvtDone, _Mapping]] = ...) -> None: ...
 
 class RemeshHeader(_message.Message):
-    __slots__ = ("mesh", "seeds", "backend", "lloyd_steps", "projection", "measure", "newton_steps", "crease_angle_deg", "placement", "boundaries", "refinement", "thin", "creases", "density", "attributes")
+    __slots__ = ("mesh", "seeds", "backend", "options")
     MESH_FIELD_NUMBER: _ClassVar[int]
     SEEDS_FIELD_NUMBER: _ClassVar[int]
     BACKEND_FIELD_NUMBER: _ClassVar[int]
-    LLOYD_STEPS_FIELD_NUMBER: _ClassVar[int]
-    PROJECTION_FIELD_NUMBER: _ClassVar[int]
-    MEASURE_FIELD_NUMBER: _ClassVar[int]
-    NEWTON_STEPS_FIELD_NUMBER: _ClassVar[int]
-    CREASE_ANGLE_DEG_FIELD_NUMBER: _ClassVar[int]
-    PLACEMENT_FIELD_NUMBER: _ClassVar[int]
-    BOUNDARIES_FIELD_NUMBER: _ClassVar[int]
-    REFINEMENT_FIELD_NUMBER: _ClassVar[int]
-    THIN_FIELD_NUMBER: _ClassVar[int]
-    CREASES_FIELD_NUMBER: _ClassVar[int]
-    DENSITY_FIELD_NUMBER: _ClassVar[int]
-    ATTRIBUTES_FIELD_NUMBER: _ClassVar[int]
+    OPTIONS_FIELD_NUMBER: _ClassVar[int]
     mesh: MeshHeader
-    seeds: SeedSource
+    seeds: int
     backend: BackendChoice
-    lloyd_steps: int
-    projection: Projection
-    measure: Measure
-    newton_steps: int
-    crease_angle_deg: float
-    placement: Placement
-    boundaries: BoundaryRule
-    refinement: Refinement
-    thin: ThinRule
-    creases: int
-    density: DensityOptions
-    attributes: _containers.RepeatedCompositeFieldContainer[AttributeHeader]
-    def __init__(self, mesh: _Optional[_Union[MeshHeader, _Mapping]] = ..., seeds: _Optional[_Union[SeedSource, _Mapping]] = ..., backend: _Optional[_Union[BackendChoice, str]] = ..., lloyd_steps: _Optional[int] = ..., projection: _Optional[_Union[Projection, str]] = ..., measure: _Optional[_Union[Measure, str]] = ..., newton_steps: _Optional[int] = ..., crease_angle_deg: _Optional[float] = ..., placement: _Optional[_Union[Placement, str]] = ..., boundaries: _Optional[_Union[BoundaryRule, str]] = ..., refinement: _Optional[_Union[Refinement, _Mapping]] = ..., thin: _Optional[_Union[ThinRule, str]] = ..., creases: _Optional[int] = ..., density: _Optional[_Union[DensityOptions, _Mapping]] = ..., attributes: _Optional[_Iterable[_Union[AttributeHeader, _Mapping]]] = ...) -> None: ...
-
-class Refinement(_message.Message):
-    __slots__ = ("tolerance", "max_points")
-    TOLERANCE_FIELD_NUMBER: _ClassVar[int]
-    MAX_POINTS_FIELD_NUMBER: _ClassVar[int]
-    tolerance: float
-    max_points: int
-    def __init__(self, tolerance: _Optional[float] = ..., max_points: _Optional[int] = ...) -> None: ...
+    options: RemeshOptions
+    def __init__(self, mesh: _Optional[_Union[MeshHeader, _Mapping]] = ..., seeds: _Optional[int] = ..., backend: _Optional[_Union[BackendChoice, str]] = ..., options: _Optional[_Union[RemeshOptions, _Mapping]] = ...) -> None: ...
 
 class RemeshRequest(_message.Message):
     __slots__ = ("header", "chunk", "finish")

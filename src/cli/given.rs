@@ -1,0 +1,99 @@
+//! Options, and which of them are set.
+//!
+//! Purpose: a message leaves open what the user left open, so that defaults apply where the work is done. [`message`] makes
+//! the message of a remesh of the options that are set, by their names. Invariant: an option's id is its name in the schema.
+//! Must not know: what an option means.
+
+use std::collections::BTreeMap;
+use std::ops::Deref;
+
+use anyhow::Result;
+use clap::parser::ValueSource;
+use clap::{ArgMatches, Args, Command, FromArgMatches, Id};
+
+use crate::exit::Usage;
+use wire::fields::Fields;
+use wire::proto;
+
+/// Texts of options, by their ids.
+pub(crate) type Texts = BTreeMap<String, String>;
+
+#[derive(Debug)]
+pub(crate) struct Given<A> {
+    options: A,
+    set: Texts,
+}
+
+/// The options of a remesh that are set. Files of lists are no options of the message.
+///
+/// # Errors
+/// `Usage` for a value that the schema does not have.
+pub(crate) fn message(given: [&Texts; 3]) -> Result<proto::RemeshOptions> {
+    let mut fields = Fields::default();
+    for (name, text) in given.into_iter().flatten() {
+        let wrong = |must| Usage(format!("--{} is {text}; it must be {must}", name.replace('_', "-")));
+        fields.set(name, text).map_err(wrong)?;
+    }
+    Ok(fields.finish())
+}
+
+impl<A> Given<A> {
+    /// `value`, if the option `id` is set. Ids are the names of fields.
+    pub(crate) fn given<T>(&self, id: &str, value: T) -> Option<T> {
+        self.set.contains_key(id).then_some(value)
+    }
+
+    /// All that are set.
+    pub(crate) fn texts(&self) -> &Texts {
+        &self.set
+    }
+}
+
+impl<A> Deref for Given<A> {
+    type Target = A;
+
+    fn deref(&self) -> &A {
+        &self.options
+    }
+}
+
+fn set(matches: &ArgMatches) -> Texts {
+    let is_set = |id: &&Id| {
+        matches!(matches.value_source(id.as_str()), Some(ValueSource::CommandLine | ValueSource::EnvVariable))
+    };
+    let text = |id: &Id| {
+        let raw = matches.try_get_raw(id.as_str()).ok().flatten().and_then(|mut raw| raw.next());
+        (id.as_str().to_owned(), raw.map(|raw| raw.to_string_lossy().into_owned()).unwrap_or_default())
+    };
+    matches.ids().filter(is_set).map(text).collect()
+}
+
+impl<A: FromArgMatches> FromArgMatches for Given<A> {
+    fn from_arg_matches(matches: &ArgMatches) -> Result<Self, clap::Error> {
+        Ok(Self { set: set(matches), options: A::from_arg_matches(matches)? })
+    }
+
+    fn from_arg_matches_mut(matches: &mut ArgMatches) -> Result<Self, clap::Error> {
+        // Taking the options takes them out.
+        Ok(Self { set: set(matches), options: A::from_arg_matches_mut(matches)? })
+    }
+
+    fn update_from_arg_matches(&mut self, matches: &ArgMatches) -> Result<(), clap::Error> {
+        self.set.extend(set(matches));
+        self.options.update_from_arg_matches(matches)
+    }
+}
+
+impl<A: Args> Args for Given<A> {
+    fn group_id() -> Option<Id> {
+        A::group_id()
+    }
+
+    fn augment_args(command: Command) -> Command {
+        A::augment_args(command)
+    }
+
+    fn augment_args_for_update(command: Command) -> Command {
+        A::augment_args_for_update(command)
+    }
+}

@@ -1,0 +1,195 @@
+//! Options by their names and as text, as a query has them.
+//!
+//! Purpose: [`Fields`] takes the options of a remesh one by one and gives the message; [`all`] lists them for documents. Both
+//! are read from the schema, so that an option of the message needs nothing here.
+//! Invariant: an option has the name of its field; those of the density lie beside the others, and its source is `density`.
+//! An enum's value is its last word in lower case. Must not know: what an option does, which values make sense together.
+
+use prost_reflect::{DynamicMessage, FieldDescriptor, Kind, Value};
+use serde_json::json;
+
+use super::json::{descriptor, to_value};
+use super::options::of_remesh;
+use super::proto::RemeshOptions;
+use super::schema::comment;
+use geometry::remesh::RemeshOptions as Options;
+
+/// The message within the options whose fields have names of their own.
+const DENSITY: &str = "density";
+/// Its field that has the message's name.
+const SOURCE: &str = "source";
+
+/// An option.
+#[derive(Clone, Debug)]
+pub struct Field {
+    /// The name that the command, HTTP and Python share.
+    pub name: String,
+    /// What the schema says of it, one paragraph.
+    pub help: String,
+    descriptor: FieldDescriptor,
+    in_density: bool,
+}
+
+/// All options of a remesh, in the order of the schema.
+pub fn all() -> Vec<Field> {
+    let fields = descriptor::<RemeshOptions>().into_iter().flat_map(|message| message.fields().collect::<Vec<_>>());
+    let mut all = Vec::new();
+    for field in fields {
+        match field.kind() {
+            Kind::Message(inner) => all.extend(inner.fields().map(|field| Field::of(field, true))),
+            _ => all.push(Field::of(field, false)),
+        }
+    }
+    all
+}
+
+impl Field {
+    fn of(descriptor: FieldDescriptor, in_density: bool) -> Self {
+        let name = if in_density && descriptor.name() == SOURCE { DENSITY } else { descriptor.name() };
+        let help = comment(&descriptor);
+        Self { name: name.to_owned(), help, descriptor, in_density }
+    }
+
+    /// The words of an enum, but for the one that says nothing.
+    fn words(&self) -> Vec<String> {
+        let Kind::Enum(values) = self.descriptor.kind() else { return Vec::new() };
+        let all: Vec<_> = values.values().map(|value| value.name().to_owned()).collect();
+        let prefix = all.first().map_or(0, |none| none.len() - "UNSPECIFIED".len());
+        all.iter().skip(1).map(|name| name[prefix..].to_ascii_lowercase()).collect()
+    }
+
+    /// Its type as a schema of JSON, with the library's default.
+    pub fn schema(&self) -> serde_json::Value {
+        let mut schema = match self.descriptor.kind() {
+            Kind::Enum(_) => json!({ "type": "string", "enum": self.words() }),
+            Kind::Uint32 | Kind::Uint64 => json!({ "type": "integer", "minimum": 0 }),
+            _ => json!({ "type": "number" }),
+        };
+        schema["description"] = self.help.as_str().into();
+        // Points are no option's default: the caller says them.
+        let usual = to_value(&of_remesh(&Options::usual()));
+        let usual = if self.in_density { &usual[DENSITY] } else { &usual };
+        match &usual[self.descriptor.name()] {
+            serde_json::Value::String(word) => {
+                let word = word.to_ascii_lowercase();
+                schema["default"] = self.words().into_iter().find(|short| word.ends_with(short.as_str())).into();
+            }
+            number @ serde_json::Value::Number(_) if self.name != "points" => schema["default"] = number.clone(),
+            _ => {}
+        }
+        schema
+    }
+
+    /// A text as its type; else what it must be.
+    fn read(&self, text: &str) -> Result<Value, String> {
+        let kind = self.descriptor.kind();
+        let whole = |most| whole(text).filter(|number| *number <= most);
+        let read = match &kind {
+            Kind::Uint32 => whole(u32::MAX.into()).map(|number| Value::U32(number as u32)),
+            Kind::Uint64 => whole(u64::MAX).map(Value::U64),
+            Kind::Enum(values) => {
+                let place = self.words().iter().position(|word| word == text);
+                place.and_then(|place| Some(Value::EnumNumber(values.values().nth(place + 1)?.number())))
+            }
+            _ => text.parse::<f64>().ok().filter(|number| number.is_finite()).map(Value::F64),
+        };
+        read.ok_or_else(|| match kind {
+            Kind::Uint32 | Kind::Uint64 => "a whole number, and not too large".to_owned(),
+            Kind::Enum(_) => {
+                let words = self.words();
+                let (last, others) = words.split_last().map_or(("", &[][..]), |(last, others)| (last.as_str(), others));
+                format!("{} or {last}", others.join(", "))
+            }
+            _ => "a number".to_owned(),
+        })
+    }
+}
+
+/// Options that are being read.
+#[derive(Debug)]
+pub struct Fields {
+    all: Vec<Field>,
+    read: Vec<(usize, Value)>,
+}
+
+impl Default for Fields {
+    fn default() -> Self {
+        Self { all: all(), read: Vec::new() }
+    }
+}
+
+impl Fields {
+    /// Takes an option. Whether there is one of this name.
+    ///
+    /// # Errors
+    /// What its value must be.
+    pub fn set(&mut self, name: &str, text: &str) -> Result<bool, String> {
+        let Some(place) = self.all.iter().position(|field| field.name == name) else { return Ok(false) };
+        self.read.push((place, self.all[place].read(text)?));
+        Ok(true)
+    }
+
+    /// The message.
+    pub fn finish(self) -> RemeshOptions {
+        let Some(mut options) = descriptor::<RemeshOptions>().map(DynamicMessage::new) else {
+            return RemeshOptions::default();
+        };
+        for (place, value) in self.read {
+            let Field { descriptor, in_density, .. } = &self.all[place];
+            match in_density {
+                false => options.set_field(descriptor, value),
+                true => {
+                    let density = options.get_field_by_name_mut(DENSITY).and_then(Value::as_message_mut);
+                    density.into_iter().for_each(|density| density.set_field(descriptor, value.clone()));
+                }
+            }
+        }
+        options.transcode_to().unwrap_or_default()
+    }
+}
+
+/// A whole number as people write it: `10000`, `1e4`.
+pub fn whole(text: &str) -> Option<u64> {
+    /// Up to here every whole number is one of double precision.
+    const EXACT: f64 = (1u64 << 53) as f64;
+    let real = || text.parse::<f64>().ok().filter(|x| (0.0..=EXACT).contains(x) && x.fract() == 0.0);
+    text.parse().ok().or_else(|| real().map(|x| x as u64))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::proto::{DensitySource, Projection};
+
+    #[test]
+    fn every_option_is_set_by_its_name() {
+        let mut fields = Fields::default();
+        for (name, text) in
+            [("points", "1e4"), ("seed", "7"), ("density", "lfs"), ("gradation", "0.5"), ("projection", "surface")]
+        {
+            assert_eq!(fields.set(name, text), Ok(true), "{name}");
+        }
+        assert_eq!(fields.set("point", "1"), Ok(false));
+        for (name, text) in
+            [("points", "1.5"), ("density", "blue"), ("gradation", "nan"), ("lloyd", "5e9"), ("thin", "")]
+        {
+            fields.set(name, text).unwrap_err();
+        }
+        let options = fields.finish();
+        let density = options.density.unwrap();
+        assert_eq!((options.points, options.seed, options.projection()), (Some(10_000), Some(7), Projection::Surface));
+        assert_eq!((density.source(), density.gradation, options.lloyd), (DensitySource::Lfs, Some(0.5), None));
+        assert_eq!(Fields::default().finish(), RemeshOptions::default());
+    }
+
+    #[test]
+    fn the_schema_says_what_an_option_is() {
+        let all = all();
+        let of = |name: &str| all.iter().find(|field| field.name == name).unwrap().schema();
+        assert_eq!(of("lloyd")["default"], 5);
+        assert_eq!(of("projection")["default"], "free");
+        assert_eq!(of("projection")["enum"], json!(["free", "surface"]));
+        assert_eq!((of("points").get("default"), of("max_deviation").get("default")), (None, None));
+        assert!(all.iter().all(|field| field.help.ends_with('.')), "{all:?}");
+    }
+}
