@@ -75,7 +75,7 @@ fn wrong_options_are_wrong_usage() {
         ("jobs submit remesh in.off --points 9 -o out.ply", "unexpected argument '-o'"),
         ("jobs submit remesh in.off --points 9 --threads 2", "unexpected argument '--threads'"),
         ("jobs submit remesh in.off --points 9 --max-deviation 1 --max-points 5", "less than the 9 points at first"),
-        ("jobs submit remesh in.off --points 9 --max-deviation 1 --placement surface", "--placement fitted"),
+        ("jobs submit remesh in.off --points 9 --max-deviation 1 --placement surface", "for the placement fitted"),
         ("jobs submit remesh in.off --points 9 --adaptivity 2", "adaptivity"),
         ("jobs submit remesh in.xyz --points 9", "no known mesh format"),
         ("jobs submit remesh in.stl --points 9 --creases c.txt", "no numbered vertices"),
