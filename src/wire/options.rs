@@ -208,7 +208,12 @@ fn start(
             Seeds::Sample { points: points as usize, seed }
         }
         (None, None) if implied => Seeds::Implied { seed },
-        (None, None) => return Err(WireError::field("points", "is missing; give a number of points, or edge lengths")),
+        (None, None) => {
+            return Err(WireError::field(
+                "points",
+                "is missing; give points, seeds, or edge lengths where they are read",
+            ));
+        }
     };
     Ok((seeds, density))
 }

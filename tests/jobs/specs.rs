@@ -215,6 +215,28 @@ fn records_of_older_layouts_are_read() {
     assert_eq!(all.as_array().unwrap().len(), 5);
 }
 
+/// Layouts 1 and 2 measured the JSON, which is shorter than the message where numbers are short; and had no bound on values
+/// that are given by corner.
+#[test]
+fn what_was_kept_is_read_whatever_its_length() {
+    let edits = vec![serde_json::json!({ "add": [0.5, 1.0, 2.0] }); 2500];
+    let array = |form, count| serde_json::json!({ "blob": "01".repeat(32), "form": form, "count": count });
+    let file = serde_json::json!({ "file": { "blob": "01".repeat(32), "format": "off" } });
+    let commands = serde_json::json!([{ "edit": { "edits": edits } }]);
+    let seeds = serde_json::json!({ "sampled": { "points": 5 } });
+    let attribute = serde_json::json!({ "kind": "normals", "values": array("f32", 1000), "corners": array("u32", 8) });
+    let arrays = serde_json::json!({ "arrays": {
+        "positions": array("f64", 6), "facets": array("u32", 8), "attributes": [attribute],
+    } });
+    for (mesh, work) in [
+        (file, serde_json::json!({ "cvt": { "seeds": seeds, "commands": commands } })),
+        (arrays, serde_json::json!({ "remesh": { "seeds": seeds } })),
+    ] {
+        let record = serde_json::json!({ "mesh": mesh, "work": work, "tenant": "t" });
+        serde_json::from_value::<Spec>(record).unwrap();
+    }
+}
+
 #[test]
 fn what_is_open_has_the_library_s_defaults() {
     let mut open = message(1);

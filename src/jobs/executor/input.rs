@@ -282,9 +282,10 @@ impl Reader<'_> {
         if steps > most as usize {
             return Err(bad("spec.remesh", format!("{steps} steps; this server takes at most {most}")));
         }
-        if let (Some(refine), Count::Points(count)) = (&mut options.refine, options.seeds.count()) {
-            let most = usize::try_from(self.bounds.max_seeds).unwrap_or(usize::MAX);
-            refine.max_points = Some(refine.max_points.unwrap_or(count.saturating_mul(2)).min(most));
+        let (first, most) = (options.seeds.count(), usize::try_from(self.bounds.max_seeds).unwrap_or(usize::MAX));
+        if let Some(refine) = &mut options.refine {
+            let usual = if let Count::Points(count) = first { count.saturating_mul(2) } else { most };
+            refine.max_points = Some(refine.max_points.unwrap_or(usual).min(most));
         }
         options.attributes = attributes;
         if let Some(array) = &task.arrays.creases {

@@ -129,6 +129,10 @@ fn options(work: &mut Map<String, Value>, arrays: &mut Map<String, Value>) {
             arrays.extend(density.remove(name).map(|old| (name.to_owned(), array(old))));
         }
     }
+    // A density of arrays alone is not set today.
+    if work.get("density").and_then(Value::as_object).is_some_and(Map::is_empty) {
+        work.remove("density");
+    }
     for name in ["weights", "creases"] {
         arrays.extend(work.remove(name).map(|old| (name.to_owned(), array(old))));
     }

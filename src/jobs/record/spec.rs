@@ -9,7 +9,7 @@
 use std::sync::Arc;
 
 use prost::Message;
-use serde::{Deserialize, Deserializer, Serialize, Serializer, de};
+use serde::{Deserialize, Deserializer, Serialize, Serializer, de, ser};
 use serde_json::Value;
 
 use super::legacy;
@@ -42,6 +42,17 @@ impl Spec {
     /// # Errors
     /// [`WireError::Field`] for the first field that is wrong, by its path in a request to create the job.
     pub fn new(message: proto::JobSpec, tenant: String, request_id: String) -> Result<Self, WireError> {
+        let bytes = message.encoded_len();
+        let spec = Self::kept(message, tenant, request_id)?;
+        if bytes > MAX_SPEC_BYTES {
+            let text = format!("has {bytes} bytes; at most {MAX_SPEC_BYTES} are taken: put long lists into blobs");
+            return Err(WireError::field("spec", text));
+        }
+        Ok(spec)
+    }
+
+    /// [`Self::new`] for a record, whose length was within the limit of its time.
+    fn kept(message: proto::JobSpec, tenant: String, request_id: String) -> Result<Self, WireError> {
         for (field, text) in [("tessera-tenant", &tenant), ("request_id", &request_id)] {
             if text.len() > 128 || !text.chars().all(|c| c.is_ascii_graphic()) {
                 let shown: String = text.chars().take(80).collect();
@@ -50,11 +61,6 @@ impl Spec {
             }
         }
         let task = Task::of(&message).map_err(|error| error.under("spec"))?;
-        let bytes = message.encoded_len();
-        if bytes > MAX_SPEC_BYTES {
-            let text = format!("has {bytes} bytes; at most {MAX_SPEC_BYTES} are taken: put long lists into blobs");
-            return Err(WireError::field("spec", text));
-        }
         Ok(Self { tenant, request_id, message: Arc::new(message), task: Arc::new(task) })
     }
 
@@ -83,7 +89,11 @@ struct Kept {
 impl Serialize for Spec {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
         let (tenant, request_id) = (self.tenant.clone(), self.request_id.clone());
-        Kept { tenant, request_id, spec: json::to_value(self.message()) }.serialize(serializer)
+        let spec = json::to_value(self.message());
+        if spec.is_null() {
+            return Err(ser::Error::custom("a specification that cannot be written"));
+        }
+        Kept { tenant, request_id, spec }.serialize(serializer)
     }
 }
 
@@ -92,6 +102,6 @@ impl<'de> Deserialize<'de> for Spec {
         let record = legacy::upgrade(Value::deserialize(deserializer)?);
         let Kept { tenant, request_id, spec } = serde_json::from_value(record).map_err(de::Error::custom)?;
         let message = json::from_value(spec).map_err(de::Error::custom)?;
-        Self::new(message, tenant, request_id).map_err(de::Error::custom)
+        Self::kept(message, tenant, request_id).map_err(de::Error::custom)
     }
 }

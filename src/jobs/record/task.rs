@@ -370,8 +370,10 @@ impl MeshSource {
             return Err(WireError::field("attributes", "are given, but only a remesh carries attributes"));
         }
         let headers: Vec<_> = given.attributes.iter().map(header).collect();
-        let counts = MeshCounts { vertices: positions.count, facets: facets.count, ..MeshCounts::default() };
-        let counts = attributes::check(&headers, counts)?;
+        // Values by corner may be as many as any array has: the estimate counts them.
+        let most = Bounds::WIDEST.max_seeds / 3;
+        let counts = MeshCounts { vertices: positions.count, facets: most, ..MeshCounts::default() };
+        let counts = attributes::check(&headers, counts).map_err(of_header)?;
         let attribute = |(i, (counts, given)): (usize, (AttributeCounts, &proto::AttributeArrays))| {
             let read = || {
                 let forms: &[_] =
@@ -411,6 +413,18 @@ fn header(given: &proto::AttributeArrays) -> proto::AttributeHeader {
         r#type: r#type.into(),
         values: given.values.as_ref().map_or(0, |values| values.count),
         by_corner: given.corners.is_some(),
+    }
+}
+
+/// A refusal of such a header, with the field of the arrays.
+fn of_header(error: WireError) -> WireError {
+    let fields = [(".type", ".values.form"), (".values", ".values.count"), (".by_corner", ".corners")];
+    match error {
+        WireError::Field { path, reason } => {
+            let renamed = fields.iter().find_map(|(from, to)| Some(format!("{}{to}", path.strip_suffix(from)?)));
+            WireError::Field { path: renamed.unwrap_or(path), reason }
+        }
+        other => other,
     }
 }
 

@@ -97,9 +97,14 @@ fn specification(bytes: &[u8], tenant: &str) -> Result<Spec, RequestError> {
         return Err(wrong("body", "is no object of JSON"));
     };
     let (message, request_id) = if object.get("mesh").is_some_and(Value::is_object) {
-        let request_id = object.shift_remove("request_id").and_then(|id| Some(id.as_str()?.to_owned()));
+        let request_id = match object.shift_remove("request_id") {
+            None | Some(Value::Null) => String::new(),
+            Some(Value::String(id)) => id,
+            Some(Value::Number(id)) => id.to_string(),
+            Some(_) => return Err(wrong("request_id", "is a text")),
+        };
         let message = wire::json::from_value(Value::Object(object)).map_err(|error| body(&error))?;
-        (message, request_id.unwrap_or_default())
+        (message, request_id)
     } else {
         let mut asked = Asked::of_json(object)?;
         let mesh = asked.digest("mesh")?.ok_or_else(|| wrong("mesh", "is missing; it is the digest of a blob"))?;
