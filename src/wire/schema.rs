@@ -28,9 +28,11 @@ pub(crate) fn comment(field: &FieldDescriptor) -> String {
 }
 
 fn add(message: &MessageDescriptor, place: &str, all: &mut Map<String, Value>) {
-    if all.insert(message.name().to_owned(), Value::Null).is_some() {
+    if all.contains_key(message.name()) {
         return;
     }
+    // Its place is taken before its fields are looked at: messages may refer to each other.
+    all.insert(message.name().to_owned(), Value::Null);
     let mut properties = Map::new();
     for field in message.fields() {
         let mut schema = if field.is_map() {
@@ -65,4 +67,17 @@ fn value(kind: &Kind, place: &str, all: &mut Map<String, Value>) -> Value {
 
 fn names(of: &EnumDescriptor) -> Vec<String> {
     of.values().map(|value| value.name().to_owned()).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_message_has_a_schema() {
+        let all = of::<crate::proto::JobSpec>("#/");
+        assert!(all.values().all(Value::is_object), "{all:?}");
+        assert_eq!(all["JobArrays"]["properties"]["creases"]["$ref"], "#/ArrayRef");
+        assert!(all["ArrayRef"]["properties"]["digest"]["description"].as_str().is_some_and(|text| !text.is_empty()));
+    }
 }
