@@ -269,7 +269,8 @@ impl Engine {
             Ok(())
         };
         // Without a waiting caller, a host thread drops it when it takes it from the queue, or at its end.
-        drop(self.submit(Admission::Continuation, Retry::Never, work));
+        let (sender, _) = oneshot::channel();
+        drop(self.push(Token::default(), Admission::Continuation, Retry::Never, work, Some(sender)));
     }
 
     /// How much each tenant counts beside others.

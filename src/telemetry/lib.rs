@@ -138,25 +138,27 @@ mod tests {
         }
     }
 
-    /// The line of an event within the spans of a call and of its job.
-    fn line(format: LogFormat) -> String {
+    /// The line of an event within the spans of a call and of its job, and the id of the call's trace.
+    fn line(format: LogFormat) -> (String, String) {
         let page = Page::default();
         let writer = page.clone();
         let layer = lines(format, false, move || writer.clone());
-        tracing::subscriber::with_default(tracing_subscriber::registry().with(layer), || {
+        let trace = tracing::subscriber::with_default(tracing_subscriber::registry().with(layer), || {
             let call = info_span!("call", trace_id = field::Empty).entered();
-            call.record("trace_id", field::display("abc"));
+            let trace = trace::join(&call, None);
             let _job = info_span!("job", job = %7, kind = "remesh").entered();
             tracing::info!(ms = 2.5, by = ?"me", "done \"so far\"");
+            trace.id()
         });
         let bytes = page.0.lock().unwrap().clone();
-        String::from_utf8(bytes).unwrap()
+        (String::from_utf8(bytes).unwrap(), trace)
     }
 
     #[test]
     fn a_line_of_json_has_its_job_and_its_trace() {
-        let value: serde_json::Value = serde_json::from_str(&line(LogFormat::Json)).unwrap();
-        assert_eq!((&value["spans"][0]["trace_id"], &value["spans"][1]["job"]), (&"abc".into(), &"7".into()));
+        let (line, trace) = line(LogFormat::Json);
+        let value: serde_json::Value = serde_json::from_str(&line).unwrap();
+        assert_eq!((&value["spans"][0]["trace_id"], &value["spans"][1]["job"]), (&trace.into(), &"7".into()));
         assert_eq!((&value["message"], &value["level"]), (&"done \"so far\"".into(), &"INFO".into()));
         assert_eq!((&value["ms"], &value["by"]), (&2.5.into(), &"\"me\"".into()));
         assert!(value["timestamp"].as_str().unwrap().ends_with('Z') && value["target"].is_string());
@@ -164,8 +166,9 @@ mod tests {
 
     #[test]
     fn a_line_of_text_has_them_too() {
-        let line = line(LogFormat::Text);
-        assert!(line.contains(" INFO call{trace_id=abc}:job{job=7 kind=\"remesh\"}: tessera"), "{line}");
+        let (line, trace) = line(LogFormat::Text);
+        let spans = format!(" INFO call{{trace_id={trace}}}:job{{job=7 kind=\"remesh\"}}: tessera");
+        assert!(line.contains(&spans), "{line}");
         assert!(line.ends_with("done \"so far\" ms=2.5 by=\"me\"\n"), "{line}");
     }
 }

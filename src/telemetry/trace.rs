@@ -77,7 +77,8 @@ pub fn here() -> Option<TraceContext> {
 pub fn join(span: &Span, parent: Option<TraceContext>) -> TraceContext {
     let exported = export::join(span, parent);
     let context = exported.or(parent).unwrap_or_else(TraceContext::new);
-    span.record("trace_id", context.id());
+    // Displayed: a text would be in quotes in lines of text.
+    span.record("trace_id", tracing::field::display(context.id()));
     context
 }
 

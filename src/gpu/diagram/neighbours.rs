@@ -346,7 +346,9 @@ impl Neighbours {
         self.host.fresh = false;
         self.view(cx, memory)?;
         let b = &memory.there()?.buffers;
-        let table: Vec<u32> = b.staging.read(&cx.device, &b.table, 0..memory.counts.table as usize)?;
+        // As long as the buffer is: the counts may be those of the next one already.
+        let entries = b.plan.table as usize / size_of::<u32>();
+        let table: Vec<u32> = b.staging.read(&cx.device, &b.table, 0..entries)?;
         let list_state: Vec<ListState> = b.staging.read(&cx.device, &b.list_state, 0..1)?;
         let from_lists =
             list_state.first().filter(|s| s.mode == layout::search::FROM_LISTS && self.rows == Rows::Device);

@@ -235,9 +235,9 @@ impl Shared {
     }
 
     fn work(&self, taken: Dequeued<Box<dyn Task>>) {
-        let Dequeued { item: mut task, number, is_alone } = taken;
         // The first local, and so dropped last: after the state that the answer did not take along.
-        let _done = DoneOnDrop { queue: &self.queue, number, start: Instant::now() };
+        let _done = DoneOnDrop { queue: &self.queue, number: taken.number, start: Instant::now() };
+        let Dequeued { item: mut task, is_alone, .. } = taken;
         let watched = self.watchdog.watch(task.token());
         let threads = if task.has_continuations() { None } else { Some(self.pools.take(is_alone)) };
         let mut attempts = 0;
