@@ -28,7 +28,7 @@ fi
 exec "$(command -v cargo)" "\$@"
 EOF
 chmod +x "$work/bin/cargo"
-export MATURIN_PEP517_ARGS="--profile dev"
+export MATURIN_PEP517_ARGS="--profile dev --features tessera/default"
 export PATH=$work/bin:$work/installed/bin:$PATH
 # Where the README's server keeps its jobs.
 export XDG_STATE_HOME=$work/state

@@ -3,9 +3,11 @@
 use std::collections::BTreeMap;
 use std::fmt::Write;
 
+use prost::Message;
 use prost_types::field_descriptor_proto::{Label, Type};
 use prost_types::{
-    DescriptorProto, EnumDescriptorProto, FieldDescriptorProto, FileDescriptorProto, ServiceDescriptorProto,
+    DescriptorProto, EnumDescriptorProto, FieldDescriptorProto, FileDescriptorProto, FileDescriptorSet,
+    ServiceDescriptorProto,
 };
 
 use super::{place, read};
@@ -134,9 +136,7 @@ fn choices(out: &mut String, choices: &EnumDescriptorProto, path: &[i32], said: 
 }
 
 fn page() -> String {
-    let mut compiler = protox::Compiler::new([place("proto")]).unwrap();
-    compiler.include_source_info(true).open_files(FILES.map(|name| format!("tessera/v1/{name}.proto"))).unwrap();
-    let files = compiler.file_descriptor_set().file;
+    let files = FileDescriptorSet::decode(tessera::proto::DESCRIPTORS).unwrap().file;
     let mut out = HEAD.to_owned();
     for name in FILES {
         let file = files.iter().find(|file| file.name().ends_with(&format!("/{name}.proto"))).unwrap();

@@ -11,8 +11,8 @@ venv=$("$root/tests/python/venv.sh")
 work=$(mktemp -d)
 trap 'rm -rf "$work"' EXIT
 "$here/tools/make_stubs.sh" --check
-# With what is compiled already; the packages it asks for are there.
-CARGO_TARGET_DIR=${CARGO_TARGET_DIR:-$root/target} MATURIN_PEP517_ARGS="--profile dev --locked" \
+# With what is compiled for the program already, which has more features; the packages it asks for are there.
+CARGO_TARGET_DIR=${CARGO_TARGET_DIR:-$root/target} MATURIN_PEP517_ARGS="--profile dev --locked --features tessera/default" \
     "$venv/bin/uv" pip install --quiet --python "$venv" --reinstall-package tessera-remesh --no-deps "$here"
 "$venv/bin/uv" pip check --quiet --python "$venv"
 cd "$here"
