@@ -69,7 +69,6 @@ fn small_diagrams_on_the_gpu() {
     }
 }
 
-#[needs(gpu)]
 #[test]
 #[ignore = "the long run; TESSERA_FUZZ_CASES says how many"]
 fn many_small_diagrams_gpu() {
