@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import hashlib
 import subprocess
 import threading
 import time
@@ -15,7 +16,8 @@ from tessera_remesh import Attributes
 
 pytest.importorskip("grpc")
 
-from tessera_remesh.service import AsyncClient, Client, ConnectionLost, JobFailed, ServerError  # noqa: E402
+from tessera_remesh.service import AsyncClient, Client, ConnectionLost, JobFailed, ServerError, flows  # noqa: E402
+from tessera_remesh.service._stubs import blob_pb2, job_pb2  # noqa: E402
 
 from conftest import torus  # noqa: E402
 
@@ -207,6 +209,45 @@ def test_blobs(endpoint):
         assert client.read(client.put(b"")) == b""
         with pytest.raises(ServerError, match="NOT_FOUND"):
             client.read("0" * 64)
+
+
+def test_an_upload_that_was_cut_goes_on(endpoint, monkeypatch):
+    data = np.random.default_rng(3).bytes(3 * (1 << 20) + 17)
+    digest = hashlib.sha256(data).hexdigest()
+    pieces, starts = flows._pieces, []
+    monkeypatch.setattr(flows, "_pieces", lambda data, digest, start: starts.append(start) or pieces(data, digest, start))
+    with Client(endpoint) as client:
+        cut = flows.Upload("BlobService/Write", lambda: iter(list(pieces(data, digest, 0))[:2]), blob_pb2.WriteResponse)
+        answer = client._do(cut, None)
+        assert not answer.complete and answer.kept_bytes == 2 << 20
+        assert client.put(data) == digest and client.read(digest) == data
+    assert starts == [2 << 20]
+
+
+def test_events_come_again_from_any_number(surface, endpoint):
+    with Client(endpoint) as client:
+        job = client.submit(*surface, 150)
+        client.result(job)
+
+        def events(after: int) -> list[job_pb2.JobEvent]:
+            heard: list[job_pb2.JobEvent] = []
+            asked = job_pb2.WatchJobRequest(id=job, after=after)
+            hear = lambda answer: heard.append(answer.event)  # noqa: E731
+            client._do(flows.Each("JobService/WatchJob", asked, job_pb2.WatchJobResponse, hear), None)
+            return heard
+
+        every = events(0)
+        assert [event.number for event in every] == sorted({event.number for event in every})
+        assert events(5) == [event for event in every if event.number > 5]
+        assert every[-1].state.state == job_pb2.JOB_STATE_SUCCEEDED
+
+
+def test_tenants_do_not_see_each_other(surface, endpoint):
+    with Client(endpoint, tenant="one") as one, Client(endpoint, tenant="two") as two:
+        job = one.submit(*surface, 100)
+        with pytest.raises(ServerError, match="NOT_FOUND"):
+            two.state(job)
+        one.result(job)
 
 
 def test_a_server_that_comes_back_is_waited_for(surface, program, tmp_path: Path):
