@@ -56,13 +56,13 @@ def test_blobs_in_a_bucket_outlive_the_server(surface, program, store, tmp_path:
             assert client.read(digest) == large
             job = client.submit(*surface, 200)
             before = client.result(job)
-            mesh = client._run(flows.result(job, 60.0))["mesh"]
+            positions = client._run(flows.result(job, 60.0))["positions"]
     finally:
         server.kill()
         server.wait()
     listing = urllib.request.urlopen(f"{store}/meshes?list-type=2").read().decode()
-    assert mesh in listing and "tessera/blobs/" in listing, listing
-    assert not list(tmp_path.rglob(mesh)), "no copy beside the journal"
+    assert positions in listing and "tessera/blobs/" in listing, listing
+    assert not list(tmp_path.rglob(positions)), "no copy beside the journal"
 
     server, client = start()
     try:
