@@ -1,7 +1,7 @@
 //! RVD pieces as a file that appears under its name only when it is whole.
 //!
 //! Invariant: what was there before is replaced by a whole file or stays. Must not know: where pieces come from, how the file
-//! looks inside (`rvd::cell_file`).
+//! looks inside (`rvd::cells`).
 
 use std::fs::File;
 use std::io::{self, BufWriter};
@@ -13,7 +13,7 @@ use tempfile::NamedTempFile;
 use super::exit::NotWritten;
 use super::files;
 use geometry::rvd::PieceBatch;
-use geometry::rvd::cell_file::CellWriter;
+use geometry::rvd::cells::CellWriter;
 
 /// A file being written.
 pub(crate) struct CellFile {

@@ -7,34 +7,25 @@
 //! on demand.
 //! Must not know: files, remeshing, jobs.
 
-mod convergence;
 pub(crate) mod curves;
 pub mod density;
-mod edit;
 pub(crate) mod figures;
 mod line_search;
-mod options;
 mod placement;
-mod relax;
-mod reseed;
 mod step;
 
 use std::sync::Arc;
 
 use glam::DVec3;
 
-pub use density::{Count, DensityError, DensityFigures, DensityOptions, DensitySource};
-pub use edit::SeedEdit;
-pub use options::{CvtOptions, Projection};
-pub use step::{Iteration, StepKind};
-
-use convergence::Convergence;
-use curves::CurveSeeds;
-
 use crate::mesh::closest_point::ClosestPoint;
 use crate::rvd::{
     Backend, CellSums, DeviceWork, Evaluation, Resident, RvdError, Session, SessionOptions, Surface, check_seeds,
 };
+use curves::CurveSeeds;
+pub use density::{Count, DensityError, DensityFigures, DensityOptions, DensitySource};
+pub use placement::SeedEdit;
+pub use step::{Iteration, StepKind};
 
 /// Where the present seeds are.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -186,4 +177,84 @@ impl Cvt {
 
 fn resident(session: &mut dyn Session) -> Result<&mut dyn Resident, RvdError> {
     session.resident().ok_or_else(|| RvdError::Internal("this backend cannot move seeds".to_owned()))
+}
+
+/// Where seeds go after each step.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
+pub enum Projection {
+    /// They stay where the step put them, near the surface.
+    #[default]
+    Free,
+    /// Each is moved to the closest point of the surface.
+    OnSurface,
+}
+
+/// How iterations are done.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct CvtOptions {
+    /// Where seeds go after each step.
+    pub projection: Projection,
+    /// Most seeds there is room for; 0 means as many as are given at first.
+    pub max_seeds: usize,
+}
+
+impl CvtOptions {
+    /// The defaults.
+    pub fn new() -> Self {
+        Self::default()
+    }
+
+    setters! {
+        with_projection(projection: Projection),
+        with_max_seeds(max_seeds: usize),
+    }
+}
+
+/// The gradient has shrunk to this share of the first one.
+const GRADIENT: f64 = 1e-3;
+/// A step that gains less than this share of the energy counts as a standstill.
+const GAIN: f64 = 1e-6;
+/// Consecutive standstills that end the steps.
+const STANDSTILLS: usize = 2;
+
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Convergence {
+    /// Norm of the first gradient.
+    first: Option<f64>,
+    standstills: usize,
+}
+
+impl Convergence {
+    /// Hears of a point: the first one gives the gradient that later ones are measured by.
+    pub(super) fn begin(&mut self, gradient_norm: f64) {
+        self.first.get_or_insert(gradient_norm);
+    }
+
+    /// Judges a step from energy `before` to energy `after`.
+    pub(super) fn judge(&mut self, before: f64, after: f64, gradient_norm: f64) -> bool {
+        let gained = before - after > GAIN * before.abs();
+        self.standstills = if gained { 0 } else { self.standstills + 1 };
+        let first = *self.first.get_or_insert(gradient_norm);
+        self.standstills >= STANDSTILLS || gradient_norm <= GRADIENT * first
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn two_standstills_running_or_a_small_gradient() {
+        let mut test = Convergence::default();
+        test.begin(1.0);
+        assert!(!test.judge(2.0, 1.0, 0.5));
+        assert!(!test.judge(1.0, 1.0, 0.5));
+        assert!(!test.judge(1.0, 0.9, 0.5));
+        assert!(!test.judge(0.9, 0.9, 0.5));
+        assert!(test.judge(0.9, 0.9, 0.5));
+        let mut test = Convergence::default();
+        test.begin(1.0);
+        assert!(!test.judge(1.0, 0.9, 0.002));
+        assert!(test.judge(0.9, 0.8, 0.001));
+    }
 }

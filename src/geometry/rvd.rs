@@ -8,27 +8,19 @@
 //! change a result.
 //! Must not know: iterations, jobs, files.
 
-pub mod cell_file;
 pub mod cells;
 pub mod clip;
 mod diagram;
 pub(crate) mod dual;
-mod error;
 mod exact;
-pub(crate) mod figures;
 pub mod incident;
-mod kind;
 mod on_host;
 mod options;
 pub mod parallel;
 pub mod resident;
-pub mod seeds;
 pub mod serial;
-pub mod start;
-mod status;
 mod sums;
 pub mod surface;
-pub(crate) mod work;
 
 use std::ops::Range;
 use std::sync::Arc;
@@ -36,22 +28,16 @@ use std::sync::Arc;
 use glam::DVec3;
 
 use crate::token::Token;
-
 pub use cells::{PieceBatch, facet_edge};
 pub use diagram::{Cells, Diagram};
-pub use error::{MAX_SEED_DISTANCE, RvdError};
-pub use kind::{BackendChoice, BackendKind};
 pub use options::{Accumulate, CELLS_PER_FACET, Capacities, SessionOptions, Strategy, Together, Tuning};
+pub use options::{MAX_SEED_DISTANCE, RvdError};
 pub use parallel::Parallel;
 #[doc(hidden)]
 pub use resident::{Evaluation, Resident};
-pub(crate) use seeds::check_seeds;
-use seeds::take_seeds;
 pub use serial::Serial;
-pub use status::PairStatus;
-pub use sums::{CellSums, PassStats};
+pub use sums::{CellSums, DeviceWork, PassStats, PhasesMs, RvdFigures};
 pub use surface::{Frame, Surface};
-pub use work::{DeviceWork, PhasesMs};
 
 /// Milliseconds since a moment.
 pub fn elapsed_ms(since: std::time::Instant) -> f64 {
@@ -151,4 +137,86 @@ pub trait Session: Send {
     fn resident(&mut self) -> Option<&mut dyn Resident> {
         None
     }
+}
+
+/// Which implementation does the work.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum BackendKind {
+    /// Double precision, one thread.
+    Serial,
+    /// Double precision, all threads of the pool.
+    Parallel,
+    /// Single precision on a wgpu device.
+    Gpu,
+}
+
+impl BackendKind {
+    /// All backends, the fastest first.
+    pub const ALL: [Self; 3] = [Self::Gpu, Self::Parallel, Self::Serial];
+
+    /// "serial", "parallel" or "gpu".
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Serial => "serial",
+            Self::Parallel => "parallel",
+            Self::Gpu => "gpu",
+        }
+    }
+}
+
+/// Which backend should do the work.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum BackendChoice {
+    /// The GPU if there is one, else the parallel backend.
+    #[default]
+    Auto,
+    /// This one or an error.
+    Only(BackendKind),
+}
+
+/// How a (facet, cell) pair ended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[repr(u32)]
+pub enum PairStatus {
+    /// Clipped to the end: the security radius closed, or every other seed was tried.
+    Done = 0,
+    /// The neighbour table ended before the security radius closed.
+    NeighboursExhausted = 1,
+    /// The polygon needed more vertices than there were slots.
+    PolygonOverflow = 2,
+    /// The facet meets more cells than there were slots.
+    CellsOverflow = 3,
+    /// A coordinate left the range of the arithmetic in use.
+    NonFinite = 4,
+}
+
+/// What every session checks of new seeds.
+pub fn check_seeds(seeds: &[DVec3], limit: usize) -> Result<(), RvdError> {
+    if seeds.is_empty() {
+        return Err(RvdError::NoSeeds);
+    }
+    if seeds.len() > limit {
+        return Err(RvdError::TooManySeeds { given: seeds.len(), limit });
+    }
+    seeds.iter().enumerate().try_for_each(|(seed, &p)| check_seed(seed, p))
+}
+
+/// What every session checks of one seed.
+pub fn check_seed(seed: usize, p: DVec3) -> Result<(), RvdError> {
+    if !p.is_finite() {
+        return Err(RvdError::NonFiniteSeed { seed });
+    }
+    let boxes = p.abs().max_element();
+    if boxes > MAX_SEED_DISTANCE {
+        return Err(RvdError::SeedTooFar { seed, boxes });
+    }
+    Ok(())
+}
+
+/// Checks new seeds and takes them, on the grid of [`surface::snap`].
+pub fn take_seeds(seeds: &[DVec3], limit: usize, into: &mut Vec<DVec3>) -> Result<(), RvdError> {
+    check_seeds(seeds, limit)?;
+    into.clear();
+    into.extend(seeds.iter().map(|&p| surface::snap(p)));
+    Ok(())
 }

@@ -1,19 +1,19 @@
 //! Buffers of a plan, and bytes in and out of them.
 //!
-//! Purpose: [`Allocation`] allocates what a plan says, and passes it on to the next one when it ends; [`Staging`] and [`write()`]
-//! download and upload in bounded portions.
-//! Invariant: an upload in flight never holds more than [`UPLOAD_BYTES`] of wgpu's own staging
-//! memory, whose exhaustion would lose the device.
+//! Purpose: [`Allocation`] allocates what a plan says, and passes it on to the next one when it ends ([`Spare`]), so that a job of
+//! the same plan as the one before allocates nothing; [`Staging`] and [`write()`] download and upload in bounded portions.
+//! Invariant: an upload in flight never holds more than [`UPLOAD_BYTES`] of wgpu's own staging memory, whose exhaustion would lose
+//! the device. A buffer that is passed on is zeroed. At most [`MOST_BYTES`] lie spare, the oldest go first.
 //! Must not know: what the bytes mean.
 
+use std::collections::VecDeque;
 use std::ops::Range;
-use std::sync::{Arc, mpsc};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError, mpsc};
 
 use bytemuck::{NoUninit, Pod};
 use wgpu::BufferUsages as Usage;
 
-use super::spare::Spare;
-use super::{Device, GpuError};
+use crate::{Device, GpuError};
 
 /// Bytes that are handed to the queue between two submissions.
 pub const UPLOAD_BYTES: usize = 32 << 20;
@@ -166,4 +166,39 @@ pub fn write<T: NoUninit>(device: &Device, buffer: &wgpu::Buffer, first: usize, 
         offset += portion.len() as u64;
     }
     device.check()
+}
+
+/// What is kept at most, bytes.
+const MOST_BYTES: u64 = 512 << 20;
+
+#[derive(Debug, Default)]
+pub(crate) struct Spare(Mutex<VecDeque<wgpu::Buffer>>);
+
+impl Spare {
+    fn lock(&self) -> MutexGuard<'_, VecDeque<wgpu::Buffer>> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// A buffer of this size and usage, with whatever it holds.
+    pub(super) fn take(&self, size: u64, usage: wgpu::BufferUsages) -> Option<wgpu::Buffer> {
+        let mut spare = self.lock();
+        let found = spare.iter().position(|buffer| buffer.size() == size && buffer.usage() == usage)?;
+        spare.remove(found)
+    }
+
+    pub(super) fn keep(&self, buffers: impl IntoIterator<Item = wgpu::Buffer>) {
+        let mut spare = self.lock();
+        spare.extend(buffers);
+        let mut bytes: u64 = spare.iter().map(wgpu::Buffer::size).sum();
+        while bytes > MOST_BYTES {
+            let Some(oldest) = spare.pop_front() else { break };
+            bytes -= oldest.size();
+        }
+    }
+
+    /// Frees all. Whether there was any.
+    pub(super) fn free(&self) -> bool {
+        let freed = std::mem::take(&mut *self.lock());
+        !freed.is_empty()
+    }
 }

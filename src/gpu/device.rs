@@ -13,9 +13,9 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
 use super::GpuError;
-use super::spare::Spare;
 use super::submitter::Submitter;
 use super::timing::{LANES, Timer};
+use crate::buffers::Spare;
 
 /// Which adapters may be used.
 #[derive(Clone, Debug, PartialEq, Eq)]

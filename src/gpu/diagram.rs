@@ -17,10 +17,8 @@
 //! Must not know: iterations, jobs, files.
 
 mod clip;
-mod context;
 pub(crate) mod forecast;
 pub mod layout;
-mod measure;
 mod memory;
 mod neighbours;
 mod optimizer;
@@ -31,17 +29,20 @@ pub mod shaders;
 mod strategy;
 
 use std::sync::Arc;
+use std::time::Instant;
 
-use glam::dvec3;
+use glam::{DVec3, dvec3};
 
+use crate::dispatch::Limits;
 use crate::{Device, GpuError};
 use geometry::mesh::TriMesh;
 use geometry::rvd::parallel::Parallel;
 use geometry::rvd::{
-    Backend, BackendKind, CellSums, DeviceFacts, PhasesMs, PieceBatch, RvdError, Session, SessionOptions, Surface,
+    Backend, BackendKind, Capacities, CellSums, DeviceFacts, PhasesMs, PieceBatch, RvdError, Session, SessionOptions,
+    Surface, elapsed_ms,
 };
 use geometry::token::Token;
-pub use measure::AccumulationMs;
+use layout::accumulate::{DIRECT, NOWHERE, TWO_PHASE};
 pub use neighbours::Found;
 use pipelines::Pipelines;
 use session::GpuSession;
@@ -187,5 +188,69 @@ impl Backend for Gpu {
         let mut session = pool.install(|| GpuSession::new(self, surface, options));
         session.ensure_memory()?;
         Ok(Box::new(session))
+    }
+}
+
+struct Context {
+    device: Arc<Device>,
+    pool: Arc<rayon::ThreadPool>,
+    pipelines: Arc<Pipelines>,
+    surface: Arc<Surface>,
+    /// Total mass of the surface.
+    mass: f64,
+    /// Seeds at most.
+    max_seeds: usize,
+    /// First capacities.
+    capacities: Capacities,
+}
+
+impl Context {
+    pub(super) fn limits(&self) -> Limits {
+        Limits::of(&self.device.limits())
+    }
+}
+
+/// Milliseconds of each clip pass, by how its pieces were added.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct AccumulationMs {
+    /// Atomics to global memory.
+    pub direct: Vec<f64>,
+    /// Partial sums within workgroups first.
+    pub two_phase: Vec<f64>,
+    /// Clipped and integrated, but not added.
+    pub without: Vec<f64>,
+}
+
+impl Gpu {
+    /// Times `passes` passes of each kind over the same seeds (unit frame), in turn, so that what
+    /// else the machine does falls on all alike. One more of each goes before.
+    pub fn measure_accumulation(
+        &self,
+        surface: Arc<Surface>,
+        seeds: &[DVec3],
+        options: SessionOptions,
+        passes: usize,
+        token: &Token,
+    ) -> Result<AccumulationMs, RvdError> {
+        self.pool.install(|| {
+            let mut session = GpuSession::new(self, surface, options);
+            session.set_seeds(seeds)?;
+            // Facets that are done as a whole are added directly only.
+            session.clip.divides = false;
+            let mut stats = session.begin_pass(token)?;
+            let mut out = AccumulationMs::default();
+            for pass in 0..=passes {
+                let kinds = [(DIRECT, &mut out.direct), (TWO_PHASE, &mut out.two_phase), (NOWHERE, &mut out.without)];
+                for (code, times) in kinds {
+                    session.clip.accumulate = code;
+                    let begin = Instant::now();
+                    session.run_sums(token, &mut stats)?;
+                    if pass > 0 {
+                        times.push(elapsed_ms(begin));
+                    }
+                }
+            }
+            Ok(out)
+        })
     }
 }

@@ -1,15 +1,15 @@
-//! Dispatches, long ones in parts.
+//! What a device allows, and dispatches, long ones in parts.
 //!
-//! Purpose: how many workgroups and parts a number of items takes. A driver may take a dispatch of a tenth of a second for a hung
-//! device, so a stage of many items is dispatched part by part, and after some parts the host may stop.
+//! Purpose: [`Limits`] are the numbers that plans of buffers and dispatches are made for. From them comes how many workgroups and
+//! parts a number of items takes. A driver may take a dispatch of a tenth of a second for a hung device, so a stage of many items
+//! is dispatched part by part, and after some parts the host may stop.
 //! Invariant: numbers come from counts and limits alone. A stage that fits one part takes no pass, copy or submission more.
-//! Must not know: what a stage does.
+//! Must not know: what a stage does, what bytes are for.
 
 use std::ops::Range;
 
-use super::device::WORKGROUP;
-use super::limits::Limits;
-use super::{Device, GpuError};
+use crate::device::WORKGROUP;
+use crate::{Device, GpuError};
 use geometry::token::{Stopped, Token};
 
 /// Items that one dispatch of a heavy stage has at most. Each stage takes some such parts at once; none comes near
@@ -181,6 +181,51 @@ fn in_parts<E: From<GpuError> + From<Stopped>>(
         stage.run_part(&mut compute, k as u64, part.end - part.start, limits);
     }
     begin_at(encoder, 0);
+    Ok(())
+}
+
+/// The part of a buffer that one readback copies at most.
+pub const STAGING_BYTES: u64 = 32 << 20;
+
+/// What the device allows.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Limits {
+    /// Largest buffer, bytes.
+    pub buffer_bytes: u64,
+    /// Largest storage binding, bytes.
+    pub binding_bytes: u64,
+    /// Workgroups in one dimension.
+    pub workgroups: u32,
+}
+
+impl Limits {
+    /// Those of an open device.
+    pub fn of(limits: &wgpu::Limits) -> Self {
+        Self {
+            buffer_bytes: limits.max_buffer_size,
+            binding_bytes: limits.max_storage_buffer_binding_size,
+            workgroups: limits.max_compute_workgroups_per_dimension,
+        }
+    }
+
+    /// Largest buffer that a shader can see all of, bytes.
+    pub fn seen_bytes(self) -> u64 {
+        // Offsets within a buffer are 32-bit words on the device.
+        self.buffer_bytes.min(self.binding_bytes).min(16 << 30)
+    }
+}
+
+/// Whether a shader can see each of these buffers (name, bytes) as a whole.
+///
+/// # Errors
+/// `NeverFits` with the first that it cannot.
+pub fn fits(buffers: &[(&str, u64)], limits: Limits) -> Result<(), GpuError> {
+    let limit_bytes = limits.seen_bytes();
+    for &(what, needed_bytes) in buffers {
+        if needed_bytes > limit_bytes {
+            return Err(GpuError::NeverFits { what: what.to_owned(), needed_bytes, limit_bytes });
+        }
+    }
     Ok(())
 }
 

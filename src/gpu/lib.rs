@@ -1,7 +1,7 @@
 //! The device, and the GPU backend of the diagram.
 //!
 //! Purpose: [`device`] opens one persistent wgpu device and turns everything that can go wrong with it into [`GpuError`];
-//! [`limits`] says what it allows; [`buffers`] allocates and moves bytes; [`dispatch`] turns counts of items into workgroups and
+//! [`buffers`] allocates and moves bytes; [`dispatch`] says what it allows, and turns counts of items into workgroups and
 //! parts; `submitter` makes the calls that a driver may hold up; `timing` reads the device's clock; [`shader`] composes WGSL. These
 //! know no facet and no seed. [`diagram`] is the backend on top of them. [`BackendOptions`] opens any backend, this one or those
 //! of the CPU, also in a build without the feature `device`.
@@ -20,11 +20,9 @@ pub mod diagram;
 #[cfg(feature = "device")]
 pub mod dispatch;
 #[cfg(feature = "device")]
-pub mod limits;
 #[cfg(feature = "device")]
 pub mod shader;
 #[cfg(feature = "device")]
-mod spare;
 #[cfg(feature = "device")]
 mod submitter;
 #[cfg(feature = "device")]

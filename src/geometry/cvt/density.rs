@@ -8,13 +8,10 @@
 //! Must not know: backends, files, jobs.
 
 mod curvature;
-mod error;
 mod feature_size;
 mod lengths;
 mod net;
-mod normals;
 mod options;
-mod outline;
 mod refine;
 mod size_field;
 
@@ -25,10 +22,9 @@ use serde::Serialize;
 use crate::mesh::TriMesh;
 use crate::token::{Stopped, Token};
 
-pub use error::DensityError;
+pub use lengths::Outline;
 pub use net::Net;
-pub use options::{Count, DensityOptions, DensitySource};
-pub use outline::Outline;
+pub use options::{Count, DensityError, DensityOptions, DensitySource};
 pub(crate) use size_field::SizeField;
 
 use lengths::{Bounded, Least, adapt, fill_gaps, of_curvature, resolved, without_noise};

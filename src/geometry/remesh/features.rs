@@ -1,7 +1,232 @@
 //! Creases and boundaries that a remesh keeps.
 //!
-//! Purpose: [`curves`] finds them and places their seeds; [`envelope`] bounds how far the result's edges may leave them.
-//! Invariant: what could not be kept is counted. Must not know: backends, iterations, how a result is improved.
+//! Purpose: [`KeptCurves`] finds them, places their seeds and reads their edges off a result; [`envelope`] bounds how far the
+//! result's edges may leave them.
+//! Invariant: if the curves would take too many of the seeds, creases are dropped first and boundaries last, and both are
+//! counted. Must not know: backends, iterations, how a result is improved.
 
-pub(super) mod curves;
 pub(super) mod envelope;
+
+use std::collections::HashSet;
+
+use glam::DVec3;
+use rayon::prelude::*;
+
+use super::constants::{
+    ACUTE_LIMIT, BEND_REACH, BOUNDARY_LIMIT, CLEARANCE, CREASE_LIMIT, JOINED_CORNERS, LARGEST_SHARE, LEAST_CLEAR,
+    MOST_SEEDS, SHORTEST_CREASE, SMOOTH_REACH, SPARE_POINTS, SPARE_SEEDS,
+};
+use super::report::FeatureFigures;
+use super::{RemeshError, RemeshOptions, Seeds};
+use crate::cvt::curves::{CurveSeeds, INNER_POINTS, Segment, edge_length};
+use crate::cvt::density::Plan;
+use crate::mesh::TriMesh;
+use crate::mesh::edges::undirected;
+use crate::mesh::features::{CurveKind, FeatureOptions, Features};
+use crate::mesh::sample::spread;
+use crate::rvd::{Frame, Surface};
+use crate::token::Token;
+use envelope::CurveSample;
+
+/// `count` of some points in an order, evenly spaced in it; all if there are fewer.
+fn evenly(points: &[DVec3], count: usize) -> impl Iterator<Item = DVec3> + '_ {
+    let count = count.min(points.len());
+    (0..count).map(move |k| points[(k as u64 * points.len() as u64 / count as u64) as usize])
+}
+
+/// Curves and their seeds.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct KeptCurves {
+    features: Features,
+    pub(crate) seeds: CurveSeeds,
+    /// Curves that were dropped.
+    dropped_curves: usize,
+}
+
+impl KeptCurves {
+    /// Finds what `options` ask for; nothing where seeds are given.
+    pub(crate) fn find(
+        mesh: &TriMesh,
+        plan: &Plan<'_>,
+        surface: &Surface,
+        options: &RemeshOptions,
+        token: &Token,
+    ) -> Result<Self, RemeshError> {
+        Features::check(mesh, options.crease_angle_deg, &options.creases, token)?;
+        if matches!(options.seeds, Seeds::Given(_)) {
+            return Ok(Self::default());
+        }
+        let points = plan.points;
+        // The shortest target edge, where the weight is 1.
+        let scale = edge_length(surface, &Features::default(), points, token)?;
+        let resolution = match surface.is_uniform() {
+            true => Vec::new(),
+            false => surface.weights().iter().map(|w| w.powf(0.25)).collect(),
+        };
+        // A larger angle asks for fewer creases, so weaker ones are not sought.
+        let weaker = options.crease_angle_deg <= RemeshOptions::CREASE_ANGLE_DEG;
+        let mut criteria = FeatureOptions {
+            crease_angle_deg: options.crease_angle_deg,
+            given_creases: plan.edges(&options.creases, token)?,
+            min_crease_length: SHORTEST_CREASE * scale,
+            turn_reach: BEND_REACH * scale,
+            ridge_clearance: if weaker { SMOOTH_REACH * scale } else { 0.0 },
+            merge_length: JOINED_CORNERS * scale,
+            resolution,
+        };
+        let mut dropped_curves = 0;
+        loop {
+            let mut features = Features::find(&plan.mesh, surface.positions(), &criteria, token)?;
+            if !options.keep_boundaries {
+                features.retain(|_, c| c.kind != CurveKind::Boundary);
+            }
+            let edge = edge_length(surface, &features, points, token)?;
+            let creases = |features: &Features| features.curves.iter().filter(|c| c.kind == CurveKind::Crease).count();
+            let share = |creases| if creases == 0 { 1.0 } else { LARGEST_SHARE };
+            // Close curves are dropped next, but do not make room for more than this.
+            let most = points.saturating_mul(MOST_SEEDS).saturating_add(SPARE_SEEDS);
+            let mut placed = CurveSeeds::place(surface, &features, edge, most, token)?;
+            while let Some(seeds) = &placed {
+                let too_close = seeds.too_close(&features, token)?;
+                if too_close.is_empty() {
+                    break;
+                }
+                dropped_curves += too_close.len();
+                features.retain(|k, _| !too_close.contains(&(k as u32)));
+                placed = CurveSeeds::place(surface, &features, edge, most, token)?;
+            }
+            if let Some(mut seeds) = placed {
+                seeds.split_by_deviation(token)?;
+                seeds.split_between_others(|c| features.curves[c as usize].kind == CurveKind::Boundary, token)?;
+                if seeds.len() as f64 <= share(creases(&features)) * points as f64 {
+                    return Ok(Self { features, seeds, dropped_curves });
+                }
+            }
+            let creases = creases(&features);
+            if criteria.ridge_clearance > 0.0 {
+                criteria.ridge_clearance = 0.0;
+                continue;
+            }
+            dropped_curves += creases;
+            if creases == 0 {
+                return Ok(Self { dropped_curves: dropped_curves + features.curves.len(), ..Self::default() });
+            }
+            criteria.crease_angle_deg = 0.0;
+            criteria.given_creases.clear();
+        }
+    }
+
+    /// The curves' seeds and as many drawn ones as make `points`, clear of the curves; caller's coordinates.
+    pub(crate) fn with_others(&self, plan: &Plan<'_>, surface: &Surface, seed: u64) -> Vec<DVec3> {
+        let (mesh, points): (&TriMesh, usize) = (&plan.mesh, plan.points);
+        let frame = surface.frame();
+        let mut all: Vec<DVec3> = (0..self.seeds.len() as u32).map(|i| self.position(mesh, frame, i)).collect();
+        let others = points - all.len();
+        let clearance = self.seeds.clearance(CLEARANCE);
+        let clear = |p: &DVec3| clearance.holds(frame.to_unit(*p));
+        // Seeds do not cross curves, so each region gets its own share.
+        let regions = self.features.regions(mesh);
+        let draw = |count: usize| -> (Vec<DVec3>, Vec<DVec3>) {
+            let drawn = spread(mesh, plan.weights.as_deref(), Some(&regions), count, seed);
+            drawn.par_iter().map(|s| s.position).partition(clear)
+        };
+        let (mut kept, mut rest) = draw(others + others / SPARE_POINTS);
+        if kept.len() < others {
+            let share = (kept.len() as f64 / (others + others / SPARE_POINTS) as f64).max(LEAST_CLEAR);
+            (kept, rest) = draw((others as f64 / share) as usize + others / SPARE_POINTS + 1);
+        }
+        // If curves cover nearly all of the surface, seeds begin near them.
+        let lacking = others.saturating_sub(kept.len());
+        all.extend(evenly(&rest, lacking));
+        all.extend(evenly(&kept, others - lacking));
+        all
+    }
+
+    /// Where a curve's seed lies, caller's coordinates: a corner exactly at its vertex.
+    pub(crate) fn position(&self, mesh: &TriMesh, frame: Frame, seed: u32) -> DVec3 {
+        match self.features.corners.get(seed as usize) {
+            Some(&vertex) => mesh.positions()[vertex as usize],
+            None => frame.to_world(self.seeds.seeds[seed as usize]),
+        }
+    }
+
+    /// For each segment of the curves the edge between its seeds, where the facets have it.
+    pub(crate) fn edges_in(&self, facets: &[[u32; 3]], vertex_seed: &[u32]) -> Vec<Option<[u32; 2]>> {
+        let n = self.seeds.len() as u32;
+        let edges = facets.iter().flat_map(|t| [[t[0], t[1]], [t[1], t[2]], [t[2], t[0]]]);
+        let on_curves = edges.filter(|e| e.iter().all(|&v| vertex_seed[v as usize] < n));
+        let mut by_seeds: Vec<([u32; 2], [u32; 2])> = on_curves
+            .map(|e| {
+                let [a, b] = e.map(|v| vertex_seed[v as usize]);
+                if a < b { ([a, b], e) } else { ([b, a], [e[1], e[0]]) }
+            })
+            .collect();
+        by_seeds.sort_unstable();
+        let find = |ends: [u32; 2]| {
+            let key = undirected(ends);
+            let at = by_seeds.partition_point(|(seeds, _)| *seeds < key);
+            by_seeds.get(at).filter(|(seeds, _)| *seeds == key).map(|&(_, e)| e)
+        };
+        self.seeds.segments.iter().map(|s| find(s.ends)).collect()
+    }
+
+    /// Vertices between which the result has no edge although their seeds follow each other on a curve of a kind that
+    /// `counts`.
+    pub(crate) fn missing(
+        &self,
+        edges: &[Option<[u32; 2]>],
+        vertex_seed: &[u32],
+        counts: impl Fn(CurveKind) -> bool,
+    ) -> Vec<[u32; 2]> {
+        // Seeds of curves are the first ones, and so are their vertices, unless a cell is in parts.
+        let vertex = |seed: u32| {
+            let first = vertex_seed.partition_point(|&s| s < seed);
+            let copies = vertex_seed[first..].iter().take_while(|&&s| s == seed).count();
+            (copies == 1).then_some(first as u32)
+        };
+        let kind = |s: &Segment| self.features.curves[s.curve as usize].kind;
+        let missing = self.seeds.segments.iter().zip(edges).filter(|(s, e)| e.is_none() && counts(kind(s)));
+        missing.filter_map(|(s, _)| Some([vertex(s.ends[0])?, vertex(s.ends[1])?])).collect()
+    }
+
+    pub(crate) fn is_corner(&self, seed: u32) -> bool {
+        (seed as usize) < self.seeds.corners
+    }
+
+    /// Points of the curves that the result has edges for; `edges` are those of [`KeptCurves::edges_in`].
+    pub(crate) fn samples(&self, edges: &[Option<[u32; 2]>]) -> Vec<CurveSample> {
+        let present = self.seeds.segments.iter().zip(edges).filter_map(|(s, &e)| Some((s, e?)));
+        let beside_acute = self.seeds.beside_acute();
+        let of = |(segment, edge): (&Segment, [u32; 2])| {
+            let [a, b] = segment.ends.map(|e| self.seeds.seeds[e as usize]);
+            let area = a.distance_squared(b) / INNER_POINTS as f64;
+            let limit = segment.edge
+                * match self.features.curves[segment.curve as usize].kind {
+                    _ if segment.ends.iter().any(|&e| beside_acute[e as usize]) => ACUTE_LIMIT,
+                    CurveKind::Boundary => BOUNDARY_LIMIT,
+                    CurveKind::Crease => CREASE_LIMIT,
+                };
+            segment.between.map(|position| CurveSample { position, edge, area, limit })
+        };
+        present.flat_map(of).collect()
+    }
+
+    /// What the report says; `edges` are those of [`KeptCurves::edges_in`].
+    pub(crate) fn figures(&self, edges: &[Option<[u32; 2]>]) -> FeatureFigures {
+        let count = |kind| self.features.curves.iter().filter(|c| c.kind == kind).count();
+        let broken: HashSet<u32> =
+            self.seeds.segments.iter().zip(edges).filter(|(_, e)| e.is_none()).map(|(s, _)| s.curve).collect();
+        FeatureFigures {
+            boundaries: count(CurveKind::Boundary),
+            creases: count(CurveKind::Crease),
+            corners: self.features.corners.len(),
+            merged_corners: self.features.joined,
+            seeds: self.seeds.len(),
+            segments: self.seeds.segments.len(),
+            missing_segments: edges.iter().filter(|e| e.is_none()).count(),
+            broken_curves: broken.len(),
+            dropped_curves: self.dropped_curves,
+            short_crease_edges: self.features.left_out,
+        }
+    }
+}

@@ -14,41 +14,39 @@
 //! | `surface` | `divided` as the backends take it: unit frame, vertices merged |
 //! | `result` | the new surface |
 //!
+//! Points spread evenly over a surface with a spike that is far longer than the rest is wide all lie on the spike. Such a surface
+//! is remeshed with its far vertices drawn in, and [`put_back_spikes`] moves the result to where they were.
+//!
 //! Invariant: the observer hears of the stages in this order; what could not be kept is in the report.
 //! Must not know: how a stage does its work, files, jobs, the network.
 
-mod attempt;
 mod extract;
-mod finish;
-mod job;
 mod optimize;
 mod prepare;
-mod preprocess;
 mod schedule;
-mod spikes;
-mod thin_parts;
 mod tolerance;
-mod vertex_count;
 
+use std::time::Instant;
+
+use glam::DVec3;
+
+use super::attributes::{self, Provenance};
+use super::report::{CountFigures, InputFigures, MemoryFigures, Report, ResultFigures, Timings};
+use super::{Limits, Observer, Placement, Refine, Remesh, RemeshError, RemeshOptions, Seeds, Tolerance};
 use crate::cvt::density::{Count, DensitySource, Plan};
-use crate::mesh::TriMesh;
 use crate::mesh::adjacency::Adjacency;
 use crate::mesh::apart::Apart;
 use crate::mesh::attributes::Attributes;
-use crate::mesh::closest_point::ClosestPoint;
+use crate::mesh::closest_point::{ClosestPoint, SurfacePoint};
 use crate::mesh::lost::{self, LostParts};
-use crate::mesh::measure::{Quality, coincident_vertices, quality_and_distances, topology_unless};
-use crate::mesh::outliers;
-use crate::remesh::attributes::{self, Provenance};
-use crate::remesh::report::{CountFigures, InputFigures, MemoryFigures, Report, ResultFigures};
-use crate::remesh::{Limits, Observer, Placement, Refine, Remesh, RemeshError, RemeshOptions, Seeds, Tolerance};
+use crate::mesh::measure::{Quality, Topology, coincident_vertices, quality_and_distances, topology_unless};
+use crate::mesh::outliers::find;
+use crate::mesh::{TriMesh, outliers};
 use crate::rvd::{Backend, RvdError, on_threads_of};
 use crate::token::{Stopped, Token};
-use attempt::Attempt;
-use job::{Job, Laps};
-use prepare::{Prepared, prepare, separation};
-use preprocess::preprocess;
+use prepare::{Prepared, prepare, preprocess, separation};
 use schedule::Figures;
+use tolerance::Attempt;
 
 /// Remeshes `given` on `backend`.
 ///
@@ -73,7 +71,7 @@ pub fn remesh(
             let near = outliers::draw_in(given).filter(|_| !matches!(options.seeds, Seeds::Given(_)));
             let Some(near) = near else { return Err(error) };
             let mut done = run_stages(&near, options, backend, observer, token)?;
-            spikes::put_back(&mut done, given, &near, token)?;
+            put_back_spikes(&mut done, given, &near, token)?;
             Ok(done)
         }
         done => done,
@@ -220,7 +218,7 @@ fn measure(
     laps.timings.total = laps.total();
     let reason = match options.refine {
         Some(_) => None,
-        None => vertex_count::reason((vertices, result.topology.components), asked, &options.seeds, &input.topology),
+        None => optimize::count_reason((vertices, result.topology.components), asked, &options.seeds, &input.topology),
     };
     let vertex_count = CountFigures { asked, seeds: seeds.len(), reason };
     let report = Report {
@@ -252,4 +250,96 @@ fn measure(
         attributes: None,
         provenance: Vec::new(),
     })
+}
+
+pub(super) struct Job<'a, 'b> {
+    /// The input, preprocessed, its components apart.
+    pub(super) separated: &'a TriMesh,
+    pub(super) backend: &'b dyn Backend,
+    pub(super) token: &'b Token,
+    pub(super) observer: &'b mut dyn Observer,
+    pub(super) laps: Laps,
+    /// Whether edges become shorter where the surface is too thin for its cells.
+    pub(super) keep_thin: bool,
+    /// Whether seeds become fewer, for the number of vertices that was asked for.
+    pub(super) scales_seeds: bool,
+    /// Diagonal of the input's bounding box, caller's units.
+    pub(super) diagonal: f64,
+    /// Topology of the input.
+    pub(super) topology: Topology,
+}
+
+impl Job<'_, '_> {
+    pub(super) fn enter(&mut self, stage: &'static str) {
+        self.token.enter(stage);
+        self.observer.stage(stage);
+    }
+}
+
+/// A stopwatch, and the times of the stages. All in milliseconds.
+pub(super) struct Laps {
+    begin: Instant,
+    last: Instant,
+    pub(super) timings: Timings,
+}
+
+impl Laps {
+    pub(super) fn start() -> Self {
+        let now = Instant::now();
+        Self { begin: now, last: now, timings: Timings::default() }
+    }
+
+    /// Adds the time since the last call to a stage.
+    pub(super) fn end(&mut self, stage: impl Fn(&mut Timings) -> &mut f64) {
+        *stage(&mut self.timings) += self.last.elapsed().as_secs_f64() * 1e3;
+        self.last = Instant::now();
+    }
+
+    pub(super) fn total(&self) -> f64 {
+        self.begin.elapsed().as_secs_f64() * 1e3
+    }
+}
+
+/// Makes the result of `near`, which is `given` with its far vertices drawn in, one of `given`. Only positions change: a vertex
+/// beside a spike keeps its barycentric coordinates, the vertex nearest to a far one goes there.
+pub(super) fn put_back_spikes(
+    done: &mut Remesh,
+    given: &TriMesh,
+    near: &TriMesh,
+    token: &Token,
+) -> Result<(), RemeshError> {
+    let far = find(given);
+    let closest = ClosestPoint::new(near);
+    let back = |p: DVec3, SurfacePoint { position, facet, barycentric }: SurfacePoint| {
+        let corners = given.facets()[facet as usize];
+        if !corners.iter().any(|v| far.binary_search(v).is_ok()) {
+            return p;
+        }
+        let place: DVec3 = (0..3).map(|k| given.positions()[corners[k] as usize] * barycentric[k]).sum();
+        place + (p - position)
+    };
+    let mut places = done.mesh.positions().to_vec();
+    let near_places = closest.project_all(&places, token)?;
+    for &v in &far {
+        token.check()?;
+        let apart = |p: &DVec3| p.distance_squared(near.positions()[v as usize]);
+        let nearest = (0..places.len())
+            .min_by(|&a, &b| apart(&done.mesh.positions()[a]).total_cmp(&apart(&done.mesh.positions()[b])));
+        nearest.into_iter().for_each(|k| places[k] = given.positions()[v as usize]);
+    }
+    for ((place, &was), point) in places.iter_mut().zip(done.mesh.positions()).zip(near_places) {
+        if *place == was {
+            *place = back(was, point);
+        }
+    }
+    // Only one thing can be wrong with it: beside very long spikes no facet has an area.
+    done.mesh = TriMesh::new(places, done.mesh.facets().to_vec()).map_err(|_| RvdError::NoArea)?;
+    let near_seeds = closest.project_all(&done.seeds, token)?;
+    done.seeds.iter_mut().zip(near_seeds).for_each(|(seed, point)| *seed = back(*seed, point));
+    let report = &mut done.report;
+    (report.input.area, report.input.outlier_vertices) = (given.area(), far.len());
+    if report.result.quality.is_some() {
+        (report.result.quality, report.result.lost) = Some(compare(given, None, &done.mesh, token)?).unzip();
+    }
+    Ok(())
 }

@@ -12,7 +12,7 @@ pub use crate::mesh::duplicates::InputKind;
 pub use crate::mesh::input::InputFigures;
 pub use crate::mesh::lost::{LostPart, LostParts, LostReason};
 use crate::mesh::measure::{Quality, Topology};
-pub use crate::rvd::figures::RvdFigures;
+pub use crate::rvd::RvdFigures;
 
 /// What `--report` writes.
 #[derive(Clone, Debug, Serialize)]

@@ -1,20 +1,23 @@
 //! The dual of the diagram: the restricted Delaunay triangulation (RDT).
 //!
-//! Purpose: triangles between cells that meet in a point of the surface, read from the symbolic
-//! identities of the pieces' vertices (facet, two bisectors), never from coordinates.
-//! Invariant: every connected component of a restricted cell is a vertex of its own (\[YBZW14\]),
-//! so that no triangle joins two sheets; triangles are oriented as the facet they were found in.
+//! Purpose: triangles between cells that meet in a point of the surface, read from the symbolic identities of the pieces'
+//! vertices (facet, two bisectors), never from coordinates; and what keeps the dual from the topology of the surface. The two are
+//! homeomorphic if every component of a restricted cell is a disk that meets the boundary in at most one stretch, and two of them
+//! meet in at most one curve (the closed ball property, Edelsbrunner and Shah 1997); where that fails, more seeds are the cure.
+//! Invariant: every connected component of a restricted cell is a vertex of its own (\[YBZW14\]), so that no triangle joins two
+//! sheets; triangles are oriented as the facet they were found in. A mesh line meets a convex cell in one segment, so a component
+//! with F pieces, E mesh edges between two of its pieces and V mesh vertices inside has χ = F - E + V, and is a disk if that is 1.
 //! Must not know: which backend made the pieces, what happens to the triangles.
 
-mod conditions;
 mod pieces;
 
 use glam::DVec3;
-
-use pieces::Pieces;
+use rayon::prelude::*;
 
 use super::{PassStats, PieceBatch, RvdError, Session, Surface};
+use crate::mesh::disjoint::DisjointSets;
 use crate::token::Token;
+use pieces::Pieces;
 
 /// A triangulation whose vertices are components of restricted cells.
 #[derive(Clone, Debug, Default)]
@@ -103,4 +106,51 @@ pub(crate) fn extract(
     token.check()?;
     dual.stats = stats;
     Ok(dual)
+}
+
+/// A stretch of the curve in which two cells meet, within one facet: the pieces on its two sides.
+pub(super) type Stretch = [u32; 2];
+
+/// Where such a curve crosses a mesh edge: (edge, seeds in order) -> stretch.
+pub(super) type Crossing = ((u32, [u32; 2]), u32);
+
+/// Components that are not a disk, ascending. `pieces` has the component of each piece; `joints` the
+/// component of each mesh edge between two pieces; `inner` that of each mesh vertex inside.
+pub(super) fn not_disks(components: usize, pieces: &[u32], joints: &[u32], inner: &[u32]) -> Vec<u32> {
+    let mut chi = vec![0i64; components];
+    pieces.iter().for_each(|&c| chi[c as usize] += 1);
+    joints.iter().for_each(|&c| chi[c as usize] -= 1);
+    inner.iter().for_each(|&c| chi[c as usize] += 1);
+    numbers(chi, |&chi| chi != 1)
+}
+
+/// Components that meet the boundary in more than one stretch, ascending. `ends` has the component of every
+/// end of a stretch.
+pub(super) fn multiple_boundary_arcs(components: usize, ends: impl Iterator<Item = u32>) -> Vec<u32> {
+    let mut count = vec![0u32; components];
+    ends.for_each(|c| count[c as usize] += 1);
+    numbers(count, |&ends| ends > 2)
+}
+
+/// Where it is so.
+fn numbers<T>(of: Vec<T>, is_so: impl Fn(&T) -> bool) -> Vec<u32> {
+    (0..).zip(of).filter(|(_, value)| is_so(value)).map(|(number, _)| number).collect()
+}
+
+/// Pairs of components that meet in more than one curve, ascending.
+pub(super) fn multiple_edges(stretches: &[Stretch], mut crossings: Vec<Crossing>, component: &[u32]) -> Vec<[u32; 2]> {
+    let mut curves = DisjointSets::new(stretches.len());
+    crossings.par_sort_unstable();
+    for here in crossings.chunk_by(|a, b| a.0 == b.0) {
+        here.windows(2).for_each(|pair| curves.join(pair[0].1 as usize, pair[1].1 as usize));
+    }
+    let mut pairs: Vec<[u32; 2]> = (0..stretches.len())
+        .filter(|&s| curves.root(s) == s)
+        .map(|s| {
+            let [a, b] = stretches[s].map(|piece| component[piece as usize]);
+            [a.min(b), a.max(b)]
+        })
+        .collect();
+    pairs.sort_unstable();
+    pairs.chunk_by(|a, b| a == b).filter(|same| same.len() > 1).map(|same| same[0]).collect()
 }

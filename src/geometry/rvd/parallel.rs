@@ -11,7 +11,6 @@
 
 mod candidates;
 mod divide;
-mod order;
 mod schedule;
 
 use std::ops::Range;
@@ -23,17 +22,17 @@ use glam::DVec3;
 use rayon::prelude::*;
 
 use self::candidates::verlet::VerletLists;
-use self::order::Order;
 use self::schedule::chunk::{self, Chunk, Task, Walkers};
 use super::incident::Diagram;
+use super::incident::Starts;
 use super::on_host::OnHost;
-use super::start::Starts;
 use super::{
     Backend, BackendKind, Capacities, CellSums, PassStats, PieceBatch, RvdError, Session, SessionOptions, Surface,
     elapsed_ms, take_seeds,
 };
 use crate::knn::{NeighbourTable, SeedIndex, Threads};
 use crate::token::Token;
+use schedule::Order;
 
 /// The backend in double precision on all threads of its own rayon pool.
 #[derive(Clone, Debug)]

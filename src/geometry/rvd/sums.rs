@@ -1,12 +1,18 @@
-//! Sums over cells.
+//! Sums over cells, what a pass and its device did, and the figures of a report.
 //!
-//! Purpose: [`CellSums`], what a pass answers; [`PassStats`], what it did.
-//! Invariant: one entry a seed. Must not know: how pieces were made.
+//! Purpose: [`CellSums`], what a pass answers; [`PassStats`], what it did; [`DeviceWork`], what crossed between host and device;
+//! [`PhasesMs`], what the device itself says its stages took; [`RvdFigures`], what a report says of all passes.
+//! Invariant: sums have one entry a seed. Work and phases grow from a session's opening on; a difference of two is what was done
+//! between. A session on a CPU has neither. A name of a figure does not change, since scripts read it.
+//! Must not know: how pieces were made, what passes and submissions are for.
+
+use std::ops::AddAssign;
 
 use glam::DVec3;
+use serde::Serialize;
 
-use super::clip;
-use super::work::{DeviceWork, PhasesMs};
+use super::dual::Dual;
+use super::{Surface, clip};
 
 /// Sums over each restricted cell Ω_i, in the surface's unit frame. All have one entry a seed.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -115,5 +121,135 @@ impl PassStats {
         self.clip_ms += other.clip_ms;
         self.update_ms += other.update_ms;
         self.device += other.device;
+    }
+}
+
+/// Counts of what a session had its device do, since it was opened. A device counts for all its users together, so
+/// the figures are a session's own only while no other session uses its device.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct DeviceWork {
+    /// Passes whose rows of neighbours or first cells the host made.
+    pub host_searches: u64,
+    /// Facets that the device divided among their cells at once, of all passes that add up.
+    pub divided_facets: u64,
+    /// Facets that it, or the host, went through pair by pair.
+    pub paired_facets: u64,
+    /// Command buffers handed to the device.
+    pub device_submissions: u64,
+    /// Buffers allocated on the device.
+    pub device_allocations: u64,
+    /// Bytes written to the device.
+    pub uploaded_bytes: u64,
+    /// Bytes read back from it.
+    pub read_back_bytes: u64,
+}
+
+impl DeviceWork {
+    /// What was done after `before`.
+    pub fn since(&self, before: &Self) -> Self {
+        self.with(before, |now, before| now - before)
+    }
+
+    /// Figure by figure, what `by` makes of these and `other`.
+    pub fn with(&self, other: &Self, by: impl Fn(u64, u64) -> u64) -> Self {
+        Self::each(|figure| by(figure(self), figure(other)))
+    }
+
+    /// Each figure as `of` makes it.
+    pub fn each(of: impl Fn(fn(&Self) -> u64) -> u64) -> Self {
+        Self {
+            host_searches: of(|w| w.host_searches),
+            divided_facets: of(|w| w.divided_facets),
+            paired_facets: of(|w| w.paired_facets),
+            device_submissions: of(|w| w.device_submissions),
+            device_allocations: of(|w| w.device_allocations),
+            uploaded_bytes: of(|w| w.uploaded_bytes),
+            read_back_bytes: of(|w| w.read_back_bytes),
+        }
+    }
+}
+
+impl AddAssign for DeviceWork {
+    fn add_assign(&mut self, more: Self) {
+        *self = self.with(&more, |a, b| a + b);
+    }
+}
+
+/// Milliseconds by the device's own clock, since it was told to keep time.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct PhasesMs {
+    /// Rows of neighbours.
+    pub neighbours: f64,
+    /// First cells of the facets.
+    pub start: f64,
+    /// Clipping and summing.
+    pub clip: f64,
+    /// Figures, gradients, directions, seeds moved.
+    pub update: f64,
+}
+
+impl PhasesMs {
+    fn each(of: impl Fn(fn(&Self) -> f64) -> f64) -> Self {
+        Self {
+            neighbours: of(|p| p.neighbours),
+            start: of(|p| p.start),
+            clip: of(|p| p.clip),
+            update: of(|p| p.update),
+        }
+    }
+
+    /// Each of `count` that took them together.
+    pub fn over(&self, count: f64) -> Self {
+        Self::each(|phase| phase(self) / count)
+    }
+
+    /// What they took after `before`.
+    pub fn since(&self, before: &Self) -> Self {
+        Self::each(|phase| phase(self) - phase(before))
+    }
+}
+
+/// The last diagram and what all of them took.
+#[derive(Clone, Debug, Default, Serialize)]
+pub struct RvdFigures {
+    /// Area covered by the pieces, caller's units squared.
+    pub area: f64,
+    /// (facet, cell) incidences.
+    pub pairs: u64,
+    /// Pairs launched more than once, all passes.
+    pub relaunched_pairs: u64,
+    /// Of these, because neighbours ran out.
+    pub relaunched_neighbours: u64,
+    /// Because polygon slots ran out.
+    pub relaunched_polygon: u64,
+    /// Because cell slots ran out.
+    pub relaunched_cells: u64,
+    /// Pairs that the f64 path finished for the GPU, all passes.
+    pub f64_finished_pairs: u64,
+    /// Cells without surface in the last diagram.
+    pub empty_cells: usize,
+    /// Seeds that lay exactly on an earlier one, in the pass that had most of them. Their cells are empty.
+    pub duplicate_seeds: usize,
+    /// Seeds placed again because their cell was empty, all passes.
+    pub reseeded_cells: usize,
+}
+
+impl RvdFigures {
+    /// Adds what one pass had to do again.
+    pub fn add_pass(&mut self, stats: &PassStats) {
+        self.relaunched_pairs += stats.relaunched();
+        self.relaunched_neighbours += stats.relaunched_neighbours;
+        self.relaunched_polygon += stats.relaunched_polygon;
+        self.relaunched_cells += stats.relaunched_cells;
+        self.f64_finished_pairs += stats.f64_finished;
+        self.duplicate_seeds = self.duplicate_seeds.max(stats.duplicate_seeds as usize);
+    }
+
+    /// Takes the last diagram's figures.
+    pub fn of_dual(&mut self, dual: &Dual, surface: &Surface) {
+        let scale = surface.frame().scale;
+        self.area = dual.area / scale / scale;
+        self.pairs = dual.stats.pairs;
+        self.empty_cells = dual.empty_cells;
     }
 }

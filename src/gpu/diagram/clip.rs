@@ -14,7 +14,7 @@ mod retry;
 use std::collections::HashSet;
 use std::ops::Range;
 
-use super::context::Context;
+use super::Context;
 use super::lane;
 use super::layout::{self, MEMBERS, NONE, Params, ROOT, ROW, SUM_WORDS, State, accumulate};
 use super::memory::{Memory, OnDevice, records};

@@ -19,7 +19,7 @@ use std::ops::Range;
 
 use glam::DVec3;
 
-use super::context::Context;
+use super::Context;
 use super::lane;
 use super::layout::{self, COMPLETE, INDEX, ListState, Params, State, halt};
 use super::memory::{Memory, records};
@@ -29,7 +29,7 @@ use crate::dispatch::Stage;
 use geometry::knn::NeighbourRow;
 use geometry::mesh::coincident;
 use geometry::rvd::RvdError;
-use geometry::rvd::seeds::{check_seed, take_seeds};
+use geometry::rvd::{check_seed, take_seeds};
 use geometry::token::Token;
 pub(super) use host::{HostCopy, LONGEST_ROW};
 

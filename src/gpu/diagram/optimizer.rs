@@ -7,12 +7,11 @@
 //! Gradients are stored times a power of two that makes a mean one about 1, far from what floats lose.
 //! Must not know: what a search along the direction looks for, and when passes are run.
 
-mod batch;
 mod history;
 mod moving;
 
+use super::Context;
 use super::clip::Clip;
-use super::context::Context;
 use super::lane;
 use super::layout::{self, DOTS, OptimizerParams, PAIRS};
 use super::memory::{Memory, OnDevice, OptimizerBindings};

@@ -13,7 +13,7 @@ use super::layout::{
 };
 use crate::GpuError;
 use crate::dispatch::{ARGUMENTS_BYTES, PART, REDUCTION_GROUPS, part_count};
-use crate::limits::{Limits, STAGING_BYTES, fits};
+use crate::dispatch::{Limits, STAGING_BYTES, fits};
 
 /// Numbers of things that a session holds room for.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]

@@ -2,15 +2,13 @@
 //!
 //! Purpose: the rooms own what a session knows: `memory` where things lie, `neighbours` the seeds, `clip` the pairs and sums,
 //! `optimizer` the seeds that move. The session calls them in turn: a pass is search, first cells, clip, totals, in as few
-//! submissions as the pairs allow.
-//! Invariant: buffers are there before a room is called. A pass that returns has every pair of its facets done, on the
-//! device or in f64.
+//! submissions as the pairs allow. Pieces that do not cover the surface are not an answer: with seeds a rounding apart, facets in
+//! the bisector of two seeds, or slivers, single precision gives one point to two cells or to none. The pass is then done in f64.
+//! Invariant: buffers are there before a room is called. A pass that returns has every pair of its facets done, on the device or
+//! in f64, and covers the surface within the tolerance of `Clip::covers`, or is exact.
 //! Must not know: what a stage does.
 
-mod fallback;
 mod pass;
-mod relaunch;
-mod relax;
 mod resident;
 mod search;
 
@@ -20,8 +18,8 @@ use std::time::Instant;
 
 use glam::DVec3;
 
+use super::Context;
 use super::clip::{Clip, by_cell, fixed};
-use super::context::Context;
 use super::layout::{LONGER, MOST_REQUEUED, NONE, Params, STRIDE};
 use super::memory::{Memory, Windows, records};
 use super::neighbours::{Neighbours, Place, grid};
@@ -30,9 +28,10 @@ use super::pipelines::SLOTS;
 use super::plan::{self, Counts};
 use super::{Gpu, phases, strategy};
 use crate::Traffic;
+use geometry::rvd::parallel::Parallel;
 use geometry::rvd::{
-    Capacities, CellSums, DeviceWork, PassStats, PhasesMs, PieceBatch, Resident, RvdError, Session, SessionOptions,
-    Surface, elapsed_ms,
+    Backend, Capacities, CellSums, DeviceWork, PassStats, PhasesMs, PieceBatch, Resident, RvdError, Session,
+    SessionOptions, Surface, elapsed_ms,
 };
 use geometry::token::Token;
 
@@ -290,4 +289,47 @@ impl Session for GpuSession {
     fn resident(&mut self) -> Option<&mut dyn Resident> {
         (self.neighbours.count > 0).then_some(self)
     }
+}
+
+impl GpuSession {
+    /// The sums again, in f64. `lost` is what the device's pass did.
+    pub(super) fn sums_in_f64(
+        &mut self,
+        out: &mut CellSums,
+        lost: PassStats,
+        token: &Token,
+    ) -> Result<PassStats, RvdError> {
+        Ok(finished(lost, self.in_f64()?.sums(out, token)?))
+    }
+
+    /// The pieces again, in f64.
+    pub(super) fn pieces_in_f64(
+        &mut self,
+        facets: Range<u32>,
+        out: &mut PieceBatch,
+        lost: PassStats,
+        token: &Token,
+    ) -> Result<PassStats, RvdError> {
+        Ok(finished(lost, self.in_f64()?.pieces(facets, out, token)?))
+    }
+
+    fn in_f64(&mut self) -> Result<Box<dyn Session>, RvdError> {
+        // With capacities of its own: these may show in the last bits.
+        let options = SessionOptions::new(self.cx.max_seeds);
+        let mut session = Parallel::on(Arc::clone(&self.cx.pool)).session(Arc::clone(&self.cx.surface), options)?;
+        if self.neighbours.place == Place::Set {
+            session.set_seeds(&self.neighbours.seeds)?;
+        } else {
+            self.view()?;
+            session.set_seeds(&self.neighbours.host.seen)?;
+        }
+        Ok(session)
+    }
+}
+
+/// The figures of both passes; every pair was finished in f64.
+fn finished(lost: PassStats, done: PassStats) -> PassStats {
+    let mut stats = lost;
+    stats.add(&done);
+    PassStats { pairs: done.pairs, f64_finished: done.pairs, duplicate_seeds: lost.duplicate_seeds, ..stats }
 }

@@ -3,7 +3,7 @@
 //! Purpose: selects them, in every build with a GPU: [`Tuning`](geometry::rvd::Tuning) in the library, `tessera bench rvd
 //! --strategy cell|auto --accumulate two-phase` at the command. [`by_cell`] chooses the facets whose pairs are found by cell
 //! (`clip/by_cell.rs`, shaders `clip/reach` and `clip/verify`), [`adding`] how pieces reach the sums of their cells
-//! (`shaders/shared/accumulate.wgsl`). `measure` times each way of adding.
+//! (`shaders/shared/accumulate.wgsl`). `Gpu::measure_accumulation` times each way of adding.
 //! Invariant: no strategy changes a bit of a result. Must not know: sessions.
 
 use super::layout::accumulate::{DIRECT, TWO_PHASE};

@@ -21,7 +21,7 @@ use geometry::mesh::attributes::{Attributes, ColourDepth, Colours, Normals};
 use geometry::mesh::io::{self, Format};
 use geometry::remesh::report::{IterationFigures, to_json};
 use geometry::remesh::{Observer, Remesh, RemeshOptions, remesh};
-use geometry::rvd::cell_file::CellWriter;
+use geometry::rvd::cells::CellWriter;
 use geometry::token::Token;
 use wire::counts::Bounds;
 use wire::options;

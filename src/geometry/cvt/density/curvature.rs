@@ -9,17 +9,16 @@
 use glam::{DMat3, DVec3};
 use rayon::prelude::*;
 
-use super::net::Net;
-use super::normals;
+use super::net::{Net, facet_normal, smoothed_normals, vertex_normals};
 use crate::token::{Stopped, Token};
 
 /// Facets thinner than this (area over squared longest edges) say nothing of curvature.
 const THIN: f64 = 1e-6;
 
 /// The larger of |κ₁| and |κ₂| at each vertex, per extent of the mesh, from normals that were smoothed in
-/// `steps` rounds ([`normals::smoothed`]).
+/// `steps` rounds ([`smoothed_normals`]).
 pub(super) fn largest(net: &Net, steps: usize, token: &Token) -> Result<Vec<f64>, Stopped> {
-    let normals = normals::smoothed(net, normals::of_vertices(net), steps, token)?;
+    let normals = smoothed_normals(net, vertex_normals(net), steps, token)?;
     let tensors: Vec<Option<(DVec3, DMat3)>> = net
         .facets
         .par_iter()
@@ -41,7 +40,7 @@ pub(super) fn largest(net: &Net, steps: usize, token: &Token) -> Result<Vec<f64>
 
 /// The facet's normal and its second fundamental form, as a tensor of space that is zero along the normal.
 fn tensor(p: [DVec3; 3], n: [DVec3; 3]) -> Option<(DVec3, DMat3)> {
-    let normal = normals::of_facet(p);
+    let normal = facet_normal(p);
     let edges = [p[1] - p[0], p[2] - p[1], p[0] - p[2]];
     let u = edges[0].try_normalize()?;
     let v = normal.cross(u);

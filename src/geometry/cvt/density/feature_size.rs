@@ -13,8 +13,7 @@ use std::ops::Range;
 use glam::DVec3;
 use rayon::prelude::*;
 
-use super::net::Net;
-use super::normals;
+use super::net::{self, Net};
 use crate::knn::{SeedIndex, Threads};
 use crate::token::{Stopped, Token};
 
@@ -161,7 +160,7 @@ struct Samples {
 }
 
 fn samples(net: &Net) -> Samples {
-    let vertex_normals = normals::of_vertices(net);
+    let vertex_normals = net::vertex_normals(net);
     let (mut points, mut directions, mut spacing) = (Vec::new(), Vec::new(), Vec::new());
     for v in (0..net.vertices()).step_by(net.vertices().div_ceil(MOST_SAMPLES)) {
         let around = net.neighbours(v);
@@ -225,7 +224,7 @@ impl Grid {
 
     /// What to interpolate: the corners' normals, or the facet's own.
     fn normals(&self, of_vertices: &[DVec3]) -> [DVec3; 3] {
-        let own = normals::of_facet([self.base, self.base + self.along, self.base + self.across]);
+        let own = net::facet_normal([self.base, self.base + self.along, self.base + self.across]);
         let corners = self.corners.map(|v| of_vertices[v as usize]);
         if corners.iter().all(|n| n.dot(own) > SMOOTH) { corners } else { [own; 3] }
     }

@@ -1,8 +1,9 @@
-//! What density is asked for.
+//! What density is asked for, and why there is none.
 //!
-//! Invariant: the defaults are those of the command and the service. Must not know: surfaces.
+//! Invariant: the defaults are those of the command and the service. An error names what the caller gave, and what it may be.
+//! Must not know: surfaces.
 
-use super::error::DensityError;
+use crate::token::Stopped;
 
 /// Where the density comes from.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -133,4 +134,57 @@ pub enum Count {
     Points(usize),
     /// As many as the edge lengths imply.
     Implied,
+}
+
+/// Why there is no density.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum DensityError {
+    /// The list of edge lengths is not as long as the list of vertices.
+    #[error("{given} edge lengths for {vertices} vertices; give one per vertex")]
+    SizeCount {
+        /// How many were given.
+        given: usize,
+        /// How many vertices there are.
+        vertices: usize,
+    },
+    /// An edge length is not one.
+    #[error("the edge length of vertex {vertex} is {value}; lengths are finite and above 0")]
+    BadSize {
+        /// The vertex, from 0.
+        vertex: usize,
+        /// What was given.
+        value: f64,
+    },
+    /// An option is outside its range.
+    #[error("{name} is {value}; it must be {range}")]
+    BadOption {
+        /// "edge length", "adaptivity", "gradation", "clamp" or "ratio".
+        name: &'static str,
+        /// What was given.
+        value: f64,
+        /// What it may be.
+        range: &'static str,
+    },
+    /// Neither a number of points nor anything that implies one.
+    #[error("nothing says how many points there should be; give their number, an edge length, or one per vertex")]
+    NoCount,
+    /// The lengths need more points than are allowed.
+    #[error("these edge lengths need about {implied:.3e} points, and at most {limit} are allowed; make them longer")]
+    TooManyPoints {
+        /// How many they need.
+        implied: f64,
+        /// How many there may be.
+        limit: usize,
+    },
+    /// More points than are allowed.
+    #[error("{points} points, and at most {limit} are allowed; give fewer")]
+    PointLimit {
+        /// How many were asked for.
+        points: usize,
+        /// How many there may be.
+        limit: usize,
+    },
+    /// The caller asked to stop, or a limit was reached.
+    #[error(transparent)]
+    Stopped(#[from] Stopped),
 }

@@ -15,10 +15,10 @@ use crate::remesh::constants::{
     BLOCKS_PER_ROW, CURVE_WEIGHT, GRADIENT_STEPS, NORMAL_DAMPING, RESIDUAL_SHARE, SAMPLES_PER_CHECK, STIFFNESS,
     TANGENT_DAMPING, VERTICES_PER_RUN,
 };
-use crate::remesh::distance::nearest::RingQuery;
-use crate::remesh::distance::reference::SurfaceSample;
+use crate::remesh::distance::RingQuery;
+use crate::remesh::distance::SurfaceSample;
 use crate::remesh::features::envelope::CurveSample;
-use crate::remesh::manifold::local_mesh::LocalMesh;
+use crate::remesh::manifold::LocalMesh;
 use crate::token::Token;
 
 const NONE: u32 = u32::MAX;

@@ -15,7 +15,7 @@ use crate::remesh::constants::{
     BOUND_ROUNDING, FREE_SHARE, KNOWN_SHARE, MEASURED_COSINE, MEASURED_SCORE, OWN_WEIGHT, QUALITY_WEIGHT,
     RADIUS_ROUNDING, SCORE_SCALE, SQUARE_ROUNDING, UNMEASURED_ANGLE, UNMEASURED_SCORE,
 };
-use crate::remesh::manifold::local_mesh::LocalMesh;
+use crate::remesh::manifold::LocalMesh;
 use crate::remesh::triangle::Wanted;
 
 /// What the shapes of facets cost: little for Q below 1, much for what they lack of the wanted shape.

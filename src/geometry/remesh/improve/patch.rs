@@ -10,14 +10,14 @@ use std::sync::Arc;
 
 use glam::DVec3;
 
-use super::context::Context;
-use super::relocation::Steps;
+use super::Context;
+use super::Steps;
 use crate::mesh::facet_set::{FacetSet, sample_points, squared_distance};
 use crate::mesh::one_rings::ascending;
 use crate::remesh::constants::{
     FARTHEST_MOVE, LONG_EDGE, MAX_FACETS, MEASURED_COSINE, MIDPOINT_REACH, SHARPEST_COSINE,
 };
-use crate::remesh::manifold::local_mesh::{Flip, LocalMesh};
+use crate::remesh::manifold::{Flip, LocalMesh};
 use crate::remesh::triangle::{perimeter, score, unit_normal};
 use crate::token::Token;
 

@@ -11,18 +11,18 @@ use std::collections::{HashMap, HashSet};
 
 use rayon::prelude::*;
 
-use super::context::{Context, distance_at};
-use super::editor::MeshEditor;
+use super::MeshEditor;
 use super::patch::Patch;
-use super::queue::{Place, Queue};
 use super::trial::{Goal, Measure, Trial, best};
+use super::{Context, distance_at};
+use super::{Place, Queue};
 use crate::mesh::facet_set::squared_distance;
 use crate::remesh::constants::{
     CURVE_SCORE, ESTIMATE_SHARE, FAILED_SHARE, FAR_LOOK_AHEAD, FREE_DISTANCE, GAIN, LEAST_SCORE, LOOK_AHEAD,
     MAX_FAILURES, MAX_FLIPS, MAX_IMPROVED, MAX_IMPROVED_SHARE, MAX_IRREGULAR, MAX_MEASURED, MEASURED_SCORE, NEAR_SHARE,
     PATCHES_AT_ONCE, QUEUE_ROUNDS, RECOVERY_SCORE, RECOVERY_VALENCES, STALE_SHARE, VALENCES,
 };
-use crate::remesh::manifold::local_mesh::Flip;
+use crate::remesh::manifold::Flip;
 
 /// What is wrong at a place. The later ones come first.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]

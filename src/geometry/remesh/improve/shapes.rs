@@ -1,29 +1,32 @@
-//! Improvement of the worst triangles of the whole result.
+//! Improvement of the worst triangles of the whole result, and edges of curves within their envelope.
 //!
 //! Purpose: after the iterations some triangles, most of them where curves come close to each other, have an angle far from the
 //! others'. The vertices at and beside them wait in a queue, that with the costliest facets first. A vertex is relocated to
 //! where its facets cost least; where no place is better, an edge of a poor facet is flipped. Independent vertices are looked at
-//! at the same time.
+//! at the same time. [`restore`] takes vertices that went too far from their curves back towards where they were. [`tighten`]
+//! moves ends of edges that are too far from their curves even so.
 //! Invariant: moves are short beside an edge. A vertex moves in the tangent plane; a vertex of a curve along the curve, within a
-//! small tolerance across it; the end of a curve within that tolerance; a corner not at all. No facet turns over. The same
-//! bits whatever the number of threads.
+//! small tolerance across it; the end of a curve within that tolerance; a corner not at all. [`restore`] and [`tighten`] move only
+//! vertices of curves, each to where its edges are nearer to the curves. No facet turns over. The same bits whatever the number of
+//! threads.
 //! Must not know: seeds, diagrams, files.
 
 use glam::DVec3;
 use rayon::prelude::*;
 
 use super::objective::ShapeCost;
-use super::queue::{Place, Queue};
-use super::relocation::{Steps, cheapest, places_around};
+use super::{Place, Queue, Steps, cheapest, places_around};
 use crate::mesh::measure::facet_quality;
 use crate::mesh::one_rings::ascending;
 use crate::remesh::constants::{
-    DIRECTIONS, FARTHEST_ACROSS, FARTHEST_OF_END, FARTHEST_TANGENTIAL, FIRST_STEP, LEAST_GAIN_OF_PASS,
-    MOVES_PER_VERTEX, POOR_ANGLE, POOR_SCORE, SHAPES_AT_ONCE, SHAPES_PER_TASK, UNMEASURED_COSINE,
+    BACKTRACKING, DIRECTIONS, FARTHEST_ACROSS, FARTHEST_OF_CORNER, FARTHEST_OF_END, FARTHEST_TANGENTIAL,
+    FARTHEST_TIGHTENED, FIRST_STEP, FIRST_TIGHTENING_STEP, LEAST_GAIN, LEAST_GAIN_OF_PASS, LEAST_SCORE,
+    MOVES_PER_VERTEX, POOR_ANGLE, POOR_SCORE, RESTORING_PASSES, SHAPES_AT_ONCE, SHAPES_PER_TASK, TIGHTENING_PASSES,
+    UNMEASURED_COSINE,
 };
 use crate::remesh::features::envelope::CurveEnvelope;
-use crate::remesh::manifold::local_mesh::{Flip, LocalMesh};
-use crate::remesh::triangle::{Wanted, perimeter};
+use crate::remesh::manifold::{Flip, LocalMesh};
+use crate::remesh::triangle::{Wanted, perimeter, score};
 use crate::token::Token;
 
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -213,12 +216,89 @@ impl Shapes<'_> {
     }
 }
 
+/// Takes vertices that went too far back, no farther than they must.
+pub(crate) fn restore(mesh: &mut LocalMesh, envelope: &CurveEnvelope, token: &Token) {
+    mesh.mark();
+    let vertices = envelope.vertices();
+    for _ in 0..RESTORING_PASSES {
+        let mut moved = false;
+        for &v in &vertices {
+            if token.is_stopped() {
+                return;
+            }
+            let here = mesh.positions[v as usize];
+            // What is within the limit costs the same: the first such place is taken.
+            let violation = |p| envelope.violation(&mesh.positions, v, p).max(1.0);
+            let cost = |p, _| if mesh.turns(v, p, UNMEASURED_COSINE) { f64::INFINITY } else { violation(p) };
+            let back = BACKTRACKING.into_iter().map(|t| here.lerp(envelope.start(v), t));
+            let (_, to) = cheapest((violation(here), here), LEAST_GAIN, back, cost);
+            moved |= to != here;
+            mesh.positions[v as usize] = to;
+        }
+        if !moved {
+            return;
+        }
+    }
+}
+
+/// Moves vertices whose edges are farther from their curves than the goal a little, to where they are nearer. Corners, which
+/// are `fixed`, move less, and only on boundaries, whose teeth may be narrower than an edge is long. Returns the corners that
+/// moved.
+pub(crate) fn tighten(mesh: &mut LocalMesh, envelope: &CurveEnvelope, fixed: &[bool], token: &Token) -> Vec<u32> {
+    let excess = |mesh: &LocalMesh, v: u32| envelope.excess(&mesh.positions, v, mesh.positions[v as usize]);
+    let may_move = |mesh: &LocalMesh, v: u32| !fixed[v as usize] || mesh.is_on_boundary(v);
+    let mut vertices = envelope.vertices();
+    vertices.retain(|&v| may_move(mesh, v));
+    if vertices.iter().all(|&v| excess(mesh, v) <= 1.0) {
+        return Vec::new();
+    }
+    mesh.mark();
+    let (first, mut steps) = (mesh.positions.clone(), Steps::new(mesh.positions.len()));
+    for _ in 0..TIGHTENING_PASSES {
+        let mut tried = false;
+        for &v in &vertices {
+            if token.is_stopped() {
+                break;
+            }
+            let (here, now) = (mesh.positions[v as usize], excess(mesh, v));
+            let Some(share) = steps.next(v).filter(|_| now > 1.0) else { continue };
+            tried = true;
+            let edge = envelope.shortest_edge(&mesh.positions, v);
+            let reach = edge * if fixed[v as usize] { FARTHEST_OF_CORNER } else { FARTHEST_TIGHTENED };
+            let spoils = |p| {
+                let worse = |&f: &u32| score(mesh.corners_with(f, v, p)) < LEAST_SCORE.min(score(mesh.corners(f)));
+                mesh.turns(v, p, UNMEASURED_COSINE) || mesh.ring(v).iter().any(worse)
+            };
+            let cost = |p, most| {
+                let excess = envelope.excess(&mesh.positions, v, p).max(1.0);
+                if excess < most && spoils(p) { f64::INFINITY } else { excess }
+            };
+            let (x, y) = mesh.vertex_normal(v).any_orthonormal_pair();
+            let places = places_around(here, share * FIRST_TIGHTENING_STEP * edge, [x, y]);
+            let within = places.filter(|p| p.distance(first[v as usize]) <= reach);
+            let (_, to) = cheapest((now, here), LEAST_GAIN, within, cost);
+            if to == here {
+                steps.halve(v);
+            }
+            mesh.positions[v as usize] = to;
+        }
+        if !tried {
+            break;
+        }
+    }
+    vertices.retain(|&v| fixed[v as usize] && mesh.positions[v as usize] != first[v as usize]);
+    vertices
+}
+
 #[cfg(test)]
 mod tests {
     use std::collections::HashSet;
 
+    use glam::DVec3;
+
     use super::*;
     use crate::mesh::measure::least_angle;
+    use crate::remesh::features::envelope::CurveSample;
 
     #[test]
     fn the_hub_of_a_wheel_goes_to_its_middle_and_no_farther_than_it_may() {
@@ -247,5 +327,52 @@ mod tests {
         assert!(worst(&free) > worst(&wheel) + 5.0, "{} after {}", worst(&free), worst(&wheel));
         assert!(free.positions[0].distance(wheel.positions[0]) < 0.45);
         assert_eq!(free.positions[0].z, 0.0);
+    }
+
+    #[test]
+    fn a_vertex_that_leaves_its_curve_goes_back_as_far_as_it_must() {
+        let start = [DVec3::ZERO, DVec3::X, 2.0 * DVec3::X, DVec3::Y];
+        let sample = |edge: [u32; 2], position: DVec3| CurveSample { position, edge, area: 0.1, limit: 0.1 };
+        // Not quite straight.
+        let samples = [sample([0, 1], 0.5 * DVec3::X), sample([1, 2], DVec3::new(1.5, 0.004, 0.0))];
+        let envelope = CurveEnvelope::new(&start, &[false; 4], &samples);
+        let mut mesh = LocalMesh::new(start.to_vec(), Vec::new(), HashSet::new());
+        mesh.positions[1] += DVec3::new(0.1, 0.3, 0.0);
+        mesh.positions[3] *= 5.0;
+        restore(&mut mesh, &envelope, &Token::default());
+        // Back by three quarters of its way, one of the steps.
+        assert!(mesh.positions[1].distance(DVec3::new(1.025, 0.075, 0.0)) < 1e-12, "{}", mesh.positions[1]);
+        assert_eq!(mesh.positions[3], 5.0 * DVec3::Y);
+    }
+
+    /// A tooth of a curve beside its edge: ends of the edge come nearer to it, corners of a boundary a little, others not
+    /// at all.
+    #[test]
+    fn ends_of_an_edge_that_is_too_far_from_its_curve_move_a_little() {
+        let start = [DVec3::ZERO, DVec3::X, 2.0 * DVec3::X, DVec3::new(1.0, 1.2, 0.0), DVec3::new(1.0, -1.2, 0.0)];
+        let tooth = DVec3::new(0.6, -0.06, 0.0);
+        let sample = |edge: [u32; 2], position: DVec3| CurveSample { position, edge, area: 0.1, limit: 0.02 };
+        let samples = [sample([0, 1], tooth), sample([1, 2], 1.5 * DVec3::X)];
+        let envelope = CurveEnvelope::new(&start, &[false; 5], &samples);
+        let off = |at: &[DVec3]| {
+            let (along, to) = ((at[1] - at[0]).normalize(), tooth - at[0]);
+            (to - to.dot(along) * along).length()
+        };
+        let open = vec![[0, 1, 3], [1, 2, 3]];
+        let closed = vec![[0, 1, 3], [1, 2, 3], [1, 0, 4], [2, 1, 4]];
+        let tightened = |facets: &Vec<[u32; 3]>, fixed: bool| {
+            let mut mesh = LocalMesh::new(start.to_vec(), facets.clone(), HashSet::new());
+            let moved = tighten(&mut mesh, &envelope, &[fixed; 5], &Token::default());
+            (mesh.positions, moved)
+        };
+        let (free, moved) = tightened(&open, false);
+        assert!(moved.is_empty() && off(&free) < 0.7 * off(&start), "{free:?}");
+        let (corners, moved) = tightened(&open, true);
+        assert!(!moved.is_empty() && off(&corners) < 0.9 * off(&start), "{corners:?}");
+        // Of the edge as it is by then, a little longer.
+        assert!((0..5).all(|v| corners[v].distance(start[v]) <= FARTHEST_OF_CORNER * 1.1), "{corners:?}");
+        let (inside, moved) = tightened(&closed, true);
+        assert!(!moved.contains(&1));
+        assert_eq!(inside[1], start[1]);
     }
 }

@@ -10,12 +10,12 @@ use rayon::prelude::*;
 
 use super::objective::VertexObjective;
 use super::patch::{Patch, PatchDistance};
-use super::relocation::{cheapest, places_around};
+use super::{cheapest, places_around};
 use crate::remesh::constants::{
     FARTHEST_MOVE, FINALISTS, FIRST_PASSES, FIRST_STEP, FURTHER_PASSES, HOPELESS_SHARE, LAST_PASSES, LEAST_GAIN,
     PROMISING_TRIALS, TRIAL_SCORE_SCALE,
 };
-use crate::remesh::manifold::local_mesh::Flip;
+use crate::remesh::manifold::Flip;
 
 /// What is done to a patch before its vertices are relocated.
 #[derive(Clone, Debug)]

@@ -1,25 +1,36 @@
 //! Optimization of the seeds.
 //!
 //! Purpose: [`Job::optimize`] draws seeds, takes the steps that were asked for and reads the dual. Where the surface is too thin
-//! for its cells, it does so again with shorter edges there, as long as that helps.
-//! Invariant: the best of all rounds comes back; without failing cells there is one round.
+//! for its cells, it does so again with shorter edges there, as long as that helps, and then with fewer seeds until the result
+//! has as many vertices as were asked for. Cells fail that reach around a horn or a finger, across a bridge or a strip, or
+//! hold the whole end of something slender, of which the dual would have nothing. Where all cells are disks that meet each
+//! other and the boundary once, the dual is homeomorphic to the surface (closed ball property, Edelsbrunner and Shah 1997).
+//! Invariant: the best of all rounds comes back; without failing cells there is one round. Edges become shorter only where cells
+//! fail.
 //! Must not know: how a surface is made of a dual.
 
 use std::sync::Arc;
 
 use glam::DVec3;
 
-use super::job::Job;
+use super::Job;
 use super::prepare::{Prepared, prepare, with_source};
 use super::schedule::{Figures, Schedule};
-use super::thin_parts::{self, FailingCells};
 use crate::cvt::density::{DensitySource, Plan};
 use crate::cvt::{Cvt, CvtOptions};
 use crate::mesh::TriMesh;
+use crate::mesh::closest_point::{ClosestPoint, SurfacePoint};
+use crate::mesh::measure::{self, Topology};
 use crate::mesh::sample::spread;
-use crate::remesh::constants::{MAX_THIN_ROUNDS, MAX_VAIN_ROUNDS, THIN_LONGEST, THIN_MOST_POINTS};
-use crate::remesh::features::curves::KeptCurves;
+use crate::remesh::constants::{
+    COUNT_LIMIT, COUNT_SLACK, FEWEST_SEEDS, FEWEST_SEEDS_SHARE, LEAST_SLOPE, MAX_COUNT_ROUNDS, MAX_THIN_ROUNDS,
+    MAX_VAIN_ROUNDS, THIN_LONGEST, THIN_MOST_POINTS, THIN_SHORTER, VAIN_STRETCH,
+};
+use crate::remesh::features::KeptCurves;
+use crate::remesh::manifold::repair::{self, Repaired};
+use crate::remesh::report::CountReason;
 use crate::remesh::{RemeshError, RemeshOptions, Seeds};
+use crate::rvd::dual::Dual;
 use crate::rvd::{RvdError, Session, SessionOptions, Surface, dual};
 use crate::token::{Stopped, Token};
 
@@ -103,7 +114,7 @@ impl<'a> Job<'a, '_> {
         let dual = ExactDual { surface: &surface, session: &mut *session }.dual(&mut cvt, &mut schedule)?;
         let figures = schedule.figures;
         self.token.check()?;
-        let failing = thin_parts::failing(&dual, &plan.mesh, &surface, &self.topology, self.token)?;
+        let failing = failing_cells(&dual, &plan.mesh, &surface, &self.topology, self.token)?;
         self.laps.end(|t| &mut t.dual);
         Ok(Optimized { plan, surface, curves, cvt, session, dual, failing, figures })
     }
@@ -156,7 +167,7 @@ impl Optimized<'_> {
     /// Target edge length per vertex of the caller's `mesh`, shorter where cells fail.
     fn shorter_lengths(&self, mesh: &TriMesh, token: &Token) -> Result<Vec<f64>, Stopped> {
         let mut lengths = self.plan.lengths(mesh, token)?;
-        thin_parts::shorten(&mut lengths, mesh, &self.failing, &self.dual, &self.surface, token)?;
+        shorten(&mut lengths, mesh, &self.failing, &self.dual, &self.surface, token)?;
         Ok(lengths)
     }
 
@@ -205,5 +216,179 @@ fn first_seeds(plan: &Plan<'_>, surface: &Surface, curves: &KeptCurves, seeds: &
             (drawn.iter().map(|p| p.position).collect(), Some(seed))
         }
         Seeds::Sample { seed, .. } | Seeds::Implied { seed } => (curves.with_others(plan, surface, seed), Some(seed)),
+    }
+}
+
+/// Cells around which a dual has another topology than the surface.
+#[derive(Default)]
+pub(super) struct FailingCells {
+    /// Their components of the dual, ascending.
+    pub(super) components: Vec<u32>,
+    /// Area of the cells, those in several parts included, unit frame.
+    pub(super) area: f64,
+    /// Vertices of the repaired dual.
+    pub(super) vertices: usize,
+}
+
+/// The failing cells of a dual. `surface` was made of `divided`, and the result is to have the topology `wanted`.
+pub(super) fn failing_cells(
+    dual: &Dual,
+    divided: &TriMesh,
+    surface: &Surface,
+    wanted: &Topology,
+    token: &Token,
+) -> Result<FailingCells, Stopped> {
+    let count = dual.components.len();
+    let mut there = vec![false; count];
+    dual.triangles.iter().flatten().for_each(|&c| there[c as usize] = true);
+    let closed_balls =
+        dual.not_disks.is_empty() && dual.multiple_boundary_arcs.is_empty() && dual.multiple_edges.is_empty();
+    if closed_balls && !there.contains(&false) {
+        return Ok(FailingCells { vertices: count, ..FailingCells::default() });
+    }
+    let places: Vec<DVec3> = dual.components.iter().map(|c| c.centroid).collect();
+    let Repaired { source, positions, facets, .. } = repair::repair(&places, &dual.triangles, token)?;
+    token.check()?;
+    let vertices = source.len();
+    there.fill(false);
+    source.iter().for_each(|&c| there[c as usize] = true);
+    let key = |t: &Topology| (t.euler, t.components, t.boundary_loops);
+    let same = TriMesh::new(positions, facets).is_ok_and(|result| key(&measure::topology(&result)) == key(wanted));
+    let whole = |c: u32| dual.components[c as usize].whole;
+    let lost = (0..count as u32).any(|c| whole(c) && !there[c as usize]);
+    // Folds of the surface that are smaller than a cell close without a trace.
+    if same && !lost {
+        return Ok(FailingCells { vertices, ..FailingCells::default() });
+    }
+    let pairs = dual.multiple_edges.iter().flatten();
+    let mut fails = vec![false; count];
+    dual.not_disks.iter().chain(&dual.multiple_boundary_arcs).chain(pairs).for_each(|&c| fails[c as usize] = true);
+    (0..count).filter(|&c| !there[c]).for_each(|c| fails[c] = true);
+    let non_manifold = measure::non_manifold_vertices(divided);
+    for piece in &dual.pieces {
+        if surface.welded()[piece.facet as usize].iter().any(|&v| non_manifold[v as usize]) {
+            fails[piece.component as usize] = false;
+        }
+    }
+    let all: Vec<u32> = (0..).zip(&fails).filter(|(_, fails)| **fails).map(|(c, _)| c).collect();
+    // Most cells in several parts have them on two close sheets, which is no failure.
+    let area = all.iter().map(|&c| dual.components[c as usize].area).sum();
+    let mut components: Vec<u32> = all.iter().copied().filter(|&c| whole(c)).collect();
+    if components.is_empty() {
+        components = all;
+    }
+    Ok(FailingCells { components, area, vertices })
+}
+
+/// Makes the lengths, one a vertex of `separated`, shorter at the vertices in failing cells; for a cell without a
+/// vertex, at the nearest corner of its facet. The first vertices of `surface` are those of `separated`.
+pub(super) fn shorten(
+    lengths: &mut [f64],
+    separated: &TriMesh,
+    failing: &FailingCells,
+    dual: &Dual,
+    surface: &Surface,
+    token: &Token,
+) -> Result<(), Stopped> {
+    let mut fails = vec![false; dual.components.len()];
+    failing.components.iter().for_each(|&c| fails[c as usize] = true);
+    let mut without_vertex = fails.clone();
+    let mut held = vec![false; surface.positions().len()];
+    for piece in dual.pieces.iter().filter(|piece| fails[piece.component as usize]) {
+        for corner in (0..3).filter(|c| piece.corners & 1 << c != 0) {
+            let vertex = surface.welded()[piece.facet as usize][corner] as usize;
+            held[vertex] = true;
+            if vertex < lengths.len() {
+                without_vertex[piece.component as usize] = false;
+            }
+        }
+    }
+    let mut shorter = vec![false; lengths.len()];
+    let mut closest = None;
+    for (component, _) in dual.components.iter().zip(&without_vertex).filter(|(_, without)| **without) {
+        token.check()?;
+        let tree = closest.get_or_insert_with(|| ClosestPoint::new(separated));
+        let SurfacePoint { facet, barycentric, .. } = tree.project(surface.frame().to_world(component.centroid));
+        let corner = (0..3).max_by(|&a, &b| barycentric[a].total_cmp(&barycentric[b])).unwrap_or_default();
+        shorter[separated.facets()[facet as usize][corner] as usize] = true;
+    }
+    // Welded vertices are one.
+    let welded = surface.facets().iter().zip(surface.welded()).flat_map(|(own, first)| own.iter().zip(first));
+    let welded = welded.map(|(&own, &first)| (own as usize, first as usize)).filter(|(own, _)| *own < lengths.len());
+    welded.clone().for_each(|(own, first)| held[first] |= shorter[own]);
+    welded.for_each(|(own, first)| shorter[own] |= held[first]);
+    lengths.iter_mut().zip(&shorter).filter(|(_, shorter)| **shorter).for_each(|(length, _)| *length *= THIN_SHORTER);
+    Ok(())
+}
+
+/// Whether a number of vertices is near enough to what was asked for.
+fn is_near(vertices: usize, asked: usize) -> bool {
+    vertices.abs_diff(asked) <= COUNT_SLACK.max((COUNT_LIMIT * asked as f64) as usize)
+}
+
+/// Why a result with this number of vertices and parts does not have as many as were asked for; `None` if it has.
+pub(super) fn count_reason(
+    (vertices, parts): (usize, usize),
+    asked: usize,
+    seeds: &Seeds,
+    surface: &Topology,
+) -> Option<CountReason> {
+    if is_near(vertices, asked) {
+        return None;
+    }
+    Some(match seeds {
+        Seeds::Given(_) => CountReason::GivenSeeds,
+        _ if vertices > asked && surface.fewest_vertices() > asked => CountReason::Parts,
+        _ if vertices > asked => CountReason::CloseSheets,
+        _ if parts < surface.components => CountReason::SmallParts,
+        _ => CountReason::NoThickness,
+    })
+}
+
+impl<'a> Job<'a, '_> {
+    /// Seeds that result in as many vertices as were asked for, or as near to that as fewer seeds and a few rounds come.
+    pub(super) fn scale_seeds(
+        &mut self,
+        optimized: Optimized<'a>,
+        options: &RemeshOptions,
+    ) -> Result<Optimized<'a>, RemeshError> {
+        let mut best = optimized;
+        let (&Seeds::Sample { seed, .. } | &Seeds::Implied { seed }) = &options.seeds else { return Ok(best) };
+        let asked = best.figures.asked;
+        let least = (FEWEST_SEEDS_SHARE * asked as f64).max(FEWEST_SEEDS).min(asked as f64);
+        // Seeds and vertices of the best.
+        let mut from = (asked as f64, best.vertices() as f64);
+        // Vertices per further seed, and how much farther to go than that says.
+        let (mut slope, mut stretch) = (from.1 / from.0, 1.0);
+        for round in 1..=MAX_COUNT_ROUNDS {
+            if !self.scales_seeds || is_near(best.vertices(), asked) {
+                break;
+            }
+            let drawn = (from.0 + stretch * (asked as f64 - from.1) / slope).clamp(least, asked as f64).round();
+            if drawn == from.0 {
+                break;
+            }
+            // Shorter edges in thin parts stay.
+            let options = match best.figures.refine.closed_ball_rounds {
+                0 => options.clone(),
+                _ => with_source(options, DensitySource::Sizes(best.plan.lengths(self.separated, self.token)?)),
+            };
+            let options = options.with_seeds(Seeds::Sample { points: drawn as usize, seed });
+            let Some(prepared) = self.prepare_again(&options)? else { break };
+            let Some(mut next) = self.optimize_again(prepared, &options)? else { break };
+            let here = (drawn, next.vertices() as f64);
+            if next.vertices().abs_diff(asked) < best.vertices().abs_diff(asked) {
+                next.take_over(&best);
+                next.figures.refine.count_rounds = round;
+                best = next;
+                let between = (here.1 - from.1) / (here.0 - from.0);
+                slope = between.clamp(LEAST_SLOPE, (here.1 / here.0).max(LEAST_SLOPE));
+                (from, stretch) = (here, 1.0);
+            } else {
+                stretch *= VAIN_STRETCH;
+                best.figures.refine.evaluations += next.figures.passes();
+            }
+        }
+        Ok(best)
     }
 }

@@ -1,19 +1,23 @@
 //! What the steps of the seeds begin with.
 //!
-//! Purpose: [`prepare`] plans the density, finds the curves to keep and builds the search tree of the surface;
-//! [`separation`] says how far components have to be apart.
-//! Invariant: depends on the surface and the options alone. Must not know: seeds, backends.
+//! Purpose: [`preprocess`] stitches boundary vertices that nearly coincide, leaves out duplicate facets, then makes orientations
+//! consistent; each step exposes the defects of the next. [`prepare`] plans the density, finds the curves to keep and builds the
+//! search tree of the surface; [`separation`] says how far components have to be apart.
+//! Invariant: depends on the surface and the options alone. Vertices keep their numbers in [`preprocess`]; every change is counted.
+//! Must not know: seeds, backends.
 
 use std::sync::Arc;
 
 use crate::cvt::density::{self, DensityOptions, DensitySource, Plan};
-use crate::mesh::TriMesh;
+use crate::mesh::adjacency::Adjacency;
 use crate::mesh::closest_point::ClosestPoint;
+use crate::mesh::{TriMesh, duplicates, orient, stitch};
 use crate::remesh::constants::{POINTS_PER_COMPONENT, SEPARATION_DIAGONAL, SEPARATION_EDGES};
-use crate::remesh::features::curves::KeptCurves;
+use crate::remesh::features::KeptCurves;
+use crate::remesh::report::InputFigures;
 use crate::remesh::{RemeshError, RemeshOptions, Seeds};
 use crate::rvd::Surface;
-use crate::token::Token;
+use crate::token::{Stopped, Token};
 
 pub(super) struct Prepared<'a> {
     pub(super) plan: Plan<'a>,
@@ -62,4 +66,32 @@ pub(super) fn separation(clean: &TriMesh, components: usize, options: &RemeshOpt
     };
     let gap = SEPARATION_EDGES * edge + SEPARATION_DIAGONAL * (high - low).length();
     (edge <= uniform(POINTS_PER_COMPONENT * components)).then_some(gap)
+}
+
+/// The figures of the input, and the changed surface if anything had to be changed.
+pub(super) fn preprocess(given: &TriMesh, token: &Token) -> Result<(InputFigures, Option<TriMesh>), Stopped> {
+    let adjacency = Adjacency::new(given);
+    token.check()?;
+    let (mut figures, mut changed) = match stitch::boundaries(given, &adjacency, token)? {
+        Some((stitched, moved)) => {
+            (InputFigures { stitched_vertices: moved, ..InputFigures::of(&stitched, token)? }, Some(stitched))
+        }
+        None => (InputFigures::with(given, &adjacency, token)?, None),
+    };
+    token.check()?;
+    if figures.inconsistent_edges + figures.topology.non_manifold_edges > 0
+        && let Some((single, spare)) = duplicates::remove(changed.as_ref().unwrap_or(given), token)?
+    {
+        let stitched_vertices = figures.stitched_vertices;
+        figures = InputFigures { stitched_vertices, coincident_facets: spare, ..InputFigures::of(&single, token)? };
+        changed = Some(single);
+    }
+    token.check()?;
+    if figures.inconsistent_edges > 0
+        && let Some((consistent, flipped)) = orient::make_consistent(changed.as_ref().unwrap_or(given), token)?
+    {
+        figures.reoriented_facets = flipped;
+        changed = Some(consistent);
+    }
+    Ok((figures, changed))
 }

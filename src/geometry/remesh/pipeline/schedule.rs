@@ -7,12 +7,13 @@
 
 use glam::DVec3;
 
+use super::Job;
 use super::extract::Missed;
-use super::job::Job;
 use crate::cvt::{Cvt, Iteration};
 use crate::remesh::constants::{CLEARING_ROUNDS, CLEARING_STEPS, REFINING_STEPS, SAME_PLACE};
-use crate::remesh::report::{FinalFigures, IterationFigures, RefineFigures, RvdFigures};
+use crate::remesh::report::{FinalFigures, IterationFigures, RefineFigures};
 use crate::remesh::{RemeshError, RemeshOptions};
+use crate::rvd::RvdFigures;
 
 /// What the steps of the seeds came to.
 #[derive(Default)]

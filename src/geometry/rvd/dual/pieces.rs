@@ -7,8 +7,8 @@
 use glam::DVec3;
 use rayon::prelude::*;
 
-use super::conditions::{self, Crossing, Stretch};
 use super::{Component, Dual, Piece};
+use super::{Crossing, Stretch};
 use crate::mesh::disjoint::DisjointSets;
 use crate::mesh::edges::{EdgeGroups, Half};
 use crate::rvd::cells::facet_edge;
@@ -177,7 +177,7 @@ impl Pieces {
         let of = |pieces: &[u32]| pieces.iter().map(|&p| component[p as usize]).collect::<Vec<u32>>();
         let disks = || {
             let inner = self.inner_vertices(surface, &joined.boundary);
-            conditions::not_disks(count, component, &of(&joined.joints), &of(&inner))
+            super::not_disks(count, component, &of(&joined.joints), &of(&inner))
         };
         let edges = || {
             let other = |&(p, j): &(u32, u32)| [p, self.find(self.facet[p as usize], j).unwrap_or(p)];
@@ -186,13 +186,13 @@ impl Pieces {
             let at_rim =
                 self.crossings.iter().filter(|(half, _)| joined.boundary_edge[joined.edge[*half as usize] as usize]);
             let ends = at_rim.flat_map(|&(_, s)| stretches[s as usize]).map(|p| component[p as usize]);
-            let boundary_arcs = conditions::multiple_boundary_arcs(count, ends);
+            let boundary_arcs = super::multiple_boundary_arcs(count, ends);
             let crossing = |&(half, s): &(u32, u32)| -> Crossing {
                 let (piece, j) = self.stretches[s as usize];
                 ((joined.edge[half as usize], [self.seed[piece as usize], j]), s)
             };
             let crossings: Vec<Crossing> = self.crossings.par_iter().with_min_len(RUN).map(crossing).collect();
-            (boundary_arcs, conditions::multiple_edges(&stretches, crossings, component))
+            (boundary_arcs, super::multiple_edges(&stretches, crossings, component))
         };
         let (not_disks, (multiple_boundary_arcs, multiple_edges)) = rayon::join(disks, edges);
         Failing { not_disks, multiple_boundary_arcs, multiple_edges }

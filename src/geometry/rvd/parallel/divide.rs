@@ -1,8 +1,284 @@
 //! Facets divided among their cells.
 //!
-//! Purpose: the integrals of all pieces of several facets at once, one facet in each lane of a register, without polygons.
-//! Invariant: what comes of a facet depends on nothing in the other lanes. Must not know: where lists of seeds come from.
+//! Purpose: the integrals of all pieces of several facets at once ([`facets`]), without polygons. [`Lanes`] are vectors of one
+//! number a facet, as wide as the processor's registers, with the usual operators. A polynomial's integral over a piece is a sum
+//! over the segments around it (Green's theorem), in barycentric coordinates.
+//! Invariant: each lane is computed as it would be alone: the same bits on every processor. Nothing depends on what a comparison or
+//! an extremum does with what is no number. A segment gives the pieces on both of its sides the same numbers but for their sign.
+//! Must not know: where lists of seeds come from, how segments are found.
 
 pub(super) mod facets;
-pub(super) mod lanes;
-pub(super) mod moments;
+
+use std::ops::{Add, BitAnd, BitOr, BitXor, Div, Mul, Not, Sub};
+
+use pulp::Simd;
+
+/// The most lanes that there may be.
+pub(crate) const WIDEST: usize = 8;
+
+/// Memory of one vector, however wide.
+#[derive(Clone, Copy, Default)]
+#[repr(align(64))]
+pub(crate) struct Row(pub [f64; WIDEST]);
+
+/// A number for each lane.
+#[derive(Clone, Copy)]
+pub(crate) struct Number<S: Simd> {
+    simd: S,
+    value: S::f64s,
+}
+
+/// Yes or no for each lane.
+#[derive(Clone, Copy)]
+pub(crate) struct Mask<S: Simd> {
+    simd: S,
+    value: S::m64s,
+}
+
+impl<S: Simd> Number<S> {
+    /// How many lanes there are.
+    pub(crate) const LANES: usize = if S::F64_LANES < WIDEST { S::F64_LANES } else { WIDEST };
+
+    #[inline(always)]
+    pub(crate) fn all(simd: S, value: f64) -> Self {
+        Self { simd, value: simd.splat_f64s(value) }
+    }
+
+    #[inline(always)]
+    pub(crate) fn load(simd: S, row: &Row) -> Self {
+        Self { simd, value: S::as_simd_f64s(&row.0).0[0] }
+    }
+
+    #[inline(always)]
+    pub(crate) fn store(self, row: &mut Row) {
+        S::as_mut_simd_f64s(&mut row.0).0[0] = self.value;
+    }
+
+    #[inline(always)]
+    pub(crate) fn abs(self) -> Self {
+        Self { value: self.simd.abs_f64s(self.value), ..self }
+    }
+
+    #[inline(always)]
+    pub(crate) fn sqrt(self) -> Self {
+        Self { value: self.simd.sqrt_f64s(self.value), ..self }
+    }
+
+    #[inline(always)]
+    pub(crate) fn below(self, other: Self) -> Mask<S> {
+        Mask { simd: self.simd, value: self.simd.less_than_f64s(self.value, other.value) }
+    }
+
+    #[inline(always)]
+    pub(crate) fn at_most(self, other: Self) -> Mask<S> {
+        Mask { simd: self.simd, value: self.simd.less_than_or_equal_f64s(self.value, other.value) }
+    }
+
+    #[inline(always)]
+    pub(crate) fn larger(self, other: Self) -> Self {
+        Self { value: self.simd.max_f64s(self.value, other.value), ..self }
+    }
+
+    #[inline(always)]
+    pub(crate) fn smaller(self, other: Self) -> Self {
+        Self { value: self.simd.min_f64s(self.value, other.value), ..self }
+    }
+}
+
+impl<S: Simd> Mask<S> {
+    #[inline(always)]
+    pub(crate) fn none(simd: S) -> Self {
+        let zero = Number::all(simd, 0.0);
+        zero.below(zero)
+    }
+
+    /// `yes` where it is so, `no` elsewhere.
+    #[inline(always)]
+    pub(crate) fn choose(self, yes: Number<S>, no: Number<S>) -> Number<S> {
+        Number { simd: self.simd, value: self.simd.select_f64s(self.value, yes.value, no.value) }
+    }
+
+    #[inline(always)]
+    pub(crate) fn any(self) -> bool {
+        self.simd.first_true_m64s(self.value) < S::F64_LANES
+    }
+}
+
+macro_rules! operator {
+    ($trait:ident, $name:ident, $simd:ident, $of:ident) => {
+        impl<S: Simd> $trait for $of<S> {
+            type Output = Self;
+
+            #[inline(always)]
+            fn $name(self, other: Self) -> Self {
+                Self { value: self.simd.$simd(self.value, other.value), ..self }
+            }
+        }
+    };
+}
+
+operator!(Add, add, add_f64s, Number);
+operator!(Sub, sub, sub_f64s, Number);
+operator!(Mul, mul, mul_f64s, Number);
+operator!(Div, div, div_f64s, Number);
+operator!(BitAnd, bitand, and_m64s, Mask);
+operator!(BitOr, bitor, or_m64s, Mask);
+operator!(BitXor, bitxor, xor_m64s, Mask);
+
+impl<S: Simd> Not for Mask<S> {
+    type Output = Self;
+
+    #[inline(always)]
+    fn not(self) -> Self {
+        let zero = Number::all(self.simd, 0.0);
+        self ^ zero.at_most(zero)
+    }
+}
+
+/// Integrals over a piece in barycentric coordinates, p = p₀ + u (p₁ - p₀) + v (p₂ - p₀): of 1, wu, wv, wu², wuv, wv²
+/// and w, where w is the weight; times the numbers that [`integrals`] divides by.
+pub(crate) type Moments = [Row; WEIGHTED];
+
+/// Number of moments where the weight is 1; the first moment then also stands for the last.
+pub(crate) const UNIFORM: usize = 6;
+/// Number of moments where the weight is linear in the facet.
+pub(crate) const WEIGHTED: usize = 7;
+
+/// The weight at the first corner, and how much more it is at the others.
+#[derive(Clone, Copy)]
+pub(crate) struct Weight<S: Simd>([Number<S>; 3]);
+
+impl<S: Simd> Weight<S> {
+    /// From the weights at the corners.
+    #[inline(always)]
+    pub(crate) fn new([first, second, third]: [Number<S>; 3]) -> Self {
+        Self([first, second - first, third - first])
+    }
+
+    #[inline(always)]
+    fn at(&self, [u, v]: Place<S>) -> Number<S> {
+        let [first, du, dv] = self.0;
+        first + du * u + dv * v
+    }
+}
+
+/// A place (u, v).
+pub(crate) type Place<S> = [Number<S>; 2];
+
+/// The moments of the triangle from the origin to a segment. The integral of a product of linear functions over a triangle
+/// is a sum of products of their values at its corners, where u and v are 0 at the origin.
+#[inline(always)]
+pub(crate) fn segment_moments<S: Simd, const N: usize>(
+    simd: S,
+    weight: Weight<S>,
+    [from, to]: [Place<S>; 2],
+) -> [Number<S>; N] {
+    let ([a, b], [c, d]) = (from, to);
+    let cross = a * d - c * b;
+    let mut m = [cross; N];
+    if N == UNIFORM {
+        let half = Number::all(simd, 0.5);
+        m[1] = cross * (a + c);
+        m[2] = cross * (b + d);
+        m[3] = cross * (a * a + a * c + c * c);
+        m[4] = cross * ((a * b + c * d) + half * (a * d + c * b));
+        m[5] = cross * (b * b + b * d + d * d);
+        return m;
+    }
+    let (w_from, w_to) = (weight.at(from), weight.at(to));
+    let all = cross * (weight.0[0] + w_from + w_to);
+    m[6] = all;
+    let (f, t) = (cross * w_from, cross * w_to);
+    let (x, y) = (all + f, all + t);
+    m[1] = a * x + c * y;
+    m[2] = b * x + d * y;
+    let (x, y, z) = (x + f, y + t, all - cross * (Number::all(simd, 0.5) * weight.0[0]));
+    let (ax, cy, two_z) = (a * x, c * y, z + z);
+    m[3] = a * ax + c * cy + a * c * two_z;
+    m[4] = b * ax + d * cy + (a * d + c * b) * z;
+    m[5] = b * b * x + d * d * y + b * d * two_z;
+    m
+}
+
+/// Adds to a piece's moments.
+#[inline(always)]
+pub(crate) fn add_moments<S: Simd, const N: usize>(simd: S, sum: &mut Moments, more: [Number<S>; N]) {
+    for m in 0..N {
+        (Number::load(simd, &sum[m]) + more[m]).store(&mut sum[m]);
+    }
+}
+
+/// Takes from a piece's moments.
+#[inline(always)]
+pub(crate) fn take_moments<S: Simd, const N: usize>(simd: S, sum: &mut Moments, less: [Number<S>; N]) {
+    for m in 0..N {
+        (Number::load(simd, &sum[m]) - less[m]).store(&mut sum[m]);
+    }
+}
+
+/// Facets in space, as their pieces' integrals need them.
+pub(crate) struct Shape<S: Simd> {
+    /// From the first corner to the others.
+    pub side: [[Number<S>; 3]; 2],
+    pub twice_area: Number<S>,
+}
+
+/// Integrals over pieces about their seeds.
+pub(crate) struct PieceIntegrals<S: Simd> {
+    pub mass: Number<S>,
+    pub moment: [Number<S>; 3],
+    pub energy: Number<S>,
+    pub area: Number<S>,
+}
+
+#[inline(always)]
+fn dot<S: Simd>(a: [Number<S>; 3], b: [Number<S>; 3]) -> Number<S> {
+    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+}
+
+/// The integrals about a seed from which the first corner is at `origin`.
+#[inline(always)]
+pub(crate) fn integrals<S: Simd, const N: usize>(
+    simd: S,
+    moments: &Moments,
+    shape: &Shape<S>,
+    origin: [Number<S>; 3],
+) -> PieceIntegrals<S> {
+    let area = shape.twice_area * part(simd, moments, 0, 2.0);
+    let ([one, first, second], [mass, linear, quadratic]) = match N {
+        UNIFORM => ([0, 1, 3], [2.0, 6.0, 12.0]),
+        _ => ([6, 1, 3], [6.0, 24.0, 60.0]),
+    };
+    let mass = part(simd, moments, one, mass);
+    let [u, v] = [0, 1].map(|k| part(simd, moments, first + k, linear));
+    let [uu, uv, vv] = [0, 1, 2].map(|k| part(simd, moments, second + k, quadratic));
+    let (moment, energy) = about(simd, shape, origin, [mass, u, v, uu, uv, vv]);
+    PieceIntegrals { mass: shape.twice_area * mass, moment, energy, area }
+}
+
+#[inline(always)]
+fn part<S: Simd>(simd: S, moments: &Moments, k: usize, by: f64) -> Number<S> {
+    Number::load(simd, &moments[k]) * Number::all(simd, 1.0 / by)
+}
+
+/// ∫ (p - x) and ∫ |p - x|² from the integrals of 1, u, v, u², uv, v².
+#[inline(always)]
+fn about<S: Simd>(
+    simd: S,
+    shape: &Shape<S>,
+    origin: [Number<S>; 3],
+    [one, u, v, uu, uv, vv]: [Number<S>; 6],
+) -> ([Number<S>; 3], Number<S>) {
+    let [e, f] = shape.side;
+    let two = Number::all(simd, 2.0);
+    let squares = dot(origin, origin) * one
+        + two * (dot(origin, e) * u + dot(origin, f) * v + dot(e, f) * uv)
+        + dot(e, e) * uu
+        + dot(f, f) * vv;
+    let moment = [
+        shape.twice_area * (one * origin[0] + u * e[0] + v * f[0]),
+        shape.twice_area * (one * origin[1] + u * e[1] + v * f[1]),
+        shape.twice_area * (one * origin[2] + u * e[2] + v * f[2]),
+    ];
+    (moment, shape.twice_area * squares)
+}

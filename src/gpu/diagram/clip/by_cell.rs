@@ -15,7 +15,7 @@
 
 use super::Clip;
 use crate::buffers::write;
-use crate::diagram::context::Context;
+use crate::diagram::Context;
 use crate::diagram::lane;
 use crate::diagram::layout::{self, BY_CELL, Params, State, failure};
 use crate::diagram::memory::Memory;

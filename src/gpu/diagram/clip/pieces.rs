@@ -8,7 +8,7 @@
 use glam::{DVec3, dvec3};
 
 use super::Clip;
-use crate::diagram::context::Context;
+use crate::diagram::Context;
 use crate::diagram::lane;
 use crate::diagram::layout::Params;
 use crate::diagram::memory::Memory;

@@ -11,7 +11,7 @@ use std::collections::{HashMap, HashSet};
 use rayon::prelude::*;
 
 use super::{Clip, Variant, fixed};
-use crate::diagram::context::Context;
+use crate::diagram::Context;
 use crate::diagram::layout::{INDEX, State, code, failure};
 use crate::diagram::memory::Memory;
 use crate::diagram::neighbours::{LONGEST_ROW, Neighbours};

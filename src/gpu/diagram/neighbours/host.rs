@@ -8,14 +8,14 @@ use rayon::prelude::*;
 
 use super::{Neighbours, Place, Rows};
 use crate::buffers::write;
-use crate::diagram::context::Context;
+use crate::diagram::Context;
 use crate::diagram::layout::{self, COMPLETE, INDEX, NONE, STRIDE};
 use crate::diagram::memory::Memory;
 pub(super) use geometry::knn::{NeighbourRow, NeighbourTable, SeedIndex, Threads};
 use geometry::mesh::coincident;
 use geometry::rvd::RvdError;
 use geometry::rvd::incident::Diagram;
-use geometry::rvd::start::Starts;
+use geometry::rvd::incident::Starts;
 use geometry::token::{Stopped, Token};
 
 /// The longest row that is sent to the device.

@@ -10,9 +10,9 @@
 use glam::DVec3;
 
 use crate::rvd::clip::SECURITY;
+use crate::rvd::incident;
 use crate::rvd::incident::Diagram;
 use crate::rvd::parallel::divide::facets::LISTED;
-use crate::rvd::start;
 
 /// A list with more is made shorter here, not together with others.
 const ENOUGH: usize = LISTED;
@@ -112,7 +112,7 @@ impl Gatherer {
         if let Some(nearest) = self.read_row(diagram, skin, corner, centroid, start) {
             return (nearest, true);
         }
-        let nearest = start::nearest(diagram, centroid, start);
+        let nearest = incident::nearest(diagram, centroid, start);
         if nearest != start && self.read_row(diagram, skin, corner, centroid, nearest).is_some() {
             return (nearest, true);
         }

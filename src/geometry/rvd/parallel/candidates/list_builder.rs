@@ -11,15 +11,15 @@ use std::ops::Range;
 use glam::DVec3;
 use pulp::{Arch, Simd, WithSimd};
 
+use super::Lists;
 use super::escaped::{Bounds, Reach};
 use super::gather::{Few, Gatherer, Skin};
-use super::lists::Lists;
 use super::members::Listed;
 use super::neighbourhood::{self, GROUP, Neighbourhood};
 use super::verlet::Verlet;
 use crate::rvd::incident::Diagram;
 use crate::rvd::parallel::divide::facets::LISTED;
-use crate::rvd::parallel::order::Stretch;
+use crate::rvd::parallel::schedule::Stretch;
 
 /// Seeds to examine for one seed within its skin.
 const LOOKED_AT: usize = 1024;

@@ -8,12 +8,12 @@
 use glam::DVec3;
 use pulp::{Simd, WithSimd};
 
+use super::Lists;
 use super::gather::Skin;
-use super::lists::Lists;
 use crate::rvd::incident::Diagram;
+use crate::rvd::parallel::divide::Number;
 use crate::rvd::parallel::divide::facets::{Facets, Given, InTurn, LISTED, MEMBERS, beats};
-use crate::rvd::parallel::divide::lanes::Number;
-use crate::rvd::parallel::order::Stretch;
+use crate::rvd::parallel::schedule::Stretch;
 
 /// The facets of a chunk, all with area, and their lists.
 #[derive(Clone, Copy)]

@@ -12,7 +12,7 @@ use pulp::Simd;
 use super::escaped::{Bounds, Escaped, Reach};
 use super::gather::{ROOM, Skin};
 use crate::rvd::incident::Diagram;
-use crate::rvd::parallel::divide::lanes::{Mask, Number, Row, WIDEST};
+use crate::rvd::parallel::divide::{Mask, Number, Row, WIDEST};
 
 /// Facets that are looked around together.
 pub(crate) const GROUP: usize = 16;

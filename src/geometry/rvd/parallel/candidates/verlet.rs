@@ -11,9 +11,9 @@
 use glam::DVec3;
 use rayon::prelude::*;
 
+use super::Lists;
 use super::escaped::Escaped;
 use super::gather::Skin;
-use super::lists::Lists;
 use crate::knn::{NeighbourTable, SeedIndex};
 
 /// A seed's skin is a share of the distance to this neighbour; relaxed cells touch it.

@@ -13,10 +13,10 @@
 use glam::DVec3;
 use pulp::Simd;
 
-use super::lanes::{Mask, Number, Row, WIDEST};
-use super::moments::{self, Moments, PieceIntegrals, Shape, WEIGHTED, Weight};
+use super::{Mask, Number, Row, WIDEST};
+use super::{Moments, PieceIntegrals, Shape, WEIGHTED, Weight};
 use crate::rvd::clip::Integrals;
-use crate::rvd::parallel::order::Vertex;
+use crate::rvd::parallel::schedule::Vertex;
 
 /// A segment's end may be off by this share of the farthest corner's distance, in the worst case, and the facet is
 /// left to the walk beyond: two bisectors are nearly parallel there, one facet in some thousand.
@@ -302,16 +302,16 @@ impl Facets {
             let some = low.below(high);
             unsure = unsure | (high - low).abs().at_most(four_slips);
             let (low, high) = (some.choose(low, zero), some.choose(high, zero));
-            let segment = moments::of::<S, N>(simd, weight, [[one - low, low], [one - high, high]]);
+            let segment = super::segment_moments::<S, N>(simd, weight, [[one - low, low], [one - high, high]]);
             let moments = &mut self.moments[k];
-            moments::add(simd, moments, segment);
+            super::add_moments(simd, moments, segment);
             let there = some | zero.below(Number::load(simd, &self.there[k]));
             let small = Number::load(simd, &moments[0]).below(Number::all(simd, LEAST_SHARE));
             let piece = &mut found.pieces[k];
             there.choose(small.choose(Number::all(simd, SMALL), one), zero).store(&mut piece.there);
             let origin = minus(first, load(simd, &given.seed[k]));
             let PieceIntegrals { mass, moment: [x, y, z], energy, area } =
-                moments::integrals::<S, N>(simd, moments, &shape, origin);
+                super::integrals::<S, N>(simd, moments, &shape, origin);
             let [m, mx, my, mz, e, a] = &mut piece.values;
             mass.store(m);
             x.store(mx);
@@ -411,9 +411,9 @@ impl Facets {
             let (begin, end) = (along.choose(low, high), along.choose(high, low));
             let begin = [some.choose(from[1] + begin * du, zero), some.choose(from[2] + begin * dv, zero)];
             let end = [some.choose(from[1] + end * du, zero), some.choose(from[2] + end * dv, zero)];
-            let segment = moments::of::<S, N>(simd, weight, [begin, end]);
-            moments::add(simd, &mut self.moments[i], segment);
-            moments::take(simd, &mut self.moments[j], segment);
+            let segment = super::segment_moments::<S, N>(simd, weight, [begin, end]);
+            super::add_moments(simd, &mut self.moments[i], segment);
+            super::take_moments(simd, &mut self.moments[j], segment);
             for k in [i, j] {
                 some.choose(one, Number::load(simd, &self.there[k])).store(&mut self.there[k]);
             }

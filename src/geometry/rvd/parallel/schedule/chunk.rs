@@ -8,20 +8,20 @@ use glam::DVec3;
 use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
 
-use super::written::{NONE, Written};
+use super::Stretch;
+use super::{NONE, Written};
 use crate::knn::NeighbourTable;
 use crate::rvd::clip::{Clipper, Integrals};
 use crate::rvd::incident::{Diagram, FacetWalker};
+use crate::rvd::parallel::candidates::Lists;
 use crate::rvd::parallel::candidates::gather::Skin;
 use crate::rvd::parallel::candidates::list_builder::ListBuilder;
-use crate::rvd::parallel::candidates::lists::Lists;
 use crate::rvd::parallel::candidates::members::{Chooser, Listed, Prune, choose_members};
 use crate::rvd::parallel::candidates::verlet::Verlet;
+use crate::rvd::parallel::divide::Number;
 use crate::rvd::parallel::divide::facets::{Found, InTurn, MEMBERS};
-use crate::rvd::parallel::divide::lanes::Number;
-use crate::rvd::parallel::divide::moments::{UNIFORM, WEIGHTED};
-use crate::rvd::parallel::order::Stretch;
-use crate::rvd::{CellSums, PassStats, PieceBatch, start};
+use crate::rvd::parallel::divide::{UNIFORM, WEIGHTED};
+use crate::rvd::{CellSums, PassStats, PieceBatch, incident};
 use crate::token::Token;
 
 /// What one task found. Reused from wave to wave.
@@ -193,7 +193,7 @@ impl Walkers {
             // A facet with many members was not tried. It is walked by rows, if there are any.
             let many = !(1..=MEMBERS as u32).contains(&members[at].count_ones());
             if lists.get(at).is_empty() || many && by_rows {
-                let start = start::nearest(diagram, centroid, starts[at]);
+                let start = incident::nearest(diagram, centroid, starts[at]);
                 walker.walk(None, diagram, facet, start, stats, visit);
             } else {
                 let among = long.among(listed, at, members[at]);
@@ -364,11 +364,11 @@ mod tests {
 
     use glam::DVec3;
 
+    use super::super::Order;
     use super::*;
     use crate::knn::{SeedIndex, Threads};
     use crate::mesh::shapes::Shape;
     use crate::rvd::parallel::candidates::gather::{Few, Gatherer};
-    use crate::rvd::parallel::order::Order;
     use crate::rvd::{Capacities, Surface};
 
     /// What a chunk of all facets finds with registers of one kind.
