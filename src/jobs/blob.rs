@@ -24,6 +24,7 @@ mod upload;
 
 pub use chunk::{Chunk, MAX_CHUNK_BYTES, UploadId, UploadStatus};
 pub use digest::{Digest, DigestError};
+pub(crate) use digest::{from_hex, to_hex};
 pub use error::BlobError;
 pub use objects::ObjectBlobs;
 pub use options::BlobOptions;

@@ -55,10 +55,8 @@ const LEASE: Duration = Duration::from_secs(60);
 /// Progress that waits to be recorded.
 const PROGRESS: usize = 4096;
 
-/// How jobs are kept.
 #[derive(Clone, Debug)]
 pub struct ExecutorOptions {
-    /// Jobs that may wait.
     pub waiting_jobs: usize,
     /// How long results are kept after a job has ended.
     pub keep_results: Duration,
@@ -66,12 +64,10 @@ pub struct ExecutorOptions {
     pub keep_records: Duration,
     /// Times that a job may be at work when the process goes down; then it fails.
     pub max_crashes: u32,
-    /// What a job may ask for.
     pub bounds: Bounds,
 }
 
 impl ExecutorOptions {
-    /// The defaults, with these bounds.
     pub fn new(bounds: Bounds) -> Self {
         Self {
             waiting_jobs: 100_000,
@@ -105,12 +101,9 @@ impl BlobRoom {
     }
 }
 
-/// Where jobs and blobs are kept.
 #[derive(Clone)]
 pub struct Stores {
-    /// Jobs.
     pub jobs: Arc<dyn JobStore>,
-    /// Blobs.
     pub blobs: Arc<dyn BlobStore>,
 }
 
@@ -150,7 +143,6 @@ impl Stores {
     }
 }
 
-/// Opens the journal of a folder.
 async fn journal(folder: PathBuf) -> Result<Arc<dyn JobStore>, JobApiError> {
     let opened = tokio::task::spawn_blocking(move || RedbStore::open(&folder, RedbOptions::default())).await;
     Ok(Arc::new(opened.map_err(|error| JobApiError::Job(JobError::Panicked(error.to_string())))??))
@@ -167,10 +159,8 @@ struct Inner {
     engine: Engine,
     options: ExecutorOptions,
     forecast: Forecast,
-    /// How this process calls itself.
     name: String,
     runtime: Handle,
-    /// Whether it begins nothing more.
     draining: AtomicBool,
     storage: Storage,
     progress: mpsc::Sender<ProgressCommand>,
@@ -203,9 +193,6 @@ fn result_pin(id: JobId) -> String {
 impl Executor {
     /// Takes up the jobs of `stores`: those that were at work when the process went down wait again, or fail if that was
     /// not the first time. To be called within a runtime.
-    ///
-    /// # Errors
-    /// What the stores say.
     pub async fn start(engine: Engine, stores: Stores, options: ExecutorOptions) -> Result<Self, JobApiError> {
         let (progress, commands) = mpsc::channel(PROGRESS);
         let forecast = Forecast::new(Arc::clone(&stores.blobs), engine.clone(), options.bounds.max_seeds);
@@ -271,7 +258,6 @@ async fn sweep(inner: Weak<Inner>) {
 }
 
 impl Inner {
-    /// Takes up what was kept.
     async fn recover(self: &Arc<Self>) -> Result<(), JobApiError> {
         let jobs = &self.stores.jobs;
         let recovered = jobs.recover(Orphans::All, self.options.max_crashes).await?;
@@ -329,7 +315,6 @@ impl Inner {
         }
     }
 
-    /// Queues a job for the engine.
     async fn enqueue(self: &Arc<Self>, job: &Job) -> Result<(), JobApiError> {
         // Its blobs may be gone.
         let counts = self.forecast.counts(&job.spec, None).await.ok();
@@ -353,7 +338,6 @@ impl Inner {
         self.draining.load(Ordering::Acquire)
     }
 
-    /// A job of this tenant.
     async fn of_tenant(&self, tenant: &str, id: JobId) -> Result<Job, JobApiError> {
         let job = self.stores.jobs.get(id).await?;
         if job.spec.tenant != tenant {
@@ -550,7 +534,6 @@ impl Inner {
     }
 }
 
-/// A unique random number.
 fn getrandom_u128() -> Result<u128, JobApiError> {
     let mut bytes = [0; 16];
     getrandom::fill(&mut bytes).map_err(|error| {
@@ -567,7 +550,6 @@ fn is_outdated(error: &StoreError) -> bool {
 /// The longest message of a failure, characters: every list of jobs holds it.
 const MOST_WORDS: usize = 1000;
 
-/// A failure as a change.
 fn failed(kind: FailureKind, message: impl Into<String>) -> Change {
     let mut message: String = message.into();
     if let Some((end, _)) = message.char_indices().nth(MOST_WORDS) {

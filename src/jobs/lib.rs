@@ -11,6 +11,8 @@
 //! Must not know: gRPC, messages, the command line.
 
 #![warn(unreachable_pub)]
+// Fields, variants and errors that their names or messages explain; the callers are crates of this house.
+#![allow(missing_docs)]
 
 pub mod admission;
 pub mod blob;
@@ -93,16 +95,12 @@ impl Backends {
 /// The backend, as callers see it.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct BackendInfo {
-    /// Which backend.
     pub kind: BackendKind,
-    /// The adapter's name, for a GPU.
     pub adapter: Option<String>,
-    /// Threads of the pool.
     pub threads: usize,
 }
 
 impl BackendInfo {
-    /// What `backend` says of itself.
     pub fn of(backend: &dyn Backend) -> Self {
         Self { kind: backend.kind(), adapter: backend.adapter(), threads: backend.threads() }
     }
@@ -111,30 +109,18 @@ impl BackendInfo {
 /// Why a job was refused or failed.
 #[derive(Clone, Debug, thiserror::Error)]
 pub enum JobError {
-    /// The queue is full now.
     #[error("{waiting} jobs wait already, as many as may; try again in {} s", .retry_after.as_secs_f64())]
-    QueueFull {
-        /// How many wait.
-        waiting: usize,
-        /// When a place may be free.
-        retry_after: Duration,
-    },
-    /// The process is shutting down and takes no more work.
+    QueueFull { waiting: usize, retry_after: Duration },
     #[error("the server is shutting down; try again, or try another server")]
     Draining,
-    /// The work panicked. The message is for the log and for a report of the fault.
     #[error("internal error: the work panicked: {0}")]
     Panicked(String),
-    /// The engine has ended.
     #[error("internal error: the engine has ended")]
     WorkerGone,
-    /// The surface is wrong.
     #[error(transparent)]
     Mesh(#[from] MeshError),
-    /// The diagram could not be had.
     #[error(transparent)]
     Rvd(#[from] RvdError),
-    /// The remesh could not be had.
     #[error(transparent)]
     Remesh(#[from] RemeshError),
 }
@@ -148,12 +134,10 @@ impl JobError {
         }
     }
 
-    /// Whether the device went away.
     pub fn is_device_lost(&self) -> bool {
         matches!(self.as_rvd(), Some(RvdError::DeviceLost(_)))
     }
 
-    /// Whether somebody asked to stop.
     pub fn is_cancelled(&self) -> bool {
         matches!(self.as_rvd(), Some(RvdError::Stopped(Stopped::Cancelled)))
     }
@@ -170,7 +154,6 @@ impl From<Stopped> for JobError {
 pub struct CancelOnDrop(Option<Token>);
 
 impl CancelOnDrop {
-    /// For work with this token.
     pub fn new(token: &Token) -> Self {
         Self(Some(token.clone()))
     }

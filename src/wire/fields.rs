@@ -19,7 +19,6 @@ const DENSITY: &str = "density";
 /// Its field that has the message's name.
 const SOURCE: &str = "source";
 
-/// An option.
 #[derive(Clone, Debug)]
 pub struct Field {
     /// The name that the command, HTTP and Python share.
@@ -120,9 +119,6 @@ impl Default for Fields {
 
 impl Fields {
     /// Takes an option. Whether there is one of this name.
-    ///
-    /// # Errors
-    /// What its value must be.
     pub fn set(&mut self, name: &str, text: &str) -> Result<bool, String> {
         let Some(place) = self.all.iter().position(|field| field.name == name) else { return Ok(false) };
         self.read.push((place, self.all[place].read(text)?));

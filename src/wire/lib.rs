@@ -29,7 +29,6 @@ pub mod proto;
 pub mod schema;
 pub mod upload;
 
-/// Why a message is refused.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum WireError {
     /// A field has a value that it must not have.

@@ -157,7 +157,6 @@ pub fn remesh(given: &proto::RemeshOptions, beside: Beside, bounds: &Bounds) -> 
     })
 }
 
-/// A session of iterations.
 pub fn session(given: &proto::CvtOptions, beside: Beside, bounds: &Bounds) -> Read<Session> {
     let &proto::CvtOptions { points, seed, ref density, projection, max_seeds } = given;
     let (seeds, density) = start(points, seed, density.as_ref(), beside, bounds)?;
@@ -168,7 +167,6 @@ pub fn session(given: &proto::CvtOptions, beside: Beside, bounds: &Bounds) -> Re
     Ok(Session { seeds, density, options })
 }
 
-/// A diagram.
 pub fn diagram(given: &proto::DiagramOptions, beside: Beside, bounds: &Bounds) -> Read<Diagram> {
     let &proto::DiagramOptions { points, seed, ref outputs } = given;
     let (seeds, density) = start(points, seed, None, beside, bounds)?;
@@ -184,7 +182,6 @@ pub fn diagram(given: &proto::DiagramOptions, beside: Beside, bounds: &Bounds) -
     Ok(Diagram { seeds, density, outputs: wanted })
 }
 
-/// Seeds and density.
 fn start(
     points: Option<u32>,
     seed: Option<u64>,
@@ -329,7 +326,6 @@ fn projection(value: i32) -> Read<Projection> {
     })
 }
 
-/// The value of an enum.
 pub fn choice<E: TryFrom<i32>>(path: &str, value: i32) -> Read<E> {
     E::try_from(value).map_err(|_| unknown_enum(path, value))
 }
@@ -354,7 +350,6 @@ fn word(kind: &proto::DensitySource) -> String {
     kind.as_str_name().trim_start_matches("DENSITY_SOURCE_").to_ascii_lowercase()
 }
 
-/// Where a density comes from.
 pub fn source(density: &DensityOptions) -> proto::DensitySource {
     match density.source {
         DensitySource::Uniform => proto::DensitySource::Uniform,

@@ -32,13 +32,9 @@ pub trait Header {
     fn parts(&self) -> (Option<&MeshHeader>, u64, i32);
 
     /// Checks the options.
-    ///
-    /// # Errors
-    /// Paths below the options.
     fn options(&self, beside: Beside, bounds: &Bounds) -> Result<Self::Options, WireError>;
 }
 
-/// A header that was checked.
 #[derive(Clone, Debug)]
 pub struct Checked<O> {
     pub mesh: MeshCounts,
@@ -49,7 +45,6 @@ pub struct Checked<O> {
     pub attributes: Vec<AttributeCounts>,
 }
 
-/// A header and its arrays.
 pub type Complete<O> = (Checked<O>, Uploaded);
 
 fn check<H: Header>(header: &H, bounds: &Bounds) -> Result<Checked<H::Options>, WireError> {
@@ -64,14 +59,12 @@ fn check<H: Header>(header: &H, bounds: &Bounds) -> Result<Checked<H::Options>, 
     Ok(Checked { mesh, backend, options, attributes })
 }
 
-/// See the module's head.
 pub struct Upload<H: Header> {
     bounds: Bounds,
     open: Option<(Checked<H::Options>, Assembly)>,
 }
 
 impl<H: Header> Upload<H> {
-    /// Nothing has come yet.
     pub fn new(bounds: Bounds) -> Self {
         Self { bounds, open: None }
     }

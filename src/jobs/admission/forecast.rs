@@ -6,15 +6,16 @@
 //! the tenant's do not exist. Must not know: queues, stores of jobs.
 
 use std::collections::HashMap;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex};
 
 use futures_util::TryStreamExt;
 use tokio::sync::Semaphore;
 
-use super::error::{JobApiError, Memory};
+use super::{JobApiError, Memory};
 use crate::admission::estimate::{Counts, Need, need};
 use crate::blob::{BlobError, BlobStore, Digest, Owner};
 use crate::engine::Engine;
+use crate::lock;
 use crate::record::{ArrayRef, Arrays, AttributeRef, Bytes, MeshSource, Operation, Spec, steps};
 use geometry::cvt::density::Count;
 use geometry::mesh::io::{self, DataError, Format};
@@ -38,7 +39,6 @@ struct File {
     bytes: u64,
 }
 
-/// See the module's head.
 pub struct Forecast {
     blobs: Arc<dyn BlobStore>,
     engine: Engine,
@@ -142,14 +142,12 @@ impl Forecast {
     /// Vertices, facets and bytes of a surface's file.
     async fn of_file(&self, owner: Owner, blob: Digest, format: Format) -> Result<((u64, u64), u64), JobApiError> {
         let size_bytes = self.size_of(owner, blob).await?;
-        let known = |forecast: &Self| {
-            forecast.known.lock().unwrap_or_else(PoisonError::into_inner).get(&(blob, format)).copied()
-        };
-        if let Some(File { counts, bytes }) = known(self) {
+        let known = lock(&self.known).get(&(blob, format)).copied();
+        if let Some(File { counts, bytes }) = known {
             return Ok((counts, bytes));
         }
         let file = self.look_at(blob, format, size_bytes).await?;
-        let mut known = self.known.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut known = lock(&self.known);
         if known.len() >= REMEMBERED {
             known.clear();
         }
@@ -196,7 +194,6 @@ impl Forecast {
     }
 }
 
-/// Numbers of an attribute.
 fn numbers_of(AttributeRef { counts, values, corners }: &AttributeRef) -> u64 {
     let corners = corners.map_or(0, |corners| corners.count.saturating_mul(3));
     values.count.saturating_mul(counts.numbers).saturating_add(corners)

@@ -38,7 +38,6 @@ use super::{BlobError, Digest, Owner};
 use crate::lock;
 use changes::{Inner, Kind};
 
-/// Folder of the uploads.
 const UPLOADS: &str = "uploads";
 /// A file that one process holds locked.
 const LOCK: &str = "lock";
@@ -143,7 +142,6 @@ impl ObjectBlobs {
     }
 }
 
-/// Makes and locks the folder.
 fn open_folder(root: &FilePath, options: &BlobOptions) -> Result<(Arc<LocalFileSystem>, Folder, File), BlobError> {
     fs::create_dir_all(root.join(BLOBS)).map_err(io("make the folder of blobs"))?;
     let lock = File::options().write(true).create(true).truncate(false).open(root.join(LOCK));

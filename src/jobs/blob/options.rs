@@ -10,11 +10,8 @@ use std::time::Duration;
 pub struct BlobOptions {
     /// Blobs and uploads together, bytes.
     pub quota_bytes: u64,
-    /// One blob, bytes.
     pub blob_bytes: u64,
-    /// Uploads under way.
     pub uploads: usize,
-    /// How long an idle upload is kept.
     pub keep_uploads: Duration,
     /// How long an idle upload keeps its place while others need one.
     pub keep_crowded_uploads: Duration,

@@ -7,10 +7,8 @@ use object_store::path::Path;
 
 use super::Digest;
 
-/// Folder of the blobs.
 pub(super) const BLOBS: &str = "blobs";
 
-/// Where a blob lies.
 pub(super) fn path_of(digest: &Digest) -> Path {
     let name = digest.to_string();
     Path::from_iter([BLOBS, &name[..2], &name])

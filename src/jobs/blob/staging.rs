@@ -24,7 +24,6 @@ use super::BlobError;
 use super::chunk::UploadId;
 use super::digest::Tally;
 
-/// See the module's head.
 #[async_trait]
 pub(super) trait Staging: Send + Sync {
     /// The uploads that an earlier process left, and when each was continued last. Removes what is of no use.
@@ -46,7 +45,6 @@ pub(super) trait Staging: Send + Sync {
 /// The bytes of one upload. After an error the part is of no use; [`Staging::load`] gives what is kept.
 #[async_trait]
 pub(super) trait Part: Send {
-    /// Number and digest of the bytes.
     fn tally(&self) -> &Tally;
 
     /// Adds bytes at the end; `crc32c` was checked.

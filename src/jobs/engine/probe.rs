@@ -21,21 +21,15 @@ pub const PROBE_TIME: Duration = Duration::from_secs(10);
 /// times below; a device that computes nonsense does not.
 const TOLERANCE: f64 = 1e-4;
 
-/// Why a probe did not pass.
 #[derive(Clone, Debug, thiserror::Error)]
 pub enum ProbeError {
-    /// The work failed.
     #[error(transparent)]
     Job(#[from] JobError),
-    /// The work did not end.
     #[error("the backend did not answer within {} s", PROBE_TIME.as_secs())]
     Silent,
 }
 
 /// Asks for one diagram.
-///
-/// # Errors
-/// [`ProbeError`].
 pub async fn probe(engine: &Engine) -> Result<(), ProbeError> {
     let mut pending = engine.submit(Admission::Session, Retry::Never, |backends, context| {
         Ok(check(backends.choose(BackendChoice::Auto)?.as_ref(), &context.token)?)

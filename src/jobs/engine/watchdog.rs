@@ -40,15 +40,9 @@ pub enum Work {
     /// All of it stops in time.
     Stops,
     /// Some goes on in this stage.
-    Stuck {
-        /// See [`Token::enter`].
-        stage: &'static str,
-    },
+    Stuck { stage: &'static str },
     /// Some went on for so long that it will not stop. Only the end of the process ends it.
-    Lost {
-        /// See [`Token::enter`].
-        stage: &'static str,
-    },
+    Lost { stage: &'static str },
 }
 
 /// How often work is looked at.
@@ -113,7 +107,6 @@ impl Drop for Shared {
 }
 
 impl Watchdog {
-    /// Starts the thread.
     pub(crate) fn start(ceilings: Ceilings) -> std::io::Result<Self> {
         let work = watch::Sender::new(Work::Stops);
         let shared =
@@ -133,7 +126,6 @@ impl Watchdog {
         token
     }
 
-    /// Watches work that begins now.
     pub(crate) fn watch(&self, token: &Token) -> WatchGuard {
         let base_bytes = held_for_work(&self.shared.besides);
         let mut state = lock(&self.shared.state);
@@ -146,12 +138,10 @@ impl Watchdog {
         WatchGuard { shared: Arc::clone(&self.shared), number, token: token.clone() }
     }
 
-    /// See [`crate::Engine::memory_outside_jobs`].
     pub(crate) fn memory_outside_jobs(&self) -> Arc<AtomicI64> {
         Arc::clone(&self.shared.besides)
     }
 
-    /// See [`crate::Engine::watch_work`].
     pub(crate) fn work(&self) -> watch::Receiver<Work> {
         self.shared.work.subscribe()
     }
@@ -180,7 +170,6 @@ fn watch_all(shared: &Weak<Shared>) {
     }
 }
 
-/// One look at all work.
 fn look(entries: &mut [Entry], ceilings: &Ceilings, besides: &AtomicI64) -> Work {
     if let Some(limit_bytes) = ceilings.memory_bytes.filter(|_| !entries.is_empty()) {
         let held = held_for_work(besides);

@@ -23,7 +23,6 @@ use wire::counts::Bounds;
 use wire::options::{Start, fill};
 use wire::proto::ArrayForm;
 
-/// Why a job was not done.
 #[derive(Debug)]
 pub(crate) enum WorkError {
     /// It cannot be done, for this reason.
@@ -38,7 +37,6 @@ impl<E: Into<JobError>> From<E> for WorkError {
     }
 }
 
-/// A failure of this kind.
 pub(crate) fn failure(kind: FailureKind, message: impl Into<String>) -> WorkError {
     WorkError::Failure(Failure { kind, message: message.into() })
 }
@@ -50,15 +48,9 @@ fn bad(field: &str, problem: impl std::fmt::Display) -> WorkError {
 /// Reads blobs, whole.
 pub(crate) trait ReadBlob {
     /// The bytes of a blob.
-    ///
-    /// # Errors
-    /// What the store says.
     fn read(&self, digest: Digest) -> Result<Vec<u8>, BlobError>;
 
     /// How many bytes it has.
-    ///
-    /// # Errors
-    /// What the store says.
     fn size_bytes(&self, digest: Digest) -> Result<u64, BlobError>;
 }
 
@@ -216,9 +208,6 @@ struct Surface {
 
 impl Reader<'_> {
     /// Reads the surface.
-    ///
-    /// # Errors
-    /// A failure that names the field, or why it was stopped. The same for what follows.
     fn surface(&self, task: &Task) -> Result<Surface, WorkError> {
         self.token.enter("read");
         let surface = match &task.mesh {

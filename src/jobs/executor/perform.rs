@@ -47,9 +47,6 @@ impl JobContext<'_> {
 }
 
 /// Does the work.
-///
-/// # Errors
-/// Why it cannot be done, or was stopped.
 pub(crate) fn perform(task: &Task, context: &JobContext<'_>) -> Result<Parts, WorkError> {
     context.token.check()?;
     match &task.operation {

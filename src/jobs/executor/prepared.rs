@@ -24,9 +24,7 @@ use geometry::token::{Stopped, Token};
 pub struct Input {
     /// The surface, caller's coordinates.
     pub mesh: TriMesh,
-    /// How long edges should be, and where.
     pub density: DensityOptions,
-    /// The seeds, or how to draw them.
     pub seeds: Seeds,
     /// Edges that are creases whatever their angle; of no use but to a remesh.
     pub creases: Vec<[u32; 2]>,
@@ -41,9 +39,7 @@ pub struct Prepared {
     pub surface: Arc<Surface>,
     /// At least one, finite, caller's coordinates.
     pub seeds: Arc<Vec<DVec3>>,
-    /// The random seed, if they were drawn.
     pub random_seed: Option<u64>,
-    /// What came in.
     pub figures: InputFigures,
     /// `prepare` and `sample` are set.
     pub timings: Timings,
@@ -61,9 +57,6 @@ impl Prepared {
 
     /// The same for steps alone, as a remesh takes them: facets that are long beside the cells are divided, so that steps
     /// take less time ([`Plan::divided`]).
-    ///
-    /// # Errors
-    /// As [`Self::new`].
     pub fn for_steps(input: Input, token: &Token) -> Result<Self, JobError> {
         Self::with(input, token, |plan| plan.divided(token))
     }

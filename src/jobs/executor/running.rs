@@ -83,7 +83,6 @@ impl Work {
         Self { inner, id, claimed: None }
     }
 
-    /// Does it, once or again.
     pub(super) fn run(&mut self, backends: &Backends, context: &WorkContext) -> Result<(), JobError> {
         let Some(inner) = self.inner.upgrade() else { return Ok(()) };
         let Some(job) = self.claim(&inner) else { return Ok(()) };
@@ -122,7 +121,6 @@ impl Work {
     }
 }
 
-/// A job that was claimed.
 struct AtWork {
     inner: Arc<Inner>,
     job: Job,
@@ -184,7 +182,6 @@ impl AtWork {
         self.keep(parts)
     }
 
-    /// Stores the parts of a result.
     fn keep(&self, parts: Parts) -> Result<ResultSet, WorkError> {
         let (inner, pin) = (&*self.inner, result_pin(self.job.id));
         let mut result = ResultSet::default();
@@ -223,7 +220,6 @@ impl AtWork {
         Ok(result)
     }
 
-    /// Records how the job ended.
     fn record_outcome(&self, outcome: Result<ResultSet, WorkError>) {
         let (inner, job) = (&*self.inner, &self.job);
         let change = match outcome {

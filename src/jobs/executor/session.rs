@@ -31,7 +31,6 @@ pub struct Steps {
     pub taken: Vec<(Iteration, Option<Vec<DVec3>>)>,
 }
 
-/// See the module's head.
 pub struct CvtSession {
     engine: Engine,
     by: BackendInfo,
@@ -59,17 +58,14 @@ impl CvtSession {
         })
     }
 
-    /// The session that was opened.
     pub fn new(engine: Engine, (cvt, by): (Cvt, BackendInfo)) -> Self {
         Self { engine, by, cvt: Some(cvt) }
     }
 
-    /// The backend that does the work.
     pub fn by(&self) -> &BackendInfo {
         &self.by
     }
 
-    /// How many seeds there are.
     pub fn seed_count(&self) -> usize {
         self.cvt.as_ref().map_or(0, Cvt::len)
     }

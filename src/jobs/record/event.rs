@@ -14,30 +14,23 @@ use crate::record::state::State;
 /// The most stages and iterations that are kept of a job.
 pub const KEPT_PROGRESS: usize = 64;
 
-/// Something that happened.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Event {
     /// From 1, rising.
     pub number: u64,
-    /// When.
     pub at: Time,
-    /// What.
     pub what: What,
 }
 
-/// What happened.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case", deny_unknown_fields)]
 pub enum What {
-    /// The job came into this state.
     State {
-        /// Which.
         state: State,
         /// Times that it had been begun by then.
         attempt: u32,
     },
-    /// Something of its work.
     Progress(Progress),
 }
 
@@ -49,12 +42,10 @@ pub enum Progress {
     Stage {
         /// Its name, as in the stream's `Progress`.
         name: String,
-        /// Steps done.
         done: u64,
         /// Steps planned; 0 if not known.
         total: u64,
     },
-    /// A step was taken.
     Iteration {
         /// From 0.
         index: u64,
@@ -120,7 +111,6 @@ impl Log {
     }
 }
 
-/// Some events of a job.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Events {
     /// By number.

@@ -64,12 +64,10 @@ impl Spec {
         Ok(Self { tenant, request_id, message: Arc::new(message), task: Arc::new(task) })
     }
 
-    /// As it came.
     pub fn message(&self) -> &proto::JobSpec {
         &self.message
     }
 
-    /// For those that do it.
     pub fn task(&self) -> &Task {
         &self.task
     }

@@ -42,7 +42,6 @@ pub(super) enum Kind {
     Shared,
 }
 
-/// See the module's head.
 pub(super) struct Inner {
     pub(super) objects: Arc<dyn ObjectStore>,
     pub(super) staging: Box<dyn Staging>,

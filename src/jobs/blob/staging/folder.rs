@@ -31,7 +31,6 @@ const SYNC_BYTES: u64 = 32 << 20;
 /// A line of the sums: the end of a chunk (8 bytes) and its CRC-32C (4 bytes), little-endian.
 const SUM_BYTES: usize = 12;
 
-/// See the module's head.
 #[derive(Debug)]
 pub(in crate::blob) struct Folder {
     objects: Arc<LocalFileSystem>,

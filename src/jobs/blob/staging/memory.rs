@@ -17,7 +17,6 @@ use crate::blob::chunk::UploadId;
 use crate::blob::digest::Tally;
 use crate::blob::error::{join, object};
 
-/// See the module's head.
 #[derive(Debug)]
 pub(in crate::blob) struct Memory(pub(in crate::blob) Arc<dyn ObjectStore>);
 

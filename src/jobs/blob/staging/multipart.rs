@@ -31,7 +31,6 @@ use crate::blob::place::path_of;
 /// Bytes of a part. S3 takes 5 MiB to 5 GiB, and 10,000 parts.
 const PART_BYTES: usize = 8 << 20;
 
-/// See the module's head.
 #[derive(Clone)]
 pub(in crate::blob) struct Multipart {
     pub(in crate::blob) objects: Arc<dyn ObjectStore>,

@@ -20,7 +20,6 @@ const DAMAGED: &str = "journal.damaged";
 /// The folder of the new journal until it is whole.
 const NEW: &str = "journal.repaired";
 
-/// What a journal holds.
 #[derive(Debug)]
 pub struct Findings {
     /// What is wrong with it; nothing if it is whole.
@@ -74,9 +73,6 @@ pub fn check(folder: &Path) -> Result<Findings, StoreError> {
 }
 
 /// Puts a new journal with all jobs that can be read in the place of a damaged one. One that is whole stays as it is.
-///
-/// # Errors
-/// As [`check`].
 pub async fn repair(folder: &Path) -> Result<Findings, StoreError> {
     let directory = Directory::locked(folder)?;
     let (rows, faults) = read(&directory, folder)?;

@@ -26,10 +26,8 @@ const TO_BE_RECOVERED: u8 = 2;
 /// The most that a file may have been longer, as a factor.
 const LONGEST_CUT: u64 = 64;
 
-/// The rows of one table, by key.
 type TableRows = BTreeMap<Vec<u8>, Vec<u8>>;
 
-/// See the module's head.
 pub(super) struct Rows {
     heads: TableRows,
     specs: TableRows,
@@ -59,9 +57,6 @@ impl Rows {
     ///
     /// A journal whose process was killed is to be recovered, which fails if a single page is damaged. So it is read as it
     /// lies, from the one root and from the other, and what gives more counts.
-    ///
-    /// # Errors
-    /// What is wrong, if nothing of it can be read.
     pub(super) fn read(copy: &Path) -> Result<Self, String> {
         let flags = fs::read(copy).ok().and_then(|bytes| bytes.get(FLAGS_AT as usize).copied());
         let flags = flags.ok_or("it has no header")? & !TO_BE_RECOVERED;
