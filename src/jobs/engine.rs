@@ -36,7 +36,6 @@ pub use worker::{Device, EngineOptions, LossPolicy, Retry, Timed, WorkContext};
 /// Work that was submitted. Dropping it cancels the work.
 #[derive(Debug)]
 pub struct Pending<R> {
-    /// How many were ahead of it.
     pub position: usize,
     reply: oneshot::Receiver<Result<Timed<R>, JobError>>,
     token: Token,
@@ -98,7 +97,6 @@ impl Engine {
         Self::start_observed(factory, options, Arc::new(()))
     }
 
-    /// As [`Self::start`], with an observer of all work.
     pub fn start_observed(
         factory: impl FnMut() -> Result<Backends, JobError> + Send + 'static,
         options: EngineOptions,

@@ -79,28 +79,6 @@ impl ExecutorOptions {
     }
 }
 
-/// What blobs may take.
-#[derive(Clone, Copy, Debug)]
-pub struct BlobRoom {
-    /// All together, bytes.
-    pub quota_bytes: u64,
-    /// Of the disk they leave so much free, bytes.
-    pub reserve_bytes: u64,
-}
-
-impl Default for BlobRoom {
-    fn default() -> Self {
-        let BlobOptions { quota_bytes, reserve_bytes, .. } = BlobOptions::default();
-        Self { quota_bytes, reserve_bytes }
-    }
-}
-
-impl BlobRoom {
-    fn options(self) -> BlobOptions {
-        BlobOptions::default().with_quota_bytes(self.quota_bytes).with_reserve_bytes(self.reserve_bytes)
-    }
-}
-
 #[derive(Clone)]
 pub struct Stores {
     pub jobs: Arc<dyn JobStore>,
@@ -108,13 +86,13 @@ pub struct Stores {
 }
 
 impl Stores {
-    /// In a folder, which is made if need be; with so much room for blobs.
+    /// In a folder, which is made if need be.
     ///
     /// # Errors
     /// `InUse` if another process has it, or why it cannot be used.
-    pub async fn in_folder(folder: PathBuf, room: BlobRoom) -> Result<Self, JobApiError> {
+    pub async fn in_folder(folder: PathBuf, blobs: BlobOptions) -> Result<Self, JobApiError> {
         let jobs = journal(folder.clone()).await?;
-        let blobs = ObjectBlobs::local(folder.join("blobs"), room.options()).await?;
+        let blobs = ObjectBlobs::local(folder.join("blobs"), blobs).await?;
         Ok(Self { jobs, blobs: Arc::new(blobs) })
     }
 
@@ -123,23 +101,23 @@ impl Stores {
     ///
     /// # Errors
     /// `InUse` if another process has the folder, or why folder or bucket cannot be used.
-    pub async fn in_bucket(folder: PathBuf, url: &str, room: BlobRoom) -> Result<Self, JobApiError> {
+    pub async fn in_bucket(folder: PathBuf, url: &str, blobs: BlobOptions) -> Result<Self, JobApiError> {
         #[cfg(feature = "s3")]
         {
             let jobs = journal(folder).await?;
-            let blobs = ObjectBlobs::s3(url, [], room.options()).await?;
+            let blobs = ObjectBlobs::s3(url, [], blobs).await?;
             Ok(Self { jobs, blobs: Arc::new(blobs) })
         }
         #[cfg(not(feature = "s3"))]
         {
-            let _ = (folder, room);
+            let _ = (folder, blobs);
             Err(BlobError::Unavailable(format!("{url}: this program was built without the feature s3")).into())
         }
     }
 
-    /// In memory, gone with the process; with so much room for blobs.
-    pub fn ephemeral(room: BlobRoom) -> Self {
-        Self { jobs: Arc::new(MemoryStore::default()), blobs: Arc::new(ObjectBlobs::in_memory(room.options())) }
+    /// In memory, gone with the process.
+    pub fn ephemeral(blobs: BlobOptions) -> Self {
+        Self { jobs: Arc::new(MemoryStore::default()), blobs: Arc::new(ObjectBlobs::in_memory(blobs)) }
     }
 }
 
@@ -362,7 +340,6 @@ impl Inner {
         }
     }
 
-    /// Whether this server takes a job with these counts.
     fn within_bounds(&self, counts: &Counts) -> Result<(), JobApiError> {
         let bounds = &self.options.bounds;
         for (field, what, count, most) in [
@@ -407,7 +384,7 @@ impl Inner {
         let counts = self.forecast.counts(spec, None).await?;
         self.within_bounds(&counts)?;
         let need = self.forecast.need(&counts);
-        must_fit(&need, self.forecast.limits())?;
+        must_fit(&need, self.engine.memory())?;
         Ok(need.memory)
     }
 }
@@ -415,7 +392,36 @@ impl Inner {
 #[async_trait]
 impl JobApi for Executor {
     async fn create(&self, spec: Spec) -> Result<Created, JobApiError> {
-        self.inner.create(spec).await
+        let this = &self.inner;
+        // Its input may be gone by now, and is not needed.
+        if !spec.request_id.is_empty()
+            && let Some(job) = this.stores.jobs.requested(spec.clone()).await?
+        {
+            return Ok(Created { job, existed: true });
+        }
+        this.has_place(&spec.tenant)?;
+        let random = getrandom_u128()?;
+        let pin = input_pin(JobId::new(Time(0), random));
+        this.check_input(&spec).await?;
+        // Before anything is promised: from here on nothing evicts the input.
+        this.stores.blobs.pin_for(Owner::of(&spec.tenant), &pin, &spec.task().blobs()).await?;
+        let created = match this.admit(&spec).await {
+            Ok(needs) => this.stores.jobs.create(NewJob { random, spec, needs }).await.map_err(JobApiError::from),
+            Err(error) => Err(error),
+        };
+        match created {
+            Ok(created) if !created.existed => {
+                // Kept is kept: if it cannot be queued now, the next start does.
+                if let Err(error) = this.enqueue(&created.job).await {
+                    tracing::warn!(id = %created.job.id, %error, "a job waits for the next start");
+                }
+                Ok(created)
+            }
+            other => {
+                this.unpin(&pin).await;
+                other
+            }
+        }
     }
 
     async fn get(&self, tenant: &str, id: JobId) -> Result<Job, JobApiError> {
@@ -467,7 +473,7 @@ impl JobApi for Executor {
         let given = vertices.zip(facets);
         let counts = self.inner.forecast.counts(&spec, given).await?;
         let need = self.inner.forecast.need(&counts);
-        let limits = self.inner.forecast.limits();
+        let limits = self.inner.engine.memory();
         let in_bounds = self.inner.within_bounds(&counts).is_ok();
         Ok(Estimate {
             host_bytes: need.memory.host,
@@ -496,40 +502,6 @@ impl JobApi for Executor {
         self.inner.engine.release_kept();
         while self.inner.engine.kept(None) > 0 {
             tokio::time::sleep(Duration::from_millis(10)).await;
-        }
-    }
-}
-
-impl Inner {
-    async fn create(self: &Arc<Self>, spec: Spec) -> Result<Created, JobApiError> {
-        // Its input may be gone by now, and is not needed.
-        if !spec.request_id.is_empty()
-            && let Some(job) = self.stores.jobs.requested(spec.clone()).await?
-        {
-            return Ok(Created { job, existed: true });
-        }
-        self.has_place(&spec.tenant)?;
-        let random = getrandom_u128()?;
-        let pin = input_pin(JobId::new(Time(0), random));
-        self.check_input(&spec).await?;
-        // Before anything is promised: from here on nothing evicts the input.
-        self.stores.blobs.pin_for(Owner::of(&spec.tenant), &pin, &spec.task().blobs()).await?;
-        let created = match self.admit(&spec).await {
-            Ok(needs) => self.stores.jobs.create(NewJob { random, spec, needs }).await.map_err(JobApiError::from),
-            Err(error) => Err(error),
-        };
-        match created {
-            Ok(created) if !created.existed => {
-                // Kept is kept: if it cannot be queued now, the next start does.
-                if let Err(error) = self.enqueue(&created.job).await {
-                    tracing::warn!(id = %created.job.id, %error, "a job waits for the next start");
-                }
-                Ok(created)
-            }
-            other => {
-                self.unpin(&pin).await;
-                other
-            }
         }
     }
 }

@@ -33,7 +33,7 @@ use geometry::token::{Stopped, Token};
 
 pub use engine::{Admission, AdmissionRequest, Bytes, Ceilings, Engine, EngineOptions, LossPolicy, Retry, Weights};
 pub use engine::{Device, Pending, Reservation, Timed, Work, WorkContext};
-pub use executor::{BlobRoom, Executor, ExecutorOptions, Stores};
+pub use executor::{Executor, ExecutorOptions, Stores};
 
 /// Locks a mutex whose content is never left half changed, so that it is good even after a panic.
 pub fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
@@ -43,7 +43,6 @@ pub fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
 /// Makes a CPU backend with this many threads of its own.
 pub type PoolFactory = fn(usize) -> Result<Arc<dyn Backend>, RvdError>;
 
-/// The backends of this process.
 #[derive(Clone)]
 pub struct Backends {
     /// The GPU backend, or the reason why there is none.
@@ -92,7 +91,6 @@ impl Backends {
     }
 }
 
-/// The backend, as callers see it.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct BackendInfo {
     pub kind: BackendKind,
@@ -106,7 +104,6 @@ impl BackendInfo {
     }
 }
 
-/// Why a job was refused or failed.
 #[derive(Clone, Debug, thiserror::Error)]
 pub enum JobError {
     #[error("{waiting} jobs wait already, as many as may; try again in {} s", .retry_after.as_secs_f64())]

@@ -52,7 +52,6 @@ impl JobId {
         Self((time | (random & ((1 << 80) - 1))).to_be_bytes())
     }
 
-    /// The random number in it.
     pub(crate) fn random(self) -> u128 {
         u128::from_be_bytes(self.0) & ((1 << 80) - 1)
     }
@@ -113,7 +112,6 @@ pub struct Status {
     pub changed: Time,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub started: Option<Time>,
-    /// Times it was begun.
     pub attempts: u32,
     /// Times its executor went away without a word.
     pub crashes: u32,
@@ -122,7 +120,6 @@ pub struct Status {
     pub due: Option<Time>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub holder: Option<Holder>,
-    /// How it ended, once it has.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub outcome: Option<Outcome>,
 }
@@ -166,7 +163,6 @@ pub struct Failure {
 pub enum FailureKind {
     /// The input or an option is wrong: the same job fails again.
     BadInput,
-    /// A blob of the input is not there.
     MissingInput,
     /// It needs more memory or time than it may have.
     TooLarge,
@@ -180,11 +176,8 @@ pub enum FailureKind {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Cause {
-    /// It waited longer than its deadline for the queue.
     QueueDeadline,
-    /// It ran longer than its deadline for running.
     RunDeadline,
-    /// Its result was kept as long as results are.
     Kept,
 }
 
@@ -218,7 +211,6 @@ impl Change {
 }
 
 impl Status {
-    /// That of a job which has just been created.
     pub fn new(deadlines: Deadlines, now: Time) -> Self {
         Self {
             state: State::Queued,
@@ -234,7 +226,6 @@ impl Status {
         }
     }
 
-    /// After a change.
     pub fn changed(
         &self,
         deadlines: Deadlines,
@@ -295,7 +286,6 @@ impl Bytes {
     /// More than there ever is.
     pub const MAX: Self = Self { host: u64::MAX, device: u64::MAX };
 
-    /// Whether both are at most those of `room`.
     pub fn fits(self, room: Self) -> bool {
         self.host <= room.host && self.device <= room.device
     }

@@ -28,7 +28,6 @@ pub use self::redb::repair::{Findings, check, repair};
 pub use self::redb::{RedbOptions, RedbStore};
 pub use container::MemoryStore;
 
-/// What an operation comes to.
 pub type Answer<'a, T> = Pin<Box<dyn Future<Output = Result<T, StoreError>> + Send + 'a>>;
 
 /// A store of jobs. See the module's head for what an answer promises. An operation whose future is dropped may still happen.
@@ -130,7 +129,6 @@ pub struct Offer {
     pub holder: String,
     /// The time until others may take the job for orphaned.
     pub lease: Duration,
-    /// Memory that is free for the job.
     pub room: Bytes,
     /// This job alone: for a process that has all waiting jobs in a queue of its own.
     pub job: Option<JobId>,
@@ -180,7 +178,6 @@ impl fmt::Debug for Clock {
 #[derive(Clone, Debug, PartialEq)]
 pub struct Created {
     pub job: Job,
-    /// Whether an earlier request had created it.
     pub existed: bool,
 }
 
@@ -223,12 +220,10 @@ pub struct Retention {
     pub records: Duration,
 }
 
-/// What [`JobStore::expire`] did.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Swept {
     pub expired: Vec<JobId>,
     pub deleted: Vec<JobId>,
-    /// Whether there may be more to do.
     pub more: bool,
 }
 
@@ -241,7 +236,6 @@ pub enum Orphans {
     LeaseOver,
 }
 
-/// What [`JobStore::recover`] found.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Recovered {
     /// Orphaned jobs that wait again.

@@ -87,7 +87,6 @@ impl Assembly {
         self
     }
 
-    /// The array that a chunk belongs to.
     fn array(&mut self, kind: ArrayKind, attribute: u32) -> Option<&mut Array> {
         if kind == ArrayKind::Scalars {
             let (_, values, _) = self.attributes.get_mut(attribute as usize)?;

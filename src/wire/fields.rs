@@ -8,10 +8,9 @@
 use prost_reflect::{DynamicMessage, FieldDescriptor, Kind, Value};
 use serde_json::json;
 
-use super::json::{descriptor, to_value};
+use super::json::{comment, descriptor, to_value};
 use super::options::of_remesh;
 use super::proto::RemeshOptions;
-use super::schema::comment;
 use geometry::remesh::RemeshOptions as Options;
 
 /// The message within the options whose fields have names of their own.
@@ -104,7 +103,6 @@ impl Field {
     }
 }
 
-/// Options that are being read.
 #[derive(Debug)]
 pub struct Fields {
     all: Vec<Field>,

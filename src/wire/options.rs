@@ -42,7 +42,6 @@ pub struct Diagram {
     pub outputs: Outputs,
 }
 
-/// What of a diagram is wanted.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Outputs {
     pub cells: bool,
@@ -50,10 +49,8 @@ pub struct Outputs {
     pub sums: bool,
 }
 
-/// The seeds and the density of options.
 pub trait Start {
     fn seeds(&self) -> &Seeds;
-    fn density(&self) -> &DensityOptions;
     fn start(&mut self) -> (&mut Seeds, &mut DensityOptions);
 }
 
@@ -62,10 +59,6 @@ macro_rules! start {
         $(impl Start for $of {
             fn seeds(&self) -> &Seeds {
                 &self.seeds
-            }
-
-            fn density(&self) -> &DensityOptions {
-                &self.density
             }
 
             fn start(&mut self) -> (&mut Seeds, &mut DensityOptions) {

@@ -15,7 +15,6 @@ use gpu::SessionForecast;
 use wire::options::{Diagram, Session, source};
 pub use wire::proto::DensitySource;
 
-/// What is known of a job before it runs.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Counts {
     pub kind: Kind,
@@ -96,7 +95,6 @@ impl Counts {
     }
 }
 
-/// What a job needs.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Need {
     /// Growth of the process's memory over that of an idle one, at most, and buffers on the device.

@@ -68,7 +68,6 @@ impl FromStr for UploadId {
     }
 }
 
-/// Consecutive bytes of an upload.
 #[derive(Clone, Debug)]
 pub struct Chunk {
     pub offset: u64,
@@ -106,7 +105,6 @@ impl Chunk {
     }
 }
 
-/// How far an upload is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct UploadStatus {
     /// Bytes that are stored; the next chunk begins here.

@@ -4,6 +4,7 @@
 //! Invariant: the text form is 64 lower-case hexadecimal digits, and only that form parses.
 //! Must not know: where bytes come from.
 
+use object_store::path::Path;
 use sha2::Digest as _;
 use sha2::Sha256;
 use sha2::digest::common::hazmat::{SerializableState, SerializedState};
@@ -62,6 +63,14 @@ impl From<[u8; 32]> for Digest {
     }
 }
 
+/// Folder of the blobs in a store of objects. Not too many lie in one folder.
+pub(super) const BLOBS: &str = "blobs";
+
+pub(super) fn path_of(digest: &Digest) -> Path {
+    let name = digest.to_string();
+    Path::from_iter([BLOBS, &name[..2], &name])
+}
+
 hex_name!(Digest);
 
 impl TryFrom<String> for Digest {
@@ -101,7 +110,6 @@ pub(crate) fn from_hex<const N: usize>(text: &str) -> Result<[u8; N], DigestErro
     Ok(out)
 }
 
-/// The number of bytes so far, and their hash.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Tally {
     sha: Sha256,

@@ -67,7 +67,6 @@ impl Owners {
         self.of_blob.contains_key(digest)
     }
 
-    /// Removes an owner. Returns whether it was one.
     pub(super) fn take(&mut self, digest: &Digest, owner: Owner) -> bool {
         let Some(owners) = self.of_blob.get_mut(digest) else { return false };
         let had = owners.remove(&owner).is_some();

@@ -7,6 +7,7 @@
 
 use std::fmt::Debug;
 use std::ops::Range;
+use std::time::Duration;
 
 use async_trait::async_trait;
 use bytes::Bytes;
@@ -17,6 +18,36 @@ use super::{BlobError, Digest, Owner};
 
 /// The longest piece that a read gives, bytes.
 pub const READ_BYTES: usize = 1 << 20;
+
+/// How much is kept, and how long. The defaults suit a server with a disk of its own.
+#[derive(Clone, Copy, Debug)]
+pub struct BlobOptions {
+    pub quota_bytes: u64,
+    pub blob_bytes: u64,
+    pub uploads: usize,
+    pub keep_uploads: Duration,
+    /// How long an idle upload keeps its place while others need one.
+    pub keep_crowded_uploads: Duration,
+    /// Whether the disk must have a blob before it is said to be stored. Without, a loss of power may lose blobs.
+    pub fsync: bool,
+    /// Bytes of the disk that stay free: for the journal, which must never find it full.
+    pub reserve_bytes: u64,
+}
+
+impl Default for BlobOptions {
+    fn default() -> Self {
+        Self {
+            quota_bytes: 64 << 30,
+            blob_bytes: 16 << 30,
+            uploads: 256,
+            keep_uploads: Duration::from_secs(24 * 3600),
+            // Twice the pause that a client may make between two pieces.
+            keep_crowded_uploads: Duration::from_secs(120),
+            fsync: true,
+            reserve_bytes: 64 << 20,
+        }
+    }
+}
 
 /// The bytes of a range, in order, in pieces of at most [`READ_BYTES`].
 pub type ByteStream = BoxStream<'static, Result<Bytes, BlobError>>;

@@ -24,7 +24,6 @@ const FEW: usize = 8;
 pub(super) enum Slot {
     /// The storage has it; it is to be read before its next use.
     Kept,
-    /// Ready for the next chunk.
     Open(Box<dyn Part>),
     /// Finished or removed; the table has it no more.
     Gone,
@@ -104,7 +103,6 @@ impl Uploads {
         lock(&self.0).remove(id);
     }
 
-    /// Uploads that were idle for `time`.
     pub(super) fn idle(&self, time: Duration) -> Vec<UploadId> {
         lock(&self.0).iter().filter(|(_, upload)| upload.idle() >= time).map(|(id, _)| *id).collect()
     }

@@ -167,7 +167,6 @@ struct GatedSession {
 }
 
 impl GatedSession {
-    /// A session that was just opened.
     fn new(session: Box<dyn Session>, gate: Option<Arc<Gate>>, kind: BackendKind, activity: Arc<Activity>) -> Self {
         let work = session.device_work();
         let mut session = Self { session, gate, kind, activity, planned: 0, work };

@@ -29,7 +29,6 @@ pub enum ProbeError {
     Silent,
 }
 
-/// Asks for one diagram.
 pub async fn probe(engine: &Engine) -> Result<(), ProbeError> {
     let mut pending = engine.submit(Admission::Session, Retry::Never, |backends, context| {
         Ok(check(backends.choose(BackendChoice::Auto)?.as_ref(), &context.token)?)
@@ -40,7 +39,6 @@ pub async fn probe(engine: &Engine) -> Result<(), ProbeError> {
     }
 }
 
-/// Computes the diagram and compares.
 fn check(backend: &dyn Backend, token: &Token) -> Result<(), RvdError> {
     let corners = [DVec3::X, DVec3::NEG_X, DVec3::Y, DVec3::NEG_Y, DVec3::Z, DVec3::NEG_Z];
     let facets = vec![[0, 2, 4], [2, 1, 4], [1, 3, 4], [3, 0, 4], [2, 0, 5], [1, 2, 5], [3, 1, 5], [0, 3, 5]];

@@ -32,10 +32,8 @@ pub enum Admission {
     Continuation,
 }
 
-/// The two kinds of workers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Lane {
-    /// Whole jobs.
     Jobs,
     /// Pieces of admitted work.
     Short,
@@ -43,7 +41,6 @@ pub(crate) enum Lane {
 
 /// What waits. Dropping an item must be harmless.
 pub(crate) trait Item: Send {
-    /// Whether somebody still waits for the answer.
     fn is_wanted(&self) -> bool;
     /// The flag that stops it while it runs.
     fn token(&self) -> &Token;
@@ -74,7 +71,6 @@ pub(crate) struct Queue<T> {
 struct State<T> {
     jobs: Schedule<Waiting<T>>,
     short: VecDeque<T>,
-    /// When each reservation was made, by number.
     reservations: BTreeMap<u64, Instant>,
     tickets: u64,
     running: HashMap<u64, Running>,

@@ -147,7 +147,6 @@ impl<T> Schedule<T> {
         self.running.len()
     }
 
-    /// Jobs that wait, in no order.
     pub(crate) fn iter(&self) -> impl Iterator<Item = &T> {
         self.tenants.values().flat_map(|tenant| tenant.waiting.values().map(|waiting| &waiting.item))
     }

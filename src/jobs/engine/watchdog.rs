@@ -37,12 +37,15 @@ impl Default for Ceilings {
 /// State of the work that was asked to stop.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Work {
-    /// All of it stops in time.
     Stops,
     /// Some goes on in this stage.
-    Stuck { stage: &'static str },
+    Stuck {
+        stage: &'static str,
+    },
     /// Some went on for so long that it will not stop. Only the end of the process ends it.
-    Lost { stage: &'static str },
+    Lost {
+        stage: &'static str,
+    },
 }
 
 /// How often work is looked at.
@@ -98,7 +101,6 @@ impl Drop for WatchGuard {
     }
 }
 
-/// Ends the thread with the last handle.
 impl Drop for Shared {
     fn drop(&mut self) {
         lock(&self.state).ended = true;

@@ -136,7 +136,6 @@ pub(super) struct Shared {
 struct BackendFactory {
     make: Box<dyn FnMut() -> Result<Backends, JobError> + Send>,
     tried: Instant,
-    /// Since when there is no device.
     outage: Option<Instant>,
 }
 
@@ -389,7 +388,6 @@ pub enum Retry {
     Never,
 }
 
-/// What a piece of work sees besides the backends.
 #[derive(Clone, Debug)]
 pub struct WorkContext {
     /// Set when the caller has gone or the process must end.
@@ -444,7 +442,6 @@ pub(super) struct Call<R, F> {
     pub(super) activity: ActivityState,
 }
 
-/// The metrics and the trace of a call.
 pub(super) enum ActivityState {
     Queued(QueuedActivity),
     Running(Arc<Activity>),

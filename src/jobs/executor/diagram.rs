@@ -178,7 +178,6 @@ impl Diagram {
     }
 }
 
-/// A session of the surface that has the seeds.
 fn open(surface: &Arc<Surface>, seeds: &[DVec3], backend: &dyn Backend) -> Result<Box<dyn Session>, JobError> {
     let mut session = backend.session(Arc::clone(surface), SessionOptions::new(seeds.len()))?;
     let unit: Vec<DVec3> = seeds.iter().map(|&p| surface.frame().to_unit(p)).collect();

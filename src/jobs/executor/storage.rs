@@ -20,7 +20,6 @@ const TOKEN_POLL: Duration = Duration::from_millis(20);
 
 #[derive(Debug, Default)]
 pub(super) struct Storage {
-    /// Why nothing can be stored now.
     outage: watch::Sender<Option<BlobError>>,
 }
 
@@ -29,7 +28,6 @@ pub(super) struct Storage {
 pub(super) enum StorageError {
     /// No wait would help.
     Blob(BlobError),
-    /// The job was stopped while it waited.
     Stopped(Stopped),
 }
 

@@ -77,7 +77,6 @@ pub trait Listener: Send + Sync {
     fn seeds(&self, _steps: usize, _seeds: &[DVec3]) {}
 }
 
-/// A job among those that are counted.
 struct Counted {
     observer: Arc<dyn Observer>,
     kind: Kind,
@@ -188,7 +187,6 @@ impl Activity {
         lock(&self.now).span.clone()
     }
 
-    /// From now on `listener` hears of stages and steps.
     pub fn listen(&self, listener: Arc<dyn Listener>) {
         lock(&self.now).listener = Some(listener);
     }

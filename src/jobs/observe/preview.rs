@@ -62,7 +62,6 @@ impl Previews {
         lock(&self.jobs).get(&id).is_some_and(Watched::is_watched)
     }
 
-    /// Shows the seeds of a job after `steps` steps.
     pub(crate) fn show(&self, id: JobId, steps: u64, seeds: &[DVec3]) {
         if seeds.len() > MOST_SEEDS || !self.is_watched(id) {
             return;

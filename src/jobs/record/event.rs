@@ -34,11 +34,9 @@ pub enum What {
     Progress(Progress),
 }
 
-/// What an executor says of its work.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case", deny_unknown_fields)]
 pub enum Progress {
-    /// A stage began or got on.
     Stage {
         /// Its name, as in the stream's `Progress`.
         name: String,
@@ -103,7 +101,6 @@ impl Log {
         self
     }
 
-    /// At most `most` events after `after`.
     pub fn after(&self, after: u64, most: usize) -> Events {
         let events: Vec<Event> = self.0.iter().filter(|event| event.number > after).take(most).cloned().collect();
         let last = events.last().map_or(after, |event| event.number);
@@ -113,7 +110,6 @@ impl Log {
 
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Events {
-    /// By number.
     pub events: Vec<Event>,
     /// How many numbers between the one asked for and the last of these have no event: iterations that were thinned out,
     /// or were lost with the process.

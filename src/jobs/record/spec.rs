@@ -19,7 +19,6 @@ use wire::{WireError, json, proto};
 /// The longest specification, bytes of the message.
 const MAX_SPEC_BYTES: usize = 64 << 10;
 
-/// A specification that makes sense.
 #[derive(Clone, Debug)]
 pub struct Spec {
     /// Whose job it is; empty if the server knows no tenants.
@@ -73,7 +72,6 @@ impl Spec {
     }
 }
 
-/// A specification in a record.
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Kept {

@@ -22,20 +22,14 @@
 
 use serde::{Deserialize, Serialize};
 
-/// Where a job is in its life.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize, strum::IntoStaticStr)]
 #[serde(rename_all = "snake_case")]
 #[strum(serialize_all = "snake_case")]
 pub enum State {
-    /// It waits for an executor.
     Queued,
-    /// An executor has it.
     Running,
-    /// It is done and its result is kept.
     Succeeded,
-    /// It ended without a result; the failure says why.
     Failed,
-    /// Its caller ended it.
     Cancelled,
     /// A deadline passed, or its result was kept as long as results are.
     Expired,
@@ -45,7 +39,6 @@ impl State {
     pub const ALL: [Self; 6] =
         [Self::Queued, Self::Running, Self::Succeeded, Self::Failed, Self::Cancelled, Self::Expired];
 
-    /// Whether no work is left to do.
     pub fn is_ended(self) -> bool {
         !matches!(self, Self::Queued | Self::Running)
     }
@@ -56,19 +49,13 @@ impl State {
     }
 }
 
-/// What can happen to a job.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Transition {
-    /// An executor takes it.
     Claim,
-    /// Its executor puts it back.
     Release,
-    /// Its executor is gone.
     Orphan,
     Succeed,
-    /// It cannot be done.
     Fail,
-    /// Its caller no longer wants it.
     Cancel,
     Expire,
 }

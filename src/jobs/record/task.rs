@@ -9,14 +9,13 @@ use std::time::Duration;
 
 use super::Kind;
 use crate::blob::{Digest, DigestError};
-use geometry::cvt::density::DensityOptions;
 use geometry::cvt::{SeedEdit, StepKind};
 use geometry::mesh::io::Format;
 use geometry::remesh::{RemeshOptions, Seeds};
 use geometry::rvd::BackendChoice;
 use wire::attributes::AttributeCounts;
 use wire::counts::{Bounds, MeshCounts};
-use wire::options::{self, Beside, Diagram, Session, Start, choice, within};
+use wire::options::{self, Beside, Diagram, Session, choice, within};
 use wire::proto::{self, ArrayForm, AttributeType, SeedsWanted, cvt_job_command, job_mesh, job_spec, result_format};
 use wire::{WireError, attributes, codec};
 
@@ -65,26 +64,17 @@ impl Operation {
         }
     }
 
-    fn start(&self) -> &dyn Start {
-        match self {
-            Self::Remesh(options) => &**options,
-            Self::Rvd(diagram) => diagram,
-            Self::Cvt(session, _) => session,
-        }
-    }
-
     pub fn seeds(&self) -> &Seeds {
-        self.start().seeds()
-    }
-
-    pub fn density(&self) -> &DensityOptions {
-        self.start().density()
+        match self {
+            Self::Remesh(options) => &options.seeds,
+            Self::Rvd(diagram) => &diagram.seeds,
+            Self::Cvt(session, _) => &session.seeds,
+        }
     }
 }
 
 #[derive(Clone, Debug)]
 pub enum Command {
-    /// Steps of a kind.
     Step {
         /// At least 1.
         iterations: u32,
@@ -153,17 +143,14 @@ pub struct Arrays {
     pub creases: Option<ArrayRef>,
 }
 
-/// What the result of a remesh comes as.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ResultFormat {
-    /// The surface as a file.
     File(Format),
     /// Arrays as the streams send them.
     Arrays,
 }
 
 impl Task {
-    /// Checks a message.
     pub fn of(message: &proto::JobSpec) -> Read<Self> {
         let proto::JobSpec { mesh, work, backend, result, priority, queue_deadline, run_deadline, labels, arrays } =
             message;

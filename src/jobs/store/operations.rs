@@ -51,7 +51,6 @@ fn tenant_term(tenant: &str) -> Vec<u8> {
     [b"t", tenant.as_bytes(), &[0]].concat()
 }
 
-/// The terms under which a job is found.
 fn terms(head: &Head, id: JobId) -> impl Iterator<Item = Vec<u8>> {
     let labels = head.labels.iter().map(|(key, value)| label_term(key, value));
     labels.chain([tenant_term(&head.tenant)]).map(move |term| [&term[..], &id.0].concat())
@@ -156,7 +155,6 @@ pub(crate) fn adopt(tables: &mut dyn TablesMut, id: JobId, head: &Head, spec: &[
     index(tables, id, &head.status)
 }
 
-/// The job that the same request made before.
 pub(crate) fn requested(tables: &(impl Tables + ?Sized), wanted: &Spec) -> StoreResult<Option<Job>> {
     if wanted.request_id.is_empty() {
         return Ok(None);
@@ -283,7 +281,6 @@ pub(crate) fn change(
     Ok(Job { id, spec, status: head.status })
 }
 
-/// Claims the first waiting job that fits an offer.
 pub(crate) fn claim_next(
     tables: &mut dyn TablesMut,
     live: &mut Live,

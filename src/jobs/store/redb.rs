@@ -8,7 +8,6 @@
 
 mod directory;
 pub(crate) mod repair;
-mod salvage;
 
 use std::cell::Cell;
 use std::collections::HashMap;
@@ -384,7 +383,6 @@ impl Writer {
         }
     }
 
-    /// Shows the progress of these jobs.
     fn publish(&self, touched: &[JobId]) {
         let mut progress = lock(&self.shared.progress);
         for id in touched {

@@ -34,7 +34,6 @@ const SUM_BYTES: usize = 12;
 #[derive(Debug)]
 pub(in crate::blob) struct Folder {
     objects: Arc<LocalFileSystem>,
-    /// Where the parts lie.
     uploads: PathBuf,
     /// The same, as the object store says it.
     prefix: ObjectPath,
@@ -164,7 +163,6 @@ fn scan(uploads: &Path) -> io::Result<Vec<(UploadId, SystemTime)>> {
     Ok(found)
 }
 
-/// The two files of an upload.
 #[derive(Clone, Debug)]
 struct Files {
     part: PathBuf,
