@@ -19,12 +19,11 @@ use geometry::mesh::TriMesh;
 use geometry::remesh::{RemeshOptions, Seeds, remesh};
 use geometry::rvd::BackendChoice;
 use geometry::token::Token;
+use jobs::blob::BlobOptions;
 use jobs::executor::api::JobApiError;
 use jobs::memory;
 use jobs::store::StoreError;
-use jobs::{
-    Backends, BlobRoom, Ceilings, Engine, EngineOptions, Executor, ExecutorOptions, JobError, LossPolicy, Stores,
-};
+use jobs::{Backends, Ceilings, Engine, EngineOptions, Executor, ExecutorOptions, JobError, LossPolicy, Stores};
 use server::admin::{self, Admin};
 pub(crate) use server::config::{JobCeilings, Limits, OnLoss, SecurityArgs, ServeArgs, ServeConfig};
 use server::http;
@@ -36,7 +35,8 @@ use wire::counts::Bounds;
 
 /// Opens what is kept, and says where that is.
 async fn stores(config: &ServeConfig) -> Result<Stores> {
-    let room = BlobRoom { quota_bytes: config.blob_bytes, reserve_bytes: config.disk_reserve_bytes };
+    let (quota_bytes, reserve_bytes) = (config.blob_bytes, config.disk_reserve_bytes);
+    let room = BlobOptions { quota_bytes, reserve_bytes, ..BlobOptions::default() };
     let Some(folder) = &config.data_dir else {
         tracing::info!("jobs and blobs are kept in memory and gone with the server");
         return Ok(Stores::ephemeral(room));

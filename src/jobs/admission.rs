@@ -4,13 +4,17 @@
 //! predicts memory and time from counts; [`forecast`] finds the counts of a specification. Invariant: nothing is kept or
 //! queued here. Must not know: where jobs are kept, how they are done.
 
-pub mod error;
 pub mod estimate;
 pub mod forecast;
 
+use std::fmt;
+
 use estimate::{Counts, Need};
 
+use crate::JobError;
+use crate::blob::BlobError;
 use crate::engine::{AdmissionRequest, Engine};
+use crate::store::StoreError;
 
 /// The admission request of a tenant's job with these counts and this need.
 pub fn request(engine: &Engine, tenant: &str, counts: &Counts, need: &Need) -> AdmissionRequest {
@@ -22,4 +26,36 @@ pub fn request(engine: &Engine, tenant: &str, counts: &Counts, need: &Need) -> A
         origin: Some(counts.origin(None)),
         ..AdmissionRequest::default()
     }
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Memory {
+    Host,
+    Device,
+}
+
+impl fmt::Display for Memory {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Host => "of memory",
+            Self::Device => "of device memory",
+        })
+    }
+}
+
+/// Why something that a caller wants of jobs was refused or failed.
+#[derive(Clone, Debug, thiserror::Error)]
+pub enum JobApiError {
+    #[error("{field} {problem}")]
+    Input { field: String, problem: String },
+    #[error("the job needs {needed_bytes} bytes {of}, and this server has {limit_bytes} for a job; ask for less")]
+    TooLarge { of: Memory, needed_bytes: u64, limit_bytes: u64 },
+    #[error("more than {limit_bytes} bytes are packed in the file; unpack it first (gunzip)")]
+    Packed { limit_bytes: u64 },
+    #[error(transparent)]
+    Store(#[from] StoreError),
+    #[error(transparent)]
+    Blob(#[from] BlobError),
+    #[error(transparent)]
+    Job(#[from] JobError),
 }

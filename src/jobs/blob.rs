@@ -11,9 +11,7 @@ mod chunk;
 mod digest;
 mod error;
 mod objects;
-mod options;
 mod owners;
-mod place;
 mod quota;
 mod reader;
 #[cfg(feature = "s3")]
@@ -24,8 +22,8 @@ mod upload;
 
 pub use chunk::{Chunk, MAX_CHUNK_BYTES, UploadId, UploadStatus};
 pub use digest::{Digest, DigestError};
+pub(crate) use digest::{from_hex, to_hex};
 pub use error::BlobError;
 pub use objects::ObjectBlobs;
-pub use options::BlobOptions;
 pub use owners::Owner;
-pub use store::{BlobInfo, BlobRead, BlobStore, ByteStream, READ_BYTES, Usage, put, put_of};
+pub use store::{BlobInfo, BlobOptions, BlobRead, BlobStore, ByteStream, READ_BYTES, Usage, put, put_of};

@@ -4,13 +4,11 @@
 //! or its caller has gone. Must not know: what a piece computes, how the threads share the device.
 
 mod gate;
-mod loss;
 mod pools;
 pub mod probe;
 pub(crate) mod queue;
 mod schedule;
 pub(crate) mod watchdog;
-mod weights;
 pub(crate) mod worker;
 
 use std::sync::Arc;
@@ -30,17 +28,14 @@ use worker::{ActivityState, Call, Reply, Shared, run};
 
 pub use crate::record::Bytes;
 pub(crate) use gate::{Gate, Gated};
-pub use loss::LossPolicy;
 pub use queue::Admission;
-pub use schedule::AdmissionRequest;
+pub use schedule::{AdmissionRequest, Weights};
 pub use watchdog::{Ceilings, Work};
-pub use weights::Weights;
-pub use worker::{Device, EngineOptions, Retry, Timed, WorkContext};
+pub use worker::{Device, EngineOptions, LossPolicy, Retry, Timed, WorkContext};
 
 /// Work that was submitted. Dropping it cancels the work.
 #[derive(Debug)]
 pub struct Pending<R> {
-    /// How many were ahead of it.
     pub position: usize,
     reply: oneshot::Receiver<Result<Timed<R>, JobError>>,
     token: Token,
@@ -67,7 +62,6 @@ impl<R> Pending<R> {
         answer
     }
 
-    /// What stops it.
     pub fn token(&self) -> &Token {
         &self.token
     }
@@ -96,9 +90,6 @@ pub struct Engine {
 impl Engine {
     /// Starts the host threads. `factory` makes their backends, now and after a loss. Returns once they run, with the handle
     /// of a thread that ends after all others.
-    ///
-    /// # Errors
-    /// The factory's, or `Panicked`.
     pub fn start(
         factory: impl FnMut() -> Result<Backends, JobError> + Send + 'static,
         options: EngineOptions,
@@ -106,10 +97,6 @@ impl Engine {
         Self::start_observed(factory, options, Arc::new(()))
     }
 
-    /// As [`Self::start`], with an observer of all work.
-    ///
-    /// # Errors
-    /// As [`Self::start`].
     pub fn start_observed(
         factory: impl FnMut() -> Result<Backends, JobError> + Send + 'static,
         options: EngineOptions,
@@ -132,7 +119,6 @@ impl Engine {
         self.shared.current().1.choose(choice).map(|backend| BackendInfo::of(backend.as_ref()))
     }
 
-    /// Devices that were lost so far.
     pub fn losses(&self) -> u64 {
         self.shared.losses.load(Ordering::Relaxed)
     }
@@ -233,10 +219,7 @@ impl Engine {
         self.shared.queue.push(admission, Box::new(call))
     }
 
-    /// Queues a job that a store keeps. Its work records how it ends.
-    ///
-    /// # Errors
-    /// `Draining`.
+    /// Queues a job that a store keeps. Its work records how it ends. Errors: `Draining`.
     pub(crate) fn submit_kept(
         &self,
         token: Token,
@@ -288,7 +271,6 @@ impl Engine {
         self.shared.queue.load()
     }
 
-    /// Follows the device's health.
     pub fn watch_device(&self) -> watch::Receiver<Device> {
         self.shared.device.subscribe()
     }
@@ -298,7 +280,6 @@ impl Engine {
         self.shared.queue.close();
     }
 
-    /// Cancels everything that waits or runs.
     pub fn cancel_all(&self) {
         self.shared.queue.cancel_all();
     }

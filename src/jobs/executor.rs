@@ -55,10 +55,8 @@ const LEASE: Duration = Duration::from_secs(60);
 /// Progress that waits to be recorded.
 const PROGRESS: usize = 4096;
 
-/// How jobs are kept.
 #[derive(Clone, Debug)]
 pub struct ExecutorOptions {
-    /// Jobs that may wait.
     pub waiting_jobs: usize,
     /// How long results are kept after a job has ended.
     pub keep_results: Duration,
@@ -66,12 +64,10 @@ pub struct ExecutorOptions {
     pub keep_records: Duration,
     /// Times that a job may be at work when the process goes down; then it fails.
     pub max_crashes: u32,
-    /// What a job may ask for.
     pub bounds: Bounds,
 }
 
 impl ExecutorOptions {
-    /// The defaults, with these bounds.
     pub fn new(bounds: Bounds) -> Self {
         Self {
             waiting_jobs: 100_000,
@@ -83,45 +79,20 @@ impl ExecutorOptions {
     }
 }
 
-/// What blobs may take.
-#[derive(Clone, Copy, Debug)]
-pub struct BlobRoom {
-    /// All together, bytes.
-    pub quota_bytes: u64,
-    /// Of the disk they leave so much free, bytes.
-    pub reserve_bytes: u64,
-}
-
-impl Default for BlobRoom {
-    fn default() -> Self {
-        let BlobOptions { quota_bytes, reserve_bytes, .. } = BlobOptions::default();
-        Self { quota_bytes, reserve_bytes }
-    }
-}
-
-impl BlobRoom {
-    fn options(self) -> BlobOptions {
-        BlobOptions::default().with_quota_bytes(self.quota_bytes).with_reserve_bytes(self.reserve_bytes)
-    }
-}
-
-/// Where jobs and blobs are kept.
 #[derive(Clone)]
 pub struct Stores {
-    /// Jobs.
     pub jobs: Arc<dyn JobStore>,
-    /// Blobs.
     pub blobs: Arc<dyn BlobStore>,
 }
 
 impl Stores {
-    /// In a folder, which is made if need be; with so much room for blobs.
+    /// In a folder, which is made if need be.
     ///
     /// # Errors
     /// `InUse` if another process has it, or why it cannot be used.
-    pub async fn in_folder(folder: PathBuf, room: BlobRoom) -> Result<Self, JobApiError> {
+    pub async fn in_folder(folder: PathBuf, blobs: BlobOptions) -> Result<Self, JobApiError> {
         let jobs = journal(folder.clone()).await?;
-        let blobs = ObjectBlobs::local(folder.join("blobs"), room.options()).await?;
+        let blobs = ObjectBlobs::local(folder.join("blobs"), blobs).await?;
         Ok(Self { jobs, blobs: Arc::new(blobs) })
     }
 
@@ -130,27 +101,26 @@ impl Stores {
     ///
     /// # Errors
     /// `InUse` if another process has the folder, or why folder or bucket cannot be used.
-    pub async fn in_bucket(folder: PathBuf, url: &str, room: BlobRoom) -> Result<Self, JobApiError> {
+    pub async fn in_bucket(folder: PathBuf, url: &str, blobs: BlobOptions) -> Result<Self, JobApiError> {
         #[cfg(feature = "s3")]
         {
             let jobs = journal(folder).await?;
-            let blobs = ObjectBlobs::s3(url, [], room.options()).await?;
+            let blobs = ObjectBlobs::s3(url, [], blobs).await?;
             Ok(Self { jobs, blobs: Arc::new(blobs) })
         }
         #[cfg(not(feature = "s3"))]
         {
-            let _ = (folder, room);
+            let _ = (folder, blobs);
             Err(BlobError::Unavailable(format!("{url}: this program was built without the feature s3")).into())
         }
     }
 
-    /// In memory, gone with the process; with so much room for blobs.
-    pub fn ephemeral(room: BlobRoom) -> Self {
-        Self { jobs: Arc::new(MemoryStore::default()), blobs: Arc::new(ObjectBlobs::in_memory(room.options())) }
+    /// In memory, gone with the process.
+    pub fn ephemeral(blobs: BlobOptions) -> Self {
+        Self { jobs: Arc::new(MemoryStore::default()), blobs: Arc::new(ObjectBlobs::in_memory(blobs)) }
     }
 }
 
-/// Opens the journal of a folder.
 async fn journal(folder: PathBuf) -> Result<Arc<dyn JobStore>, JobApiError> {
     let opened = tokio::task::spawn_blocking(move || RedbStore::open(&folder, RedbOptions::default())).await;
     Ok(Arc::new(opened.map_err(|error| JobApiError::Job(JobError::Panicked(error.to_string())))??))
@@ -167,10 +137,8 @@ struct Inner {
     engine: Engine,
     options: ExecutorOptions,
     forecast: Forecast,
-    /// How this process calls itself.
     name: String,
     runtime: Handle,
-    /// Whether it begins nothing more.
     draining: AtomicBool,
     storage: Storage,
     progress: mpsc::Sender<ProgressCommand>,
@@ -203,9 +171,6 @@ fn result_pin(id: JobId) -> String {
 impl Executor {
     /// Takes up the jobs of `stores`: those that were at work when the process went down wait again, or fail if that was
     /// not the first time. To be called within a runtime.
-    ///
-    /// # Errors
-    /// What the stores say.
     pub async fn start(engine: Engine, stores: Stores, options: ExecutorOptions) -> Result<Self, JobApiError> {
         let (progress, commands) = mpsc::channel(PROGRESS);
         let forecast = Forecast::new(Arc::clone(&stores.blobs), engine.clone(), options.bounds.max_seeds);
@@ -271,7 +236,6 @@ async fn sweep(inner: Weak<Inner>) {
 }
 
 impl Inner {
-    /// Takes up what was kept.
     async fn recover(self: &Arc<Self>) -> Result<(), JobApiError> {
         let jobs = &self.stores.jobs;
         let recovered = jobs.recover(Orphans::All, self.options.max_crashes).await?;
@@ -329,7 +293,6 @@ impl Inner {
         }
     }
 
-    /// Queues a job for the engine.
     async fn enqueue(self: &Arc<Self>, job: &Job) -> Result<(), JobApiError> {
         // Its blobs may be gone.
         let counts = self.forecast.counts(&job.spec, None).await.ok();
@@ -353,7 +316,6 @@ impl Inner {
         self.draining.load(Ordering::Acquire)
     }
 
-    /// A job of this tenant.
     async fn of_tenant(&self, tenant: &str, id: JobId) -> Result<Job, JobApiError> {
         let job = self.stores.jobs.get(id).await?;
         if job.spec.tenant != tenant {
@@ -378,7 +340,6 @@ impl Inner {
         }
     }
 
-    /// Whether this server takes a job with these counts.
     fn within_bounds(&self, counts: &Counts) -> Result<(), JobApiError> {
         let bounds = &self.options.bounds;
         for (field, what, count, most) in [
@@ -423,7 +384,7 @@ impl Inner {
         let counts = self.forecast.counts(spec, None).await?;
         self.within_bounds(&counts)?;
         let need = self.forecast.need(&counts);
-        must_fit(&need, self.forecast.limits())?;
+        must_fit(&need, self.engine.memory())?;
         Ok(need.memory)
     }
 }
@@ -431,7 +392,36 @@ impl Inner {
 #[async_trait]
 impl JobApi for Executor {
     async fn create(&self, spec: Spec) -> Result<Created, JobApiError> {
-        self.inner.create(spec).await
+        let this = &self.inner;
+        // Its input may be gone by now, and is not needed.
+        if !spec.request_id.is_empty()
+            && let Some(job) = this.stores.jobs.requested(spec.clone()).await?
+        {
+            return Ok(Created { job, existed: true });
+        }
+        this.has_place(&spec.tenant)?;
+        let random = getrandom_u128()?;
+        let pin = input_pin(JobId::new(Time(0), random));
+        this.check_input(&spec).await?;
+        // Before anything is promised: from here on nothing evicts the input.
+        this.stores.blobs.pin_for(Owner::of(&spec.tenant), &pin, &spec.task().blobs()).await?;
+        let created = match this.admit(&spec).await {
+            Ok(needs) => this.stores.jobs.create(NewJob { random, spec, needs }).await.map_err(JobApiError::from),
+            Err(error) => Err(error),
+        };
+        match created {
+            Ok(created) if !created.existed => {
+                // Kept is kept: if it cannot be queued now, the next start does.
+                if let Err(error) = this.enqueue(&created.job).await {
+                    tracing::warn!(id = %created.job.id, %error, "a job waits for the next start");
+                }
+                Ok(created)
+            }
+            other => {
+                this.unpin(&pin).await;
+                other
+            }
+        }
     }
 
     async fn get(&self, tenant: &str, id: JobId) -> Result<Job, JobApiError> {
@@ -483,7 +473,7 @@ impl JobApi for Executor {
         let given = vertices.zip(facets);
         let counts = self.inner.forecast.counts(&spec, given).await?;
         let need = self.inner.forecast.need(&counts);
-        let limits = self.inner.forecast.limits();
+        let limits = self.inner.engine.memory();
         let in_bounds = self.inner.within_bounds(&counts).is_ok();
         Ok(Estimate {
             host_bytes: need.memory.host,
@@ -516,41 +506,6 @@ impl JobApi for Executor {
     }
 }
 
-impl Inner {
-    async fn create(self: &Arc<Self>, spec: Spec) -> Result<Created, JobApiError> {
-        // Its input may be gone by now, and is not needed.
-        if !spec.request_id.is_empty()
-            && let Some(job) = self.stores.jobs.requested(spec.clone()).await?
-        {
-            return Ok(Created { job, existed: true });
-        }
-        self.has_place(&spec.tenant)?;
-        let random = getrandom_u128()?;
-        let pin = input_pin(JobId::new(Time(0), random));
-        self.check_input(&spec).await?;
-        // Before anything is promised: from here on nothing evicts the input.
-        self.stores.blobs.pin_for(Owner::of(&spec.tenant), &pin, &spec.task().blobs()).await?;
-        let created = match self.admit(&spec).await {
-            Ok(needs) => self.stores.jobs.create(NewJob { random, spec, needs }).await.map_err(JobApiError::from),
-            Err(error) => Err(error),
-        };
-        match created {
-            Ok(created) if !created.existed => {
-                // Kept is kept: if it cannot be queued now, the next start does.
-                if let Err(error) = self.enqueue(&created.job).await {
-                    tracing::warn!(id = %created.job.id, %error, "a job waits for the next start");
-                }
-                Ok(created)
-            }
-            other => {
-                self.unpin(&pin).await;
-                other
-            }
-        }
-    }
-}
-
-/// A unique random number.
 fn getrandom_u128() -> Result<u128, JobApiError> {
     let mut bytes = [0; 16];
     getrandom::fill(&mut bytes).map_err(|error| {
@@ -567,7 +522,6 @@ fn is_outdated(error: &StoreError) -> bool {
 /// The longest message of a failure, characters: every list of jobs holds it.
 const MOST_WORDS: usize = 1000;
 
-/// A failure as a change.
 fn failed(kind: FailureKind, message: impl Into<String>) -> Change {
     let mut message: String = message.into();
     if let Some((end, _)) = message.char_indices().nth(MOST_WORDS) {

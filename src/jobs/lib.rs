@@ -11,6 +11,8 @@
 //! Must not know: gRPC, messages, the command line.
 
 #![warn(unreachable_pub)]
+// Fields, variants and errors that their names or messages explain; the callers are crates of this house.
+#![allow(missing_docs)]
 
 pub mod admission;
 pub mod blob;
@@ -31,7 +33,7 @@ use geometry::token::{Stopped, Token};
 
 pub use engine::{Admission, AdmissionRequest, Bytes, Ceilings, Engine, EngineOptions, LossPolicy, Retry, Weights};
 pub use engine::{Device, Pending, Reservation, Timed, Work, WorkContext};
-pub use executor::{BlobRoom, Executor, ExecutorOptions, Stores};
+pub use executor::{Executor, ExecutorOptions, Stores};
 
 /// Locks a mutex whose content is never left half changed, so that it is good even after a panic.
 pub fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
@@ -41,7 +43,6 @@ pub fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
 /// Makes a CPU backend with this many threads of its own.
 pub type PoolFactory = fn(usize) -> Result<Arc<dyn Backend>, RvdError>;
 
-/// The backends of this process.
 #[derive(Clone)]
 pub struct Backends {
     /// The GPU backend, or the reason why there is none.
@@ -90,51 +91,33 @@ impl Backends {
     }
 }
 
-/// The backend, as callers see it.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct BackendInfo {
-    /// Which backend.
     pub kind: BackendKind,
-    /// The adapter's name, for a GPU.
     pub adapter: Option<String>,
-    /// Threads of the pool.
     pub threads: usize,
 }
 
 impl BackendInfo {
-    /// What `backend` says of itself.
     pub fn of(backend: &dyn Backend) -> Self {
         Self { kind: backend.kind(), adapter: backend.adapter(), threads: backend.threads() }
     }
 }
 
-/// Why a job was refused or failed.
 #[derive(Clone, Debug, thiserror::Error)]
 pub enum JobError {
-    /// The queue is full now.
     #[error("{waiting} jobs wait already, as many as may; try again in {} s", .retry_after.as_secs_f64())]
-    QueueFull {
-        /// How many wait.
-        waiting: usize,
-        /// When a place may be free.
-        retry_after: Duration,
-    },
-    /// The process is shutting down and takes no more work.
+    QueueFull { waiting: usize, retry_after: Duration },
     #[error("the server is shutting down; try again, or try another server")]
     Draining,
-    /// The work panicked. The message is for the log and for a report of the fault.
     #[error("internal error: the work panicked: {0}")]
     Panicked(String),
-    /// The engine has ended.
     #[error("internal error: the engine has ended")]
     WorkerGone,
-    /// The surface is wrong.
     #[error(transparent)]
     Mesh(#[from] MeshError),
-    /// The diagram could not be had.
     #[error(transparent)]
     Rvd(#[from] RvdError),
-    /// The remesh could not be had.
     #[error(transparent)]
     Remesh(#[from] RemeshError),
 }
@@ -148,12 +131,10 @@ impl JobError {
         }
     }
 
-    /// Whether the device went away.
     pub fn is_device_lost(&self) -> bool {
         matches!(self.as_rvd(), Some(RvdError::DeviceLost(_)))
     }
 
-    /// Whether somebody asked to stop.
     pub fn is_cancelled(&self) -> bool {
         matches!(self.as_rvd(), Some(RvdError::Stopped(Stopped::Cancelled)))
     }
@@ -170,7 +151,6 @@ impl From<Stopped> for JobError {
 pub struct CancelOnDrop(Option<Token>);
 
 impl CancelOnDrop {
-    /// For work with this token.
     pub fn new(token: &Token) -> Self {
         Self(Some(token.clone()))
     }

@@ -5,10 +5,8 @@
 //! [`state`]. Times are given from outside: there is no clock here.
 //! Must not know: stores, queues, messages, how a job is done.
 
-mod bytes;
 pub mod event;
 mod legacy;
-mod names;
 mod spec;
 pub mod state;
 mod task;
@@ -19,11 +17,9 @@ use std::time::Duration;
 
 use serde::{Deserialize, Deserializer, Serialize, Serializer, de};
 
-use crate::blob::Digest;
+use crate::blob::{Digest, from_hex, to_hex};
 use crate::record::state::{State, Transition};
 
-pub use bytes::Bytes;
-pub use names::Kind;
 pub use spec::Spec;
 pub(crate) use task::steps;
 pub use task::{ArrayRef, Arrays, AttributeRef, Command, Deadlines, MeshSource, Operation, ResultFormat, Task};
@@ -34,7 +30,6 @@ pub use task::{ArrayRef, Arrays, AttributeRef, Command, Deadlines, MeshSource, O
 pub struct Time(pub u64);
 
 impl Time {
-    /// So much later.
     #[must_use]
     pub fn after(self, time: Duration) -> Self {
         Self(self.0.saturating_add(u64::try_from(time.as_millis()).unwrap_or(u64::MAX)))
@@ -46,7 +41,6 @@ impl Time {
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct JobId(pub(crate) [u8; 16]);
 
-/// A text that names no job.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("a job's name has 32 hexadecimal digits, 0-9 and a-f")]
 pub struct JobIdError;
@@ -58,7 +52,6 @@ impl JobId {
         Self((time | (random & ((1 << 80) - 1))).to_be_bytes())
     }
 
-    /// The random number in it.
     pub(crate) fn random(self) -> u128 {
         u128::from_be_bytes(self.0) & ((1 << 80) - 1)
     }
@@ -72,7 +65,7 @@ impl JobId {
 
 impl fmt::Display for JobId {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        self.0.iter().try_for_each(|byte| write!(f, "{byte:02x}"))
+        f.write_str(&to_hex(&self.0))
     }
 }
 
@@ -86,9 +79,7 @@ impl FromStr for JobId {
     type Err = JobIdError;
 
     fn from_str(text: &str) -> Result<Self, JobIdError> {
-        let mut bytes = [0; 16];
-        from_hex(text, &mut bytes).ok_or(JobIdError)?;
-        Ok(Self(bytes))
+        from_hex(text).map(Self).map_err(|_| JobIdError)
     }
 }
 
@@ -104,48 +95,35 @@ impl<'de> Deserialize<'de> for JobId {
     }
 }
 
-/// A job.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Job {
-    /// Its name.
     pub id: JobId,
-    /// What is asked for.
     pub spec: Spec,
-    /// Where it stands.
     pub status: Status,
 }
 
-/// The part of a job that changes.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Status {
-    /// Where it is in its life.
     pub state: State,
     /// Rises with every change of the state. A change names the version that it has seen.
     pub version: u64,
-    /// When it was created.
     pub created: Time,
-    /// When the state last changed.
     pub changed: Time,
-    /// When it was last begun.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub started: Option<Time>,
-    /// Times it was begun.
     pub attempts: u32,
     /// Times its executor went away without a word.
     pub crashes: u32,
     /// When it expires unless its state changes before.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub due: Option<Time>,
-    /// The process that has it, while it runs.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub holder: Option<Holder>,
-    /// How it ended, once it has.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub outcome: Option<Outcome>,
 }
 
-/// The process that runs a job.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Holder {
@@ -159,11 +137,8 @@ pub struct Holder {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case", deny_unknown_fields)]
 pub enum Outcome {
-    /// It is done.
     Succeeded(ResultSet),
-    /// It could not be done.
     Failed(Failure),
-    /// Its time is over.
     Expired(Cause),
 }
 
@@ -175,13 +150,10 @@ pub struct ResultSet {
     pub blobs: std::collections::BTreeMap<String, Digest>,
 }
 
-/// Why a job has no result.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Failure {
-    /// What kind of failure.
     pub kind: FailureKind,
-    /// For people.
     pub message: String,
 }
 
@@ -191,7 +163,6 @@ pub struct Failure {
 pub enum FailureKind {
     /// The input or an option is wrong: the same job fails again.
     BadInput,
-    /// A blob of the input is not there.
     MissingInput,
     /// It needs more memory or time than it may have.
     TooLarge,
@@ -199,19 +170,14 @@ pub enum FailureKind {
     Unavailable,
     /// The process went down while the job was running, more than once.
     Crashed,
-    /// A fault of the server.
     Internal,
 }
 
-/// Why a job expired.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Cause {
-    /// It waited longer than its deadline for the queue.
     QueueDeadline,
-    /// It ran longer than its deadline for running.
     RunDeadline,
-    /// Its result was kept as long as results are.
     Kept,
 }
 
@@ -220,22 +186,17 @@ pub enum Cause {
 pub enum Change {
     /// [`Transition::Claim`]: counts an attempt.
     Claim(Holder),
-    /// [`Transition::Release`].
     Release,
     /// [`Transition::Orphan`]: counts a crash.
     Orphan,
-    /// [`Transition::Succeed`].
     Succeed(ResultSet),
-    /// [`Transition::Fail`].
     Fail(Failure),
-    /// [`Transition::Cancel`].
     Cancel,
     /// [`Transition::Expire`]: a result is no longer named, so that its blobs may go.
     Expire(Cause),
 }
 
 impl Change {
-    /// Which transition it makes.
     pub fn transition(&self) -> Transition {
         match self {
             Self::Claim(_) => Transition::Claim,
@@ -250,7 +211,6 @@ impl Change {
 }
 
 impl Status {
-    /// That of a job which has just been created.
     pub fn new(deadlines: Deadlines, now: Time) -> Self {
         Self {
             state: State::Queued,
@@ -266,10 +226,6 @@ impl Status {
         }
     }
 
-    /// After a change.
-    ///
-    /// # Errors
-    /// [`TransitionError`](crate::record::state::TransitionError).
     pub fn changed(
         &self,
         deadlines: Deadlines,
@@ -303,19 +259,42 @@ impl Status {
     }
 }
 
-/// Lower-case hexadecimal digits of exactly as many bytes as `out` has.
-fn from_hex(text: &str, out: &mut [u8]) -> Option<()> {
-    let digits = text.as_bytes();
-    if digits.len() != 2 * out.len() {
-        return None;
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, strum::IntoStaticStr)]
+#[strum(serialize_all = "snake_case")]
+pub enum Kind {
+    Remesh,
+    Rvd,
+    Cvt,
+}
+
+impl Kind {
+    pub fn name(self) -> &'static str {
+        self.into()
     }
-    let value = |digit: u8| match digit {
-        b'0'..=b'9' => Some(digit - b'0'),
-        b'a'..=b'f' => Some(digit - b'a' + 10),
-        _ => None,
-    };
-    for (byte, pair) in out.iter_mut().zip(digits.chunks_exact(2)) {
-        *byte = value(pair[0])? << 4 | value(pair[1])?;
+}
+
+/// Memory of a job, or what there is for jobs, bytes. Sums never overflow.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Bytes {
+    pub host: u64,
+    /// Of the device; 0 for a job on a CPU.
+    pub device: u64,
+}
+
+impl Bytes {
+    /// More than there ever is.
+    pub const MAX: Self = Self { host: u64::MAX, device: u64::MAX };
+
+    pub fn fits(self, room: Self) -> bool {
+        self.host <= room.host && self.device <= room.device
     }
-    Some(())
+
+    pub(crate) fn plus(self, other: Self) -> Self {
+        Self { host: self.host.saturating_add(other.host), device: self.device.saturating_add(other.device) }
+    }
+
+    pub(crate) fn minus(self, other: Self) -> Self {
+        Self { host: self.host.saturating_sub(other.host), device: self.device.saturating_sub(other.device) }
+    }
 }

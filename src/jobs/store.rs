@@ -9,8 +9,6 @@
 
 mod codec;
 mod container;
-mod live;
-mod memory;
 mod operations;
 mod redb;
 mod tables;
@@ -19,19 +17,17 @@ use std::collections::BTreeMap;
 use std::fmt;
 use std::path::PathBuf;
 use std::pin::Pin;
-use std::str::FromStr;
 use std::sync::Arc;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use crate::record::event::{Events, Progress};
 use crate::record::state::{State, TransitionError};
-use crate::record::{Bytes, Change, Job, JobId, JobIdError, Spec, Time};
+use crate::record::{Bytes, Change, Job, JobId, Spec, Time};
 
 pub use self::redb::repair::{Findings, check, repair};
 pub use self::redb::{RedbOptions, RedbStore};
-pub use memory::MemoryStore;
+pub use container::MemoryStore;
 
-/// What an operation comes to.
 pub type Answer<'a, T> = Pin<Box<dyn Future<Output = Result<T, StoreError>> + Send + 'a>>;
 
 /// A store of jobs. See the module's head for what an answer promises. An operation whose future is dropped may still happen.
@@ -123,20 +119,16 @@ pub const MAX_CRASHES: u32 = 2;
 pub struct NewJob {
     /// For its name, if the request did not come before: a number from a source that others do not have.
     pub random: u128,
-    /// What is asked for.
     pub spec: Spec,
-    /// Memory that it is expected to need.
     pub needs: Bytes,
 }
 
 /// What a process can do now.
 #[derive(Clone, Debug)]
 pub struct Offer {
-    /// The name of the process.
     pub holder: String,
     /// The time until others may take the job for orphaned.
     pub lease: Duration,
-    /// Memory that is free for the job.
     pub room: Bytes,
     /// This job alone: for a process that has all waiting jobs in a queue of its own.
     pub job: Option<JobId>,
@@ -159,7 +151,6 @@ impl Offer {
 pub struct Clock(Arc<dyn Fn() -> Time + Send + Sync>);
 
 impl Clock {
-    /// A clock that gives what `read` gives.
     pub fn new(read: impl Fn() -> Time + Send + Sync + 'static) -> Self {
         Self(Arc::new(read))
     }
@@ -169,7 +160,6 @@ impl Clock {
     }
 }
 
-/// The clock of the operating system.
 impl Default for Clock {
     fn default() -> Self {
         Self::new(|| {
@@ -185,36 +175,27 @@ impl fmt::Debug for Clock {
     }
 }
 
-/// What [`JobStore::create`] gives.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Created {
-    /// The job.
     pub job: Job,
-    /// Whether an earlier request had created it.
     pub existed: bool,
 }
 
-/// Which jobs are listed.
 #[derive(Clone, Debug, Default)]
 pub struct Query {
     /// In one of these states; all if none.
     pub states: Vec<State>,
-    /// With these labels.
     pub labels: BTreeMap<String, String>,
-    /// Of this tenant.
     pub tenant: Option<String>,
-    /// Jobs created at this time or later.
     pub since: Option<Time>,
-    /// Jobs created before this time.
     pub before: Option<Time>,
     /// How many at most; 1 to [`Query::MAX_LIMIT`], and 100 if 0.
     pub limit: usize,
     /// Goes on after an earlier page of the same query.
-    pub token: Option<PageToken>,
+    pub token: Option<JobId>,
 }
 
 impl Query {
-    /// The most jobs of a page.
     pub const MAX_LIMIT: usize = 1000;
 
     /// Jobs of a page: as asked, at most [`Self::MAX_LIMIT`], 100 if nothing is asked.
@@ -223,50 +204,26 @@ impl Query {
     }
 }
 
-/// Where the next page begins. A text that only this crate reads.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct PageToken(pub JobId);
-
-impl fmt::Display for PageToken {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        self.0.fmt(f)
-    }
-}
-
-impl FromStr for PageToken {
-    type Err = JobIdError;
-
-    fn from_str(text: &str) -> Result<Self, JobIdError> {
-        text.parse().map(Self)
-    }
-}
-
-/// Some jobs.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Page {
     /// The newest first.
     pub jobs: Vec<Job>,
-    /// There may be more.
-    pub next: Option<PageToken>,
+    /// The token of the next page, if there may be more.
+    pub next: Option<JobId>,
 }
 
 /// How long things are kept after a job has ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Retention {
-    /// Results.
     pub results: Duration,
     /// Jobs without a result, those whose result expired included, from then on.
     pub records: Duration,
 }
 
-/// What [`JobStore::expire`] did.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Swept {
-    /// Jobs that expired.
     pub expired: Vec<JobId>,
-    /// Jobs that are forgotten.
     pub deleted: Vec<JobId>,
-    /// Whether there may be more to do.
     pub more: bool,
 }
 
@@ -279,7 +236,6 @@ pub enum Orphans {
     LeaseOver,
 }
 
-/// What [`JobStore::recover`] found.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Recovered {
     /// Orphaned jobs that wait again.
@@ -293,111 +249,38 @@ pub struct Recovered {
 /// Why an operation on a store was refused or failed.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum StoreError {
-    /// There is no such job.
     #[error("there is no job {id}; it may have been deleted")]
-    NotFound {
-        /// Which.
-        id: JobId,
-    },
-    /// The request came before with another body.
+    NotFound { id: JobId },
     #[error("request {request_id:?} came before with another body and made job {id}; take another request_id")]
-    AlreadyExists {
-        /// Which request.
-        request_id: String,
-        /// The job that it made.
-        id: JobId,
-    },
-    /// The name of a new job is in use.
+    AlreadyExists { request_id: String, id: JobId },
     #[error("job {id} is there already; take another name")]
-    NameTaken {
-        /// Which.
-        id: JobId,
-    },
-    /// The job has changed since.
+    NameTaken { id: JobId },
     #[error("job {id} is at version {found}, not {expected}: it changed meanwhile; read it again")]
-    Stale {
-        /// Which.
-        id: JobId,
-        /// The version that the caller has seen.
-        expected: u64,
-        /// The version that it has.
-        found: u64,
-    },
-    /// The state does not allow it.
+    Stale { id: JobId, expected: u64, found: u64 },
     #[error("job {id}: {cause}")]
-    Transition {
-        /// Which.
-        id: JobId,
-        /// What is not allowed.
-        cause: TransitionError,
-    },
-    /// Only jobs that have ended can be deleted.
+    Transition { id: JobId, cause: TransitionError },
     #[error("job {id} is {}; cancel it first", state.name())]
-    NotEnded {
-        /// Which.
-        id: JobId,
-        /// Its state.
-        state: State,
-    },
-    /// Another process has the directory.
+    NotEnded { id: JobId, state: State },
     #[error(
         "{} is in use by another server{}; stop that one, or give another --data-dir, or --ephemeral",
         path.display(),
         holder.as_ref().map_or_else(String::new, |pid| format!(" (process {pid})"))
     )]
-    InUse {
-        /// The directory.
-        path: PathBuf,
-        /// Its process, if it can be read.
-        holder: Option<String>,
-    },
-    /// What is kept cannot be read.
+    InUse { path: PathBuf, holder: Option<String> },
     #[error("the journal {} is damaged: {what}; `tessera journal repair` saves what can be read; or restore it from a copy, or move it away to begin with none", path.display())]
-    Damaged {
-        /// The file, or the record in it.
-        path: PathBuf,
-        /// What is wrong.
-        what: String,
-    },
-    /// Nothing of a journal can be read, whatever is tried.
+    Damaged { path: PathBuf, what: String },
     #[error("nothing of the journal {} can be read: {what}; restore it from a copy, or move it away to begin with none", path.display())]
-    Unreadable {
-        /// The file.
-        path: PathBuf,
-        /// What is wrong.
-        what: String,
-    },
-    /// What is kept was written by another release.
+    Unreadable { path: PathBuf, what: String },
     #[error(
         "{what} has version {found}, and this program reads up to {known}; use the release that wrote it, or a later one"
     )]
-    UnknownVersion {
-        /// Which part.
-        what: String,
-        /// Its version.
-        found: u32,
-        /// The last version that is known.
-        known: u32,
-    },
-    /// The operating system refused.
+    UnknownVersion { what: String, found: u32, known: u32 },
     #[error("cannot {action} {}: {cause}", path.display())]
-    Io {
-        /// What was tried.
-        action: &'static str,
-        /// With which file.
-        path: PathBuf,
-        /// What it said.
-        cause: String,
-    },
-    /// Writing failed, and nothing is taken any more.
+    Io { action: &'static str, path: PathBuf, cause: String },
     #[error(
         "the journal cannot be written ({cause}); see that the disk has room and is sound, and start the server again"
     )]
-    Broken {
-        /// What went wrong.
-        cause: String,
-    },
-    /// The store was closed.
+    Broken { cause: String },
     #[error("the store of jobs is closed; the server is ending")]
     Closed,
 }

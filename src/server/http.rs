@@ -52,7 +52,7 @@ pub static OPENAPI: LazyLock<String> = LazyLock::new(|| {
         parameters.into_iter().for_each(|parameters| parameters.push(parameter.clone()));
         document["components"]["schemas"]["Options"]["properties"][&field.name] = schema;
     }
-    for (name, schema) in wire::schema::of::<wire::proto::JobSpec>("#/components/schemas/") {
+    for (name, schema) in wire::json::schemas::<wire::proto::JobSpec>("#/components/schemas/") {
         document["components"]["schemas"][name] = schema;
     }
     format!("{document:#}\n")

@@ -4,14 +4,13 @@
 //! nothing writes logs to the standard output. Every line that belongs to a call or a job has its span, with `trace_id` and `job`.
 //! Work never waits for a collector. Must not know: what is logged.
 
-mod seldom;
 pub mod trace;
 #[cfg(feature = "otlp")]
 mod traces;
 
-pub use seldom::Seldom;
-
 use std::io::IsTerminal;
+use std::sync::{Mutex, PoisonError};
+use std::time::{Duration, Instant};
 
 use clap::ValueEnum;
 use tracing::level_filters::LevelFilter;
@@ -117,10 +116,43 @@ fn names_work(metadata: &Metadata<'_>) -> bool {
     metadata.is_span() && *metadata.level() <= Level::INFO && metadata.target().starts_with("tessera")
 }
 
+/// Rate limit for log lines that others can cause: counts events and decides when to log them.
+#[derive(Debug)]
+pub struct Seldom {
+    pause: Duration,
+    /// Time of the last line, and events since then.
+    state: Mutex<(Option<Instant>, u64)>,
+}
+
+/// A line in five seconds: for what remote peers can cause.
+impl Default for Seldom {
+    fn default() -> Self {
+        Self::every(Duration::from_secs(5))
+    }
+}
+
+impl Seldom {
+    /// At most one line in `pause`.
+    pub fn every(pause: Duration) -> Self {
+        Self { pause, state: Mutex::default() }
+    }
+
+    /// Counts an event. If a line is due, returns the number of events since the last line.
+    pub fn count(&self) -> Option<u64> {
+        let mut state = self.state.lock().unwrap_or_else(PoisonError::into_inner);
+        state.1 += 1;
+        if state.0.is_some_and(|last| last.elapsed() < self.pause) {
+            return None;
+        }
+        state.0 = Some(Instant::now());
+        Some(std::mem::take(&mut state.1))
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use std::io;
-    use std::sync::{Arc, Mutex};
+    use std::sync::Arc;
 
     use tracing::{field, info_span};
 
@@ -170,5 +202,14 @@ mod tests {
         let spans = format!(" INFO call{{trace_id={trace}}}:job{{job=7 kind=\"remesh\"}}: tessera");
         assert!(line.contains(&spans), "{line}");
         assert!(line.ends_with("done \"so far\" ms=2.5 by=\"me\"\n"), "{line}");
+    }
+
+    #[test]
+    fn the_first_is_told_at_once_and_the_next_are_counted() {
+        let seldom = Seldom::default();
+        assert_eq!(seldom.count(), Some(1));
+        assert_eq!(seldom.count(), None);
+        seldom.state.lock().unwrap().0 = Instant::now().checked_sub(seldom.pause);
+        assert_eq!(seldom.count(), Some(2));
     }
 }

@@ -17,7 +17,6 @@ use super::proto::{ArrayKind, Chunk};
 pub struct Arrays(HashMap<(i32, u32), (Vec<u8>, u64)>);
 
 impl Arrays {
-    /// Takes the next chunk of an array.
     pub fn take(&mut self, chunk: &Chunk) -> Result<(), WireError> {
         let (data, total) = self.0.entry((chunk.kind, chunk.attribute)).or_default();
         if chunk.offset != data.len() as u64 {
@@ -31,7 +30,6 @@ impl Arrays {
         Ok(())
     }
 
-    /// An array as it came.
     pub fn bytes(&self, kind: ArrayKind) -> Result<&[u8], WireError> {
         self.bytes_of(kind, 0)
     }
@@ -47,12 +45,10 @@ impl Arrays {
         }
     }
 
-    /// An array of points.
     pub fn points(&self, kind: ArrayKind) -> Result<Vec<DVec3>, WireError> {
         Ok(points(self.bytes(kind)?))
     }
 
-    /// An array of triangles.
     pub fn facets(&self, kind: ArrayKind) -> Result<Vec<[u32; 3]>, WireError> {
         Ok(indices(self.bytes(kind)?).as_chunks::<3>().0.to_vec())
     }

@@ -13,7 +13,6 @@ use super::counts::MeshCounts;
 use super::proto::{ArrayKind, Chunk};
 use super::{WireError, unknown_enum};
 
-/// What was uploaded, complete.
 #[derive(Debug)]
 pub struct Uploaded {
     pub positions: Vec<DVec3>,
@@ -26,7 +25,6 @@ pub struct Uploaded {
     pub attributes: Vec<UploadedAttribute>,
 }
 
-/// See the module's head.
 #[derive(Debug)]
 pub struct Assembly {
     arrays: [Array; 6],
@@ -57,7 +55,6 @@ enum Store {
 }
 
 impl Assembly {
-    /// Nothing has arrived yet.
     pub fn new(mesh: MeshCounts) -> Self {
         let points = mesh.coordinate_bytes;
         let array = Array::new;
@@ -90,7 +87,6 @@ impl Assembly {
         self
     }
 
-    /// The array that a chunk belongs to.
     fn array(&mut self, kind: ArrayKind, attribute: u32) -> Option<&mut Array> {
         if kind == ArrayKind::Scalars {
             let (_, values, _) = self.attributes.get_mut(attribute as usize)?;
@@ -125,7 +121,6 @@ impl Assembly {
         Ok(())
     }
 
-    /// Gives what was uploaded if it is complete.
     pub fn finish(self) -> Result<Uploaded, WireError> {
         let attributes = self.attributes.iter().flat_map(|(_, values, corners)| [values, corners]);
         for array in self.arrays.iter().chain(attributes) {

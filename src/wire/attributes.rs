@@ -44,7 +44,6 @@ impl AttributeCounts {
     }
 }
 
-/// An attribute's arrays, complete.
 #[derive(Debug)]
 pub struct UploadedAttribute {
     pub counts: AttributeCounts,
@@ -109,7 +108,6 @@ fn check_one(i: usize, header: &AttributeHeader, mesh: MeshCounts) -> Result<Att
     Ok(AttributeCounts { kind, name, values, numbers, number_bytes, by_corner })
 }
 
-/// Attributes of what was uploaded.
 pub fn collect(mesh: &TriMesh, uploaded: Vec<UploadedAttribute>) -> Result<Attributes, WireError> {
     let mut attributes = Attributes::new(mesh);
     for (i, UploadedAttribute { counts, numbers, corners }) in uploaded.into_iter().enumerate() {

@@ -48,7 +48,6 @@ pub fn cells_chunks(batch: &PieceBatch) -> impl Iterator<Item = CellsChunk> + '_
     })
 }
 
-/// The pieces of a message.
 pub fn batch(chunk: &CellsChunk) -> Result<PieceBatch, WireError> {
     let mut cells = PieceBatch::default();
     let (facet, seed, count) = (indices(&chunk.facet), indices(&chunk.seed), indices(&chunk.vertex_count));

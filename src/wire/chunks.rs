@@ -16,22 +16,18 @@ pub fn point_chunks(kind: ArrayKind, points: &[DVec3]) -> impl Iterator<Item = C
     chunks(kind, points, 24, |p, out| p.to_array().iter().for_each(|x| out.extend_from_slice(&x.to_le_bytes())))
 }
 
-/// An array of facets as chunks.
 pub fn facet_chunks(kind: ArrayKind, facets: &[[u32; 3]]) -> impl Iterator<Item = Chunk> + '_ {
     chunks(kind, facets, 12, |f, out| f.iter().for_each(|v| out.extend_from_slice(&v.to_le_bytes())))
 }
 
-/// An array of numbers as chunks.
 pub fn number_chunks(kind: ArrayKind, numbers: &[f64]) -> impl Iterator<Item = Chunk> + '_ {
     chunks(kind, numbers, 8, |x, out| out.extend_from_slice(&x.to_le_bytes()))
 }
 
-/// An array of indices as chunks.
 pub fn index_chunks(kind: ArrayKind, indices: &[u32]) -> impl Iterator<Item = Chunk> + '_ {
     chunks(kind, indices, 4, |i, out| out.extend_from_slice(&i.to_le_bytes()))
 }
 
-/// Bytes as chunks.
 pub fn byte_chunks(kind: ArrayKind, bytes: &[u8]) -> impl Iterator<Item = Chunk> + '_ {
     chunks(kind, bytes, 1, |byte, out| out.push(*byte))
 }

@@ -12,7 +12,6 @@ use geometry::cvt::{Iteration, SeedEdit, StepKind};
 use geometry::remesh::report::{RefineEnd, RvdFigures};
 use geometry::rvd::{BackendChoice, BackendKind};
 
-/// The backend that a header asks for.
 pub fn backend(value: i32) -> Result<BackendChoice, WireError> {
     Ok(match choice("backend", value)? {
         proto::BackendChoice::Unspecified | proto::BackendChoice::Auto => BackendChoice::Auto,

@@ -9,7 +9,6 @@ use super::proto::{MeshHeader, PositionType};
 use geometry::cvt::density::DensityOptions;
 use geometry::mesh::{MAX_ELEMENTS, TriMesh};
 
-/// The most that a request may ask for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Bounds {
     pub max_vertices: u64,
@@ -41,10 +40,8 @@ pub struct MeshCounts {
     pub weights: u64,
     /// Bytes a coordinate: 4 or 8.
     pub coordinate_bytes: u64,
-    /// Target edge lengths.
     pub edge_lengths: u64,
     pub creases: u64,
-    /// Seeds that are uploaded.
     pub seeds: u64,
 }
 

@@ -8,10 +8,9 @@
 use prost_reflect::{DynamicMessage, FieldDescriptor, Kind, Value};
 use serde_json::json;
 
-use super::json::{descriptor, to_value};
+use super::json::{comment, descriptor, to_value};
 use super::options::of_remesh;
 use super::proto::RemeshOptions;
-use super::schema::comment;
 use geometry::remesh::RemeshOptions as Options;
 
 /// The message within the options whose fields have names of their own.
@@ -19,7 +18,6 @@ const DENSITY: &str = "density";
 /// Its field that has the message's name.
 const SOURCE: &str = "source";
 
-/// An option.
 #[derive(Clone, Debug)]
 pub struct Field {
     /// The name that the command, HTTP and Python share.
@@ -105,7 +103,6 @@ impl Field {
     }
 }
 
-/// Options that are being read.
 #[derive(Debug)]
 pub struct Fields {
     all: Vec<Field>,
@@ -120,9 +117,6 @@ impl Default for Fields {
 
 impl Fields {
     /// Takes an option. Whether there is one of this name.
-    ///
-    /// # Errors
-    /// What its value must be.
     pub fn set(&mut self, name: &str, text: &str) -> Result<bool, String> {
         let Some(place) = self.all.iter().position(|field| field.name == name) else { return Ok(false) };
         self.read.push((place, self.all[place].read(text)?));

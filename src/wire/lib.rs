@@ -1,10 +1,10 @@
 //! The messages of the interface, and the library's types made of them and into them.
 //!
-//! Purpose: `proto` holds the generated messages, `json` writes them as JSON, and `schema` says
+//! Purpose: `proto` holds the generated messages, `json` writes them as JSON and says
 //! what that looks like. `options` has all checks of options, for streams,
 //! jobs and the command; `names` and `fields` call options by the names that the command, HTTP and Python share. `codec` and
 //! `attributes` translate values. `chunks` and `cells` cut arrays into messages; `assemble` (at the server) and `arrays` (at a
-//! client) put them together again. `pieces` are those of blobs at a client. `counts`, `headers` and `upload` check what a
+//! client) put them together again. `pieces` are those of blobs at a client. `counts` and `upload` check what a
 //! request announces, and the order of its messages.
 //! Invariant: an unknown enum value is an error, never a default. A refusal has the path of the field in the message.
 //! Must not know: handlers, streams, queues, status codes, the server's half of the transport, the command line.
@@ -20,16 +20,13 @@ pub mod chunks;
 pub mod codec;
 pub mod counts;
 pub mod fields;
-mod headers;
 pub mod json;
 pub mod names;
 pub mod options;
 pub mod pieces;
 pub mod proto;
-pub mod schema;
 pub mod upload;
 
-/// Why a message is refused.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum WireError {
     /// A field has a value that it must not have.

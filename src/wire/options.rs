@@ -42,7 +42,6 @@ pub struct Diagram {
     pub outputs: Outputs,
 }
 
-/// What of a diagram is wanted.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Outputs {
     pub cells: bool,
@@ -50,10 +49,8 @@ pub struct Outputs {
     pub sums: bool,
 }
 
-/// The seeds and the density of options.
 pub trait Start {
     fn seeds(&self) -> &Seeds;
-    fn density(&self) -> &DensityOptions;
     fn start(&mut self) -> (&mut Seeds, &mut DensityOptions);
 }
 
@@ -62,10 +59,6 @@ macro_rules! start {
         $(impl Start for $of {
             fn seeds(&self) -> &Seeds {
                 &self.seeds
-            }
-
-            fn density(&self) -> &DensityOptions {
-                &self.density
             }
 
             fn start(&mut self) -> (&mut Seeds, &mut DensityOptions) {
@@ -157,7 +150,6 @@ pub fn remesh(given: &proto::RemeshOptions, beside: Beside, bounds: &Bounds) -> 
     })
 }
 
-/// A session of iterations.
 pub fn session(given: &proto::CvtOptions, beside: Beside, bounds: &Bounds) -> Read<Session> {
     let &proto::CvtOptions { points, seed, ref density, projection, max_seeds } = given;
     let (seeds, density) = start(points, seed, density.as_ref(), beside, bounds)?;
@@ -168,7 +160,6 @@ pub fn session(given: &proto::CvtOptions, beside: Beside, bounds: &Bounds) -> Re
     Ok(Session { seeds, density, options })
 }
 
-/// A diagram.
 pub fn diagram(given: &proto::DiagramOptions, beside: Beside, bounds: &Bounds) -> Read<Diagram> {
     let &proto::DiagramOptions { points, seed, ref outputs } = given;
     let (seeds, density) = start(points, seed, None, beside, bounds)?;
@@ -184,7 +175,6 @@ pub fn diagram(given: &proto::DiagramOptions, beside: Beside, bounds: &Bounds) -
     Ok(Diagram { seeds, density, outputs: wanted })
 }
 
-/// Seeds and density.
 fn start(
     points: Option<u32>,
     seed: Option<u64>,
@@ -329,7 +319,6 @@ fn projection(value: i32) -> Read<Projection> {
     })
 }
 
-/// The value of an enum.
 pub fn choice<E: TryFrom<i32>>(path: &str, value: i32) -> Read<E> {
     E::try_from(value).map_err(|_| unknown_enum(path, value))
 }
@@ -354,7 +343,6 @@ fn word(kind: &proto::DensitySource) -> String {
     kind.as_str_name().trim_start_matches("DENSITY_SOURCE_").to_ascii_lowercase()
 }
 
-/// Where a density comes from.
 pub fn source(density: &DensityOptions) -> proto::DensitySource {
     match density.source {
         DensitySource::Uniform => proto::DensitySource::Uniform,

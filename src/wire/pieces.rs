@@ -21,7 +21,6 @@ pub struct Hash {
 }
 
 impl Hash {
-    /// The next bytes.
     pub fn add(&mut self, bytes: &[u8]) {
         self.sha.update(bytes);
         self.bytes += bytes.len() as u64;
@@ -43,7 +42,6 @@ pub fn piece(offset: u64, data: Vec<u8>) -> WriteRequest {
     WriteRequest { offset, crc32c: crc32c::crc32c(&data), data: data.into(), ..WriteRequest::default() }
 }
 
-/// A blob on its way.
 #[derive(Debug)]
 pub struct Incoming {
     digest: String,
@@ -52,12 +50,10 @@ pub struct Incoming {
 }
 
 impl Incoming {
-    /// Nothing of it has come.
     pub fn new(digest: &str) -> Self {
         Self { digest: digest.to_owned(), size: None, hash: Hash::default() }
     }
 
-    /// How many bytes have come.
     pub fn bytes(&self) -> u64 {
         self.hash.bytes()
     }

@@ -9,8 +9,12 @@ use super::assemble::{Assembly, Uploaded};
 use super::attributes::{self, AttributeCounts};
 use super::codec;
 use super::counts::{self, Bounds, MeshCounts, Reads};
-use super::options::Beside;
-use super::proto::{Chunk, MeshHeader};
+use super::options::{self, Beside, Diagram, Session};
+use super::proto::{
+    Chunk, ComputeRvdHeader, ComputeRvdRequest, CvtHeader, CvtRequest, MeshHeader, RemeshHeader, RemeshRequest,
+    compute_rvd_request, cvt_request, remesh_request,
+};
+use geometry::remesh::RemeshOptions;
 use geometry::rvd::BackendChoice;
 
 /// What a message of an upload is, whatever its type.
@@ -31,14 +35,9 @@ pub trait Header {
     /// The mesh, the number of seeds that are uploaded, and the backend.
     fn parts(&self) -> (Option<&MeshHeader>, u64, i32);
 
-    /// Checks the options.
-    ///
-    /// # Errors
-    /// Paths below the options.
     fn options(&self, beside: Beside, bounds: &Bounds) -> Result<Self::Options, WireError>;
 }
 
-/// A header that was checked.
 #[derive(Clone, Debug)]
 pub struct Checked<O> {
     pub mesh: MeshCounts,
@@ -49,7 +48,6 @@ pub struct Checked<O> {
     pub attributes: Vec<AttributeCounts>,
 }
 
-/// A header and its arrays.
 pub type Complete<O> = (Checked<O>, Uploaded);
 
 fn check<H: Header>(header: &H, bounds: &Bounds) -> Result<Checked<H::Options>, WireError> {
@@ -64,14 +62,12 @@ fn check<H: Header>(header: &H, bounds: &Bounds) -> Result<Checked<H::Options>, 
     Ok(Checked { mesh, backend, options, attributes })
 }
 
-/// See the module's head.
 pub struct Upload<H: Header> {
     bounds: Bounds,
     open: Option<(Checked<H::Options>, Assembly)>,
 }
 
 impl<H: Header> Upload<H> {
-    /// Nothing has come yet.
     pub fn new(bounds: Bounds) -> Self {
         Self { bounds, open: None }
     }
@@ -110,3 +106,61 @@ impl<H: Header> Upload<H> {
         }
     }
 }
+
+macro_rules! header {
+    ($header:ty, $options:ty, $check:path, $reads:expr, $request:ty, $message:path, $end:path) => {
+        impl Header for $header {
+            type Options = $options;
+            const READS: Reads = $reads;
+
+            fn parts(&self) -> (Option<&MeshHeader>, u64, i32) {
+                (self.mesh.as_ref(), self.seeds, self.backend)
+            }
+
+            fn options(&self, beside: Beside, bounds: &Bounds) -> Result<$options, WireError> {
+                $check(&self.options.clone().unwrap_or_default(), beside, bounds)
+            }
+        }
+
+        impl From<$request> for Incoming<$header> {
+            fn from(request: $request) -> Self {
+                use $message as Message;
+                match request.message {
+                    Some(Message::Header(header)) => Self::Header(header),
+                    Some(Message::Chunk(chunk)) => Self::Chunk(chunk),
+                    Some($end(_)) => Self::End,
+                    #[allow(unreachable_patterns)]
+                    _ => Self::Other,
+                }
+            }
+        }
+    };
+}
+
+header!(
+    ComputeRvdHeader,
+    Diagram,
+    options::diagram,
+    Reads { edge_lengths: false, features: false },
+    ComputeRvdRequest,
+    compute_rvd_request::Message,
+    compute_rvd_request::Message::Finish
+);
+header!(
+    CvtHeader,
+    Session,
+    options::session,
+    Reads { edge_lengths: true, features: false },
+    CvtRequest,
+    cvt_request::Message,
+    cvt_request::Message::Start
+);
+header!(
+    RemeshHeader,
+    RemeshOptions,
+    options::remesh,
+    Reads { edge_lengths: true, features: true },
+    RemeshRequest,
+    remesh_request::Message,
+    remesh_request::Message::Finish
+);

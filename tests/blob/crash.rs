@@ -13,7 +13,7 @@ use crate::{CHUNK, chunk_at, content, cut, files, local, put, read, read_all, se
 #[tokio::test]
 async fn a_restart_keeps_blobs_and_uploads_and_the_order_of_use() {
     let folder = tempfile::tempdir().unwrap();
-    let options = BlobOptions::default().with_quota_bytes(4 * CHUNK as u64);
+    let options = BlobOptions { quota_bytes: 4 * CHUNK as u64, ..BlobOptions::default() };
     let blobs: Vec<_> = (0..4).map(|k| content(k, CHUNK)).collect();
     let half = content(5, CHUNK);
     let store = local(folder.path(), options).await;

@@ -401,8 +401,8 @@ async fn compare(store: &ObjectBlobs, model: &Model, folder: Option<&Path>) -> R
 }
 
 fn options() -> BlobOptions {
-    let options = BlobOptions::default().with_quota_bytes(QUOTA).with_uploads(UPLOADS);
-    options.with_keep_uploads(Duration::ZERO).with_fsync(false)
+    let options = BlobOptions { quota_bytes: QUOTA, uploads: UPLOADS, ..BlobOptions::default() };
+    BlobOptions { keep_uploads: Duration::ZERO, fsync: false, ..options }
 }
 
 /// `on_disk`: a folder, reopened where the operations say so; otherwise memory, where reopening means to go on.

@@ -39,7 +39,7 @@ async fn a_blob_is_theirs_who_sent_it_or_were_given_it() {
 
 #[tokio::test]
 async fn what_is_evicted_is_nobody_s_when_it_comes_back() {
-    for (kind, store, folder) in each(BlobOptions::default().with_quota_bytes(1000)).await {
+    for (kind, store, folder) in each(BlobOptions { quota_bytes: 1000, ..BlobOptions::default() }).await {
         let bytes = content(1, 600);
         let (digest, a) = (Digest::of(&bytes), Owner::of("a"));
         upload(&store, upload_of(&bytes).of("a"), &bytes).await;

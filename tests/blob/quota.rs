@@ -9,7 +9,7 @@ use crate::{CHUNK, content, each, files, put, read, send, upload_of};
 const SIZE: u64 = CHUNK as u64;
 
 fn three_blobs() -> BlobOptions {
-    BlobOptions::default().with_quota_bytes(3 * SIZE)
+    BlobOptions { quota_bytes: 3 * SIZE, ..BlobOptions::default() }
 }
 
 #[tokio::test]
@@ -60,7 +60,7 @@ async fn the_least_recently_used_goes_first_and_never_a_pinned_one() {
 
 #[tokio::test]
 async fn uploads_keep_their_room_and_give_it_back() {
-    for (kind, store, folder) in each(three_blobs().with_uploads(2)).await {
+    for (kind, store, folder) in each(BlobOptions { uploads: 2, ..three_blobs() }).await {
         let old = content(9, CHUNK);
         put(&store, &old).await.unwrap();
         let promise = |k: u8, size| UploadId::new(Digest::of(&[k]), size);
@@ -96,7 +96,7 @@ async fn uploads_keep_their_room_and_give_it_back() {
 
 #[tokio::test]
 async fn uploads_that_nobody_continues_are_removed() {
-    for (kind, store, folder) in each(three_blobs().with_keep_uploads(Duration::ZERO)).await {
+    for (kind, store, folder) in each(BlobOptions { keep_uploads: Duration::ZERO, ..three_blobs() }).await {
         let bytes = content(1, CHUNK);
         send(&store, upload_of(&bytes), &bytes).await.unwrap();
         assert_eq!(store.sweep().await.unwrap(), 1, "{kind}");
@@ -115,7 +115,9 @@ async fn uploads_that_nobody_continues_are_removed() {
 #[tokio::test]
 async fn uploads_that_were_left_make_room_for_others() {
     let promise = |k: u8, size, owner| UploadId::new(Digest::of(&[k]), size).of(owner);
-    for (kind, store, _folder) in each(three_blobs().with_uploads(4).with_keep_crowded_uploads(Duration::ZERO)).await {
+    for (kind, store, _folder) in
+        each(BlobOptions { uploads: 4, keep_crowded_uploads: Duration::ZERO, ..three_blobs() }).await
+    {
         for k in 0..4 {
             store.begin(promise(k, 0, "left")).await.unwrap();
         }
@@ -128,7 +130,7 @@ async fn uploads_that_were_left_make_room_for_others() {
             store.upload_status(promise(k, 0, "left")).await.unwrap();
         }
     }
-    for (kind, store, _folder) in each(three_blobs().with_keep_crowded_uploads(Duration::ZERO)).await {
+    for (kind, store, _folder) in each(BlobOptions { keep_crowded_uploads: Duration::ZERO, ..three_blobs() }).await {
         // Room: what was promised and never sent.
         store.begin(promise(0, SIZE, "left")).await.unwrap();
         store.begin(promise(1, 2 * SIZE, "other")).await.unwrap();
@@ -144,7 +146,9 @@ async fn uploads_that_were_left_make_room_for_others() {
 /// Uploads, reads, pins and evictions from many tasks: a pinned blob is always there, and the room is never exceeded.
 #[tokio::test(flavor = "multi_thread", worker_threads = 4)]
 async fn many_at_once_stay_within_the_quota() {
-    for (kind, store, folder) in each(BlobOptions::default().with_quota_bytes(6 * SIZE).with_fsync(false)).await {
+    for (kind, store, folder) in
+        each(BlobOptions { quota_bytes: 6 * SIZE, fsync: false, ..BlobOptions::default() }).await
+    {
         let mut tasks = tokio::task::JoinSet::new();
         for writer in 0_u64..4 {
             let store = store.clone();

@@ -45,7 +45,7 @@ fn speed() {
     let rate = |seconds: f64| SIZE_MIB as f64 * MIB as f64 / 1e6 / seconds;
     for fsync in [true, false] {
         runtime.block_on(async {
-            let store = local(folder.path(), BlobOptions::default().with_fsync(fsync)).await;
+            let store = local(folder.path(), BlobOptions { fsync, ..BlobOptions::default() }).await;
             let (watch, start, cpu) = (MemoryPeak::new(), Instant::now(), cpu_s());
             store.begin(id).await.unwrap();
             for k in 0..SIZE_MIB {

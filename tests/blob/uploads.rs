@@ -130,7 +130,7 @@ async fn a_cut_upload_goes_on_where_it_was_and_is_never_whole_early() {
 
 #[tokio::test]
 async fn bad_chunks_are_refused_and_change_nothing() {
-    let options = BlobOptions::default().with_blob_bytes(5 << 20);
+    let options = BlobOptions { blob_bytes: 5 << 20, ..BlobOptions::default() };
     for (kind, store, _folder) in each(options).await {
         let bytes = content(1, 5 << 20);
         let (id, size_bytes) = (upload_of(&bytes), 5 << 20);

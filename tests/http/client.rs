@@ -4,7 +4,8 @@ use std::net::SocketAddr;
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
-use jobs::{Backends, BlobRoom, Engine, EngineOptions, Executor, ExecutorOptions, JobError, Stores};
+use jobs::blob::BlobOptions;
+use jobs::{Backends, Engine, EngineOptions, Executor, ExecutorOptions, JobError, Stores};
 use rustls::pki_types::pem::PemObject;
 use rustls::pki_types::{CertificateDer, ServerName};
 use rustls::{ClientConfig, RootCertStore};
@@ -106,7 +107,7 @@ impl House {
         let (engine, worker) = Engine::start(factory, options).unwrap();
         let Limits { max_vertices, max_facets, max_seeds, max_iterations, .. } = limits;
         let bounds = wire::counts::Bounds { max_vertices, max_facets, max_seeds, max_iterations };
-        let stores = Stores::ephemeral(BlobRoom::default());
+        let stores = Stores::ephemeral(BlobOptions::default());
         let blobs = Arc::clone(&stores.blobs);
         let executor = Executor::start(engine.clone(), stores, ExecutorOptions::new(bounds)).await.unwrap();
         let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();

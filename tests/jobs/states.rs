@@ -2,6 +2,10 @@
 
 use jobs::record::state::{State, Transition, apply};
 
+use Transition as T;
+
+const TRANSITIONS: [T; 7] = [T::Claim, T::Release, T::Orphan, T::Succeed, T::Fail, T::Cancel, T::Expire];
+
 #[test]
 fn the_machine_is_the_table() {
     use State::*;
@@ -15,14 +19,14 @@ fn the_machine_is_the_table() {
     ];
     assert_eq!(table.map(|(state, _)| state), State::ALL);
     for (state, row) in table {
-        assert_eq!(Transition::ALL.map(|transition| apply(state, transition).ok()), row, "{state:?}");
+        assert_eq!(TRANSITIONS.map(|transition| apply(state, transition).ok()), row, "{state:?}");
     }
 }
 
 #[test]
 fn what_has_ended_stays_ended() {
     for state in State::ALL.into_iter().filter(|state| state.is_ended()) {
-        for next in Transition::ALL.into_iter().filter_map(|transition| apply(state, transition).ok()) {
+        for next in TRANSITIONS.into_iter().filter_map(|transition| apply(state, transition).ok()) {
             assert!(next.is_ended(), "{state:?} becomes {next:?}");
         }
     }

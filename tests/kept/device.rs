@@ -16,6 +16,7 @@ use std::time::{Duration, Instant};
 
 use ::gpu::diagram::Gpu;
 use ::gpu::{Device, DeviceOptions};
+use jobs::blob::BlobOptions;
 use jobs::*;
 use needs::needs;
 use serde_json::json;
@@ -92,7 +93,7 @@ impl Server {
         let limits = Limits::default();
         let Limits { max_vertices, max_facets, max_seeds, max_iterations, .. } = limits;
         let bounds = wire::counts::Bounds { max_vertices, max_facets, max_seeds, max_iterations };
-        let stores = Stores::ephemeral(BlobRoom::default());
+        let stores = Stores::ephemeral(BlobOptions::default());
         let blobs = Arc::clone(&stores.blobs);
         let journal = Arc::clone(&stores.jobs);
         let executor = Executor::start(engine.clone(), stores, ExecutorOptions::new(bounds)).await.unwrap();

@@ -38,7 +38,7 @@ async fn speed() {
         None => tempfile::tempdir().unwrap(),
     };
     for fsync in [true, false] {
-        let blobs = BlobOptions::default().with_fsync(fsync);
+        let blobs = BlobOptions { fsync, ..BlobOptions::default() };
         let server = Server::start(Setup { blobs, folder: Some(folder.path().to_owned()), ..Setup::default() }).await;
         let mut client = BlobServiceClient::new(server.channel().await);
         let (block, named) = (block.clone(), digest.clone());

@@ -319,7 +319,7 @@ async fn what_is_wrong_is_refused_and_stores_nothing() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn what_does_not_fit_is_refused_before_its_bytes_come() {
-    let blobs = BlobOptions::default().with_quota_bytes(10_000).with_blob_bytes(8000).with_uploads(3);
+    let blobs = BlobOptions { quota_bytes: 10_000, blob_bytes: 8000, uploads: 3, ..BlobOptions::default() };
     let (server, mut client) = start(blobs).await;
     for size_bytes in [8001, 1 << 40, u64::MAX] {
         let first = WriteRequest { size_bytes, ..upload(b"x", 0, 1).remove(0) };

@@ -174,7 +174,7 @@ async fn a_key_has_so_many_bytes_and_gives_up_its_oldest() {
     let new = NewKey { name: "ci".to_owned(), role: Role::Submit, lasts: None, limits, is_second: false };
     let (_, secret) = file.change(|keys| keys.add(new)).unwrap();
     let access = Access::in_folder(folder.path(), AccessOptions::default()).unwrap();
-    let blobs = BlobOptions::default().with_quota_bytes(1 << 20);
+    let blobs = BlobOptions { quota_bytes: 1 << 20, ..BlobOptions::default() };
     let server = Server::start(Setup { access, blobs, ..Setup::default() }).await;
     let mut client = BlobServiceClient::new(server.channel().await);
     fn with<T>(secret: &str, message: T) -> Request<T> {

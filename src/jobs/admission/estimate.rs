@@ -1,7 +1,7 @@
 //! What a job will need, from numbers that are known before it runs.
 //!
 //! Purpose: [`need`] says how much memory and time a job takes, for admission and for fair queueing. Host bytes are fitted
-//! to measured runs (`calibration`; docs/performance.md has the figures). Device bytes are those of the plan that allocates.
+//! to measured runs (`tests/calibration.rs`; docs/performance.md has the figures). Device bytes are those of the plan that allocates.
 //! Invariant: pure, without clock or files. Monotone in every count, and nothing overflows.
 //! Must not know: queues, records of jobs, how counts were found.
 
@@ -15,16 +15,11 @@ use gpu::SessionForecast;
 use wire::options::{Diagram, Session, source};
 pub use wire::proto::DensitySource;
 
-/// What is known of a job before it runs.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Counts {
-    /// What is done.
     pub kind: Kind,
-    /// The backend.
     pub backend: BackendKind,
-    /// Vertices of the surface.
     pub vertices: u64,
-    /// Facets of the surface.
     pub facets: u64,
     /// Seeds, the most that refinement may add included.
     pub points: u64,
@@ -32,9 +27,7 @@ pub struct Counts {
     pub steps: u64,
     /// Bytes of the file or the arrays that the surface comes as.
     pub input_bytes: u64,
-    /// Where the density comes from.
     pub density: DensitySource,
-    /// Where a remesh puts its vertices.
     pub placement: Placement,
     /// Numbers of all attributes that a remesh carries over, three for a normal.
     pub attributes: u64,
@@ -42,9 +35,7 @@ pub struct Counts {
     pub list_bytes: u64,
     /// Whether points are added until a tolerance is met.
     pub refines: bool,
-    /// Whether a remesh is measured.
     pub measures: bool,
-    /// Whether a diagram's pieces are written.
     pub cells: bool,
 }
 
@@ -86,7 +77,6 @@ impl Counts {
         }
     }
 
-    /// With the options of a diagram.
     #[must_use]
     pub fn of_diagram(self, diagram: &Diagram) -> Self {
         Self { steps: 0, density: source(&diagram.density), ..self }
@@ -105,7 +95,6 @@ impl Counts {
     }
 }
 
-/// What a job needs.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Need {
     /// Growth of the process's memory over that of an idle one, at most, and buffers on the device.
@@ -114,7 +103,6 @@ pub struct Need {
     pub seconds: f64,
 }
 
-/// What a job needs, with `threads` threads.
 pub fn need(counts: &Counts, threads: usize) -> Need {
     let counts = Counts { facets: divided(counts), ..*counts };
     Need {
@@ -202,7 +190,5 @@ fn seconds(counts: &Counts, threads: usize) -> f64 {
     0.02 + 1e-6 * attempts * (steps * 2.0 / threads + other * (0.6 + 0.8 / threads))
 }
 
-#[cfg(test)]
-mod calibration;
 #[cfg(test)]
 mod tests;

@@ -6,15 +6,16 @@
 //! the tenant's do not exist. Must not know: queues, stores of jobs.
 
 use std::collections::HashMap;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex};
 
 use futures_util::TryStreamExt;
 use tokio::sync::Semaphore;
 
-use super::error::{JobApiError, Memory};
+use super::{JobApiError, Memory};
 use crate::admission::estimate::{Counts, Need, need};
 use crate::blob::{BlobError, BlobStore, Digest, Owner};
 use crate::engine::Engine;
+use crate::lock;
 use crate::record::{ArrayRef, Arrays, AttributeRef, Bytes, MeshSource, Operation, Spec, steps};
 use geometry::cvt::density::Count;
 use geometry::mesh::io::{self, DataError, Format};
@@ -30,7 +31,6 @@ const TEXT_BYTES: u64 = 6;
 /// Blobs whose counts are remembered.
 const REMEMBERED: usize = 4096;
 
-/// What is known of a surface's file.
 #[derive(Clone, Copy, Debug)]
 struct File {
     counts: (u64, u64),
@@ -38,11 +38,9 @@ struct File {
     bytes: u64,
 }
 
-/// See the module's head.
 pub struct Forecast {
     blobs: Arc<dyn BlobStore>,
     engine: Engine,
-    /// The most seeds that a job may have.
     max_seeds: u64,
     /// Blobs that are read for their counts: they lie in memory meanwhile.
     reading: Semaphore,
@@ -55,15 +53,9 @@ impl Forecast {
         Self { blobs, engine, max_seeds, reading: Semaphore::new(AT_ONCE), known: Mutex::default() }
     }
 
-    /// What a job with these counts needs here.
     pub fn need(&self, counts: &Counts) -> Need {
         let threads = self.engine.backend(BackendChoice::Auto).map_or(1, |by| by.threads);
         need(counts, threads)
-    }
-
-    /// What jobs here may need.
-    pub fn limits(&self) -> Bytes {
-        self.engine.memory()
     }
 
     /// The counts of a job; `given` are the surface's vertices and facets, if they are known.
@@ -139,17 +131,14 @@ impl Forecast {
         }
     }
 
-    /// Vertices, facets and bytes of a surface's file.
     async fn of_file(&self, owner: Owner, blob: Digest, format: Format) -> Result<((u64, u64), u64), JobApiError> {
         let size_bytes = self.size_of(owner, blob).await?;
-        let known = |forecast: &Self| {
-            forecast.known.lock().unwrap_or_else(PoisonError::into_inner).get(&(blob, format)).copied()
-        };
-        if let Some(File { counts, bytes }) = known(self) {
+        let known = lock(&self.known).get(&(blob, format)).copied();
+        if let Some(File { counts, bytes }) = known {
             return Ok((counts, bytes));
         }
         let file = self.look_at(blob, format, size_bytes).await?;
-        let mut known = self.known.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut known = lock(&self.known);
         if known.len() >= REMEMBERED {
             known.clear();
         }
@@ -158,7 +147,7 @@ impl Forecast {
     }
 
     async fn look_at(&self, blob: Digest, format: Format, size_bytes: u64) -> Result<File, JobApiError> {
-        let limits = self.limits();
+        let limits = self.engine.memory();
         let most_bytes = io::unpacked_limit(usize::try_from(size_bytes).unwrap_or(usize::MAX));
         // What is longer than all memory for jobs is not unpacked to its end.
         let limit = most_bytes.min(usize::try_from(limits.host).unwrap_or(usize::MAX));
@@ -196,7 +185,6 @@ impl Forecast {
     }
 }
 
-/// Numbers of an attribute.
 fn numbers_of(AttributeRef { counts, values, corners }: &AttributeRef) -> u64 {
     let corners = corners.map_or(0, |corners| corners.count.saturating_mul(3));
     values.count.saturating_mul(counts.numbers).saturating_add(corners)
@@ -325,7 +313,7 @@ mod tests {
             Ok(crate::Backends { gpu, parallel, serial, default: BackendChoice::Auto, pools: None })
         };
         let (engine, thread) = Engine::start(backends, crate::EngineOptions::default()).unwrap();
-        let blobs = crate::Stores::ephemeral(crate::BlobRoom::default()).blobs;
+        let blobs = crate::Stores::ephemeral(crate::blob::BlobOptions::default()).blobs;
         let put = async |bytes: Vec<u8>| put_of(&*blobs, "t", None, bytes.into()).await.unwrap().digest;
         let mesh = Shape::Torus.build(2000);
         let blob = put(io::encode(io::Format::Ply, &mesh).unwrap()).await;

@@ -22,9 +22,7 @@ pub(super) const CHUNK_BYTES: usize = 1 << 20;
 /// owners are separate: an owner can neither spoil nor see the uploads of others.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct UploadId {
-    /// Digest of the blob that it becomes.
     pub digest: Digest,
-    /// Size of that blob.
     pub size_bytes: u64,
     /// Its owner. The server's own uploads have none, and are not kept out by uploads of others.
     pub owner: Option<Owner>,
@@ -70,12 +68,9 @@ impl FromStr for UploadId {
     }
 }
 
-/// Consecutive bytes of an upload.
 #[derive(Clone, Debug)]
 pub struct Chunk {
-    /// Where they begin.
     pub offset: u64,
-    /// The bytes.
     pub bytes: Bytes,
     /// Their CRC-32C, as the sender computed it.
     pub crc32c: u32,
@@ -89,9 +84,7 @@ impl Chunk {
     }
 
     /// Whether the chunk may follow `kept_bytes` bytes of an upload of `size_bytes`.
-    ///
-    /// # Errors
-    /// `ChunkTooLarge`, `WrongOffset`, `PastEnd`, `ChecksumMismatch`.
+    /// Errors: `ChunkTooLarge`, `WrongOffset`, `PastEnd`, `ChecksumMismatch`.
     pub(super) fn check(&self, kept_bytes: u64, size_bytes: u64) -> Result<(), BlobError> {
         let bytes = self.bytes.len() as u64;
         if self.bytes.len() > MAX_CHUNK_BYTES {
@@ -112,7 +105,6 @@ impl Chunk {
     }
 }
 
-/// How far an upload is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct UploadStatus {
     /// Bytes that are stored; the next chunk begins here.

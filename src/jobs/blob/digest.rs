@@ -4,6 +4,7 @@
 //! Invariant: the text form is 64 lower-case hexadecimal digits, and only that form parses.
 //! Must not know: where bytes come from.
 
+use object_store::path::Path;
 use sha2::Digest as _;
 use sha2::Sha256;
 use sha2::digest::common::hazmat::{SerializableState, SerializedState};
@@ -34,35 +35,23 @@ macro_rules! hex_name {
 }
 pub(super) use hex_name;
 
-/// The SHA-256 of a blob's bytes.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, serde::Serialize, serde::Deserialize)]
 #[serde(try_from = "String", into = "String")]
 pub struct Digest([u8; 32]);
 
-/// Why a text is no digest.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum DigestError {
-    /// Not 64 digits.
     #[error("a digest has 64 hexadecimal digits, not {length}; send the SHA-256 of the bytes")]
-    Length {
-        /// Bytes of the text.
-        length: usize,
-    },
-    /// Not `0` to `9` or `a` to `f`.
+    Length { length: usize },
     #[error("byte {at} of the digest is not one of 0-9 and a-f; write it in lower case, without a prefix")]
-    Digit {
-        /// Index of the first wrong byte.
-        at: usize,
-    },
+    Digit { at: usize },
 }
 
 impl Digest {
-    /// The digest of `bytes`.
     pub fn of(bytes: &[u8]) -> Self {
         Self(Sha256::digest(bytes).into())
     }
 
-    /// The 32 bytes.
     pub const fn as_bytes(&self) -> &[u8; 32] {
         &self.0
     }
@@ -72,6 +61,14 @@ impl From<[u8; 32]> for Digest {
     fn from(bytes: [u8; 32]) -> Self {
         Self(bytes)
     }
+}
+
+/// Folder of the blobs in a store of objects. Not too many lie in one folder.
+pub(super) const BLOBS: &str = "blobs";
+
+pub(super) fn path_of(digest: &Digest) -> Path {
+    let name = digest.to_string();
+    Path::from_iter([BLOBS, &name[..2], &name])
 }
 
 hex_name!(Digest);
@@ -91,13 +88,13 @@ impl From<Digest> for String {
 }
 
 /// Lower-case hexadecimal digits.
-pub(super) fn to_hex(bytes: &[u8]) -> String {
+pub(crate) fn to_hex(bytes: &[u8]) -> String {
     const DIGITS: &[u8; 16] = b"0123456789abcdef";
     bytes.iter().flat_map(|b| [b >> 4, b & 15]).map(|digit| char::from(DIGITS[usize::from(digit)])).collect()
 }
 
 /// Reads exactly `2 N` lower-case hexadecimal digits.
-pub(super) fn from_hex<const N: usize>(text: &str) -> Result<[u8; N], DigestError> {
+pub(crate) fn from_hex<const N: usize>(text: &str) -> Result<[u8; N], DigestError> {
     if text.len() != 2 * N {
         return Err(DigestError::Length { length: text.len() });
     }
@@ -113,7 +110,6 @@ pub(super) fn from_hex<const N: usize>(text: &str) -> Result<[u8; N], DigestErro
     Ok(out)
 }
 
-/// The number of bytes so far, and their hash.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Tally {
     sha: Sha256,
@@ -121,18 +117,15 @@ pub(super) struct Tally {
 }
 
 impl Tally {
-    /// The next bytes.
     pub(super) fn add(&mut self, bytes: &[u8]) {
         self.sha.update(bytes);
         self.bytes += bytes.len() as u64;
     }
 
-    /// Bytes so far.
     pub(super) const fn bytes(&self) -> u64 {
         self.bytes
     }
 
-    /// The digest of the bytes so far.
     pub(super) fn digest(&self) -> Digest {
         Digest(self.sha.clone().finalize().into())
     }

@@ -10,157 +10,52 @@ use std::path::PathBuf;
 
 use super::Digest;
 
-/// See the module's head.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum BlobError {
-    /// There is no such blob. It may have been evicted.
     #[error("blob {digest} is not stored; upload it")]
-    NotFound {
-        /// Which.
-        digest: Digest,
-    },
-    /// There is no such upload, and no blob that it could have become.
+    NotFound { digest: Digest },
     #[error("there is no upload of {digest}; it was never begun, or was removed; begin it again")]
-    UploadNotFound {
-        /// What it would have become.
-        digest: Digest,
-    },
-    /// The chunk does not begin where the stored bytes end.
+    UploadNotFound { digest: Digest },
     #[error("the chunk begins at {got}, but {expected} bytes are stored; go on from there")]
-    WrongOffset {
-        /// Where the next chunk must begin.
-        expected: u64,
-        /// Where it began.
-        got: u64,
-    },
-    /// A chunk is longer than a chunk may be.
+    WrongOffset { expected: u64, got: u64 },
     #[error("a chunk of {bytes} bytes is too long; send at most {limit_bytes}")]
-    ChunkTooLarge {
-        /// Its length.
-        bytes: u64,
-        /// The longest allowed.
-        limit_bytes: u64,
-    },
-    /// The chunk goes on after the promised end.
+    ChunkTooLarge { bytes: u64, limit_bytes: u64 },
     #[error("the chunk ends at {end}, but the upload was begun with a size of {size_bytes} bytes")]
-    PastEnd {
-        /// Where the chunk would end.
-        end: u64,
-        /// The promised size.
-        size_bytes: u64,
-    },
-    /// The chunk was damaged on its way. Nothing of it was stored.
+    PastEnd { end: u64, size_bytes: u64 },
     #[error("the chunk at {offset} was damaged on its way (CRC-32C {actual:08x}, not {expected:08x}); send it again")]
-    ChecksumMismatch {
-        /// Where the chunk begins.
-        offset: u64,
-        /// What its sender computed.
-        expected: u32,
-        /// What arrived.
-        actual: u32,
-    },
-    /// Not all bytes are there yet.
+    ChecksumMismatch { offset: u64, expected: u32, actual: u32 },
     #[error("{kept_bytes} of {size_bytes} bytes are stored; send the rest, then finish")]
-    Incomplete {
-        /// How many are.
-        kept_bytes: u64,
-        /// The promised size.
-        size_bytes: u64,
-    },
-    /// The bytes have another digest than was promised. The upload was removed.
+    Incomplete { kept_bytes: u64, size_bytes: u64 },
     #[error("the bytes have the digest {actual}, not {expected}; the upload was removed, begin it again")]
-    DigestMismatch {
-        /// What was promised.
-        expected: Digest,
-        /// What came.
-        actual: Digest,
-    },
-    /// What is stored is not what was uploaded: something else wrote to the storage. The blob was removed, pinned or not.
+    DigestMismatch { expected: Digest, actual: Digest },
     #[error(
         "blob {digest} was damaged where it was stored, and was removed; upload it again, or run again the job that made it"
     )]
-    Damaged {
-        /// Which.
-        digest: Digest,
-    },
-    /// The blob is stored, and has another size.
+    Damaged { digest: Digest },
     #[error("blob {digest} has {actual_bytes} bytes, not {promised_bytes}")]
-    WrongSize {
-        /// Which.
-        digest: Digest,
-        /// What was promised.
-        promised_bytes: u64,
-        /// What it has.
-        actual_bytes: u64,
-    },
-    /// Larger than a blob may ever be here.
+    WrongSize { digest: Digest, promised_bytes: u64, actual_bytes: u64 },
     #[error("a blob of {size_bytes} bytes is too large; at most {limit_bytes} bytes are allowed")]
-    TooLarge {
-        /// Its size.
-        size_bytes: u64,
-        /// The largest allowed.
-        limit_bytes: u64,
-    },
-    /// No room now, and nothing more that could be evicted.
+    TooLarge { size_bytes: u64, limit_bytes: u64 },
     #[error(
         "no room for {needed_bytes} more bytes: {used_bytes} of {limit_bytes} are in use, {pinned_bytes} of them needed \
          by jobs and results, {uploading_bytes} by uploads; delete results, or try again later"
     )]
-    QuotaExceeded {
-        /// What was asked for.
-        needed_bytes: u64,
-        /// The quota.
-        limit_bytes: u64,
-        /// Blobs and promised uploads.
-        used_bytes: u64,
-        /// Blobs that a pin holds.
-        pinned_bytes: u64,
-        /// Promised sizes of uploads under way.
-        uploading_bytes: u64,
-    },
-    /// The owner has as much as it may have, and nothing of it could go.
+    QuotaExceeded { needed_bytes: u64, limit_bytes: u64, used_bytes: u64, pinned_bytes: u64, uploading_bytes: u64 },
     #[error(
         "no room for {needed_bytes} more bytes: {used_bytes} of the {limit_bytes} bytes that this key may have are in use; \
          delete blobs or jobs, or try again later"
     )]
-    OwnQuotaExceeded {
-        /// What was asked for.
-        needed_bytes: u64,
-        /// What the owner has.
-        used_bytes: u64,
-        /// What it may have.
-        limit_bytes: u64,
-    },
-    /// As many uploads are under way as may be.
+    OwnQuotaExceeded { needed_bytes: u64, used_bytes: u64, limit_bytes: u64 },
     #[error("{limit} uploads are under way, as many as may be; try again later")]
-    TooManyUploads {
-        /// How many may be.
-        limit: usize,
-    },
-    /// The range begins after the end of the blob.
+    TooManyUploads { limit: usize },
     #[error("the range begins at {offset}, but the blob has {size_bytes} bytes")]
-    OutOfRange {
-        /// Where it begins.
-        offset: u64,
-        /// The blob's size.
-        size_bytes: u64,
-    },
-    /// A job or a result needs the blob.
+    OutOfRange { offset: u64, size_bytes: u64 },
     #[error("blob {digest} is needed by a job or a result; delete that first")]
-    Pinned {
-        /// Which.
-        digest: Digest,
-    },
-    /// Another process uses the folder.
+    Pinned { digest: Digest },
     #[error("{} is used by another process; stop it, or give another folder", .folder.display())]
-    InUse {
-        /// Which folder.
-        folder: PathBuf,
-    },
-    /// The disk is full.
+    InUse { folder: PathBuf },
     #[error("the disk that holds the blobs is full; free space, or lower the quota")]
     StorageFull,
-    /// The storage did not do what it was asked.
     #[error("the blob storage failed: {0}; try again, and look at the server's log if it stays so")]
     Unavailable(String),
 }

@@ -26,19 +26,17 @@ use object_store::{GetOptions, ObjectStore};
 use tokio::task::spawn_blocking;
 
 use super::chunk::{Chunk, UploadId, UploadStatus};
+use super::digest::{BLOBS, path_of};
 use super::error::{found, io, join, object};
-use super::options::BlobOptions;
-use super::place::{BLOBS, path_of};
 use super::quota::Ledger;
 use super::reader::bytes_of;
-use super::staging::{Folder, Memory, Multipart, Staging};
-use super::store::{BlobInfo, BlobRead, BlobStore, Usage};
+use super::staging::{Folder, Multipart, Staging};
+use super::store::{BlobInfo, BlobOptions, BlobRead, BlobStore, Usage};
 use super::upload::Uploads;
 use super::{BlobError, Digest, Owner};
 use crate::lock;
 use changes::{Inner, Kind};
 
-/// Folder of the uploads.
 const UPLOADS: &str = "uploads";
 /// A file that one process holds locked.
 const LOCK: &str = "lock";
@@ -70,8 +68,8 @@ impl ObjectBlobs {
 
     /// Blobs that are gone with the process.
     pub fn in_memory(options: BlobOptions) -> Self {
-        let objects: Arc<dyn ObjectStore> = Arc::new(InMemory::new());
-        let staging = Box::new(Memory(Arc::clone(&objects)));
+        let objects = Arc::new(InMemory::new());
+        let staging = Box::new(Multipart::new(&objects, UPLOADS));
         let ledger = Ledger::new(options.quota_bytes);
         Self(Arc::new(Inner::new(objects, staging, Kind::Memory, options, ledger, Uploads::default())))
     }
@@ -87,8 +85,7 @@ impl ObjectBlobs {
         store: Arc<S>,
         options: BlobOptions,
     ) -> Result<Self, BlobError> {
-        let staging =
-            Multipart { objects: Arc::clone(&store) as _, parts: Arc::clone(&store) as _, prefix: UPLOADS.into() };
+        let staging = Multipart::new(&store, UPLOADS);
         Self::open(store, Box::new(staging), Kind::Shared, options).await
     }
 
@@ -143,7 +140,6 @@ impl ObjectBlobs {
     }
 }
 
-/// Makes and locks the folder.
 fn open_folder(root: &FilePath, options: &BlobOptions) -> Result<(Arc<LocalFileSystem>, Folder, File), BlobError> {
     fs::create_dir_all(root.join(BLOBS)).map_err(io("make the folder of blobs"))?;
     let lock = File::options().write(true).create(true).truncate(false).open(root.join(LOCK));

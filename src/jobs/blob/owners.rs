@@ -15,21 +15,18 @@ use super::digest::hex_name;
 /// fills no more than this.
 pub(super) const MOST: usize = 256;
 
-/// See the module's head.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct Owner(pub(super) [u8; 16]);
 
 hex_name!(Owner);
 
 impl Owner {
-    /// The owner of this name. Any text will do.
     pub fn of(name: &str) -> Self {
         let digest = Digest::of(name.as_bytes());
         Self(std::array::from_fn(|k| digest.as_bytes()[k]))
     }
 }
 
-/// See the module's head.
 #[derive(Debug, Default)]
 pub(super) struct Owners {
     /// Since when each owner has it: a number that rises.
@@ -38,7 +35,6 @@ pub(super) struct Owners {
     last: u64,
 }
 
-/// What one owner has.
 #[derive(Debug, Default)]
 struct Held {
     bytes: u64,
@@ -63,17 +59,14 @@ impl Owners {
         Some(longest)
     }
 
-    /// Whether the owner has it.
     pub(super) fn has(&self, digest: &Digest, owner: Owner) -> bool {
         self.of_blob.get(digest).is_some_and(|owners| owners.contains_key(&owner))
     }
 
-    /// Whether the blob has an owner.
     pub(super) fn has_owner(&self, digest: &Digest) -> bool {
         self.of_blob.contains_key(digest)
     }
 
-    /// Removes an owner. Returns whether it was one.
     pub(super) fn take(&mut self, digest: &Digest, owner: Owner) -> bool {
         let Some(owners) = self.of_blob.get_mut(digest) else { return false };
         let had = owners.remove(&owner).is_some();
@@ -84,14 +77,12 @@ impl Owners {
         had
     }
 
-    /// Removes all owners of a blob.
     pub(super) fn forget(&mut self, digest: &Digest) {
         for owner in self.of_blob.remove(digest).unwrap_or_default().into_keys() {
             self.subtract(digest, owner);
         }
     }
 
-    /// The bytes of all that the owner has.
     pub(super) fn bytes(&self, owner: Owner) -> u64 {
         self.of_owner.get(&owner).map_or(0, |held| held.bytes)
     }

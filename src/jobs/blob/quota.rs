@@ -17,7 +17,6 @@ struct Entry {
     size_bytes: u64,
     /// When it was used last; unique.
     stamp: u64,
-    /// How many names pin it.
     pins: usize,
 }
 
@@ -28,7 +27,6 @@ struct Pin {
     held: HashSet<Digest>,
 }
 
-/// See the module's head.
 #[derive(Debug, Default)]
 pub(super) struct Ledger {
     limit_bytes: u64,
@@ -48,7 +46,6 @@ pub(super) struct Ledger {
 }
 
 impl Ledger {
-    /// Nothing stored.
     pub(super) fn new(limit_bytes: u64) -> Self {
         Self { limit_bytes, ..Self::default() }
     }
@@ -83,7 +80,6 @@ impl Ledger {
         self.uploading_bytes = self.uploading_bytes.saturating_add(size_bytes);
     }
 
-    /// A blob's size, if it is stored.
     pub(super) fn get(&self, digest: &Digest) -> Option<BlobInfo> {
         self.entries.get(digest).map(|entry| BlobInfo { digest: *digest, size_bytes: entry.size_bytes })
     }
@@ -101,9 +97,7 @@ impl Ledger {
 
     /// Keeps room for `size_bytes`. The victims are forgotten here; the caller removes their bytes. An owner that has promised
     /// `own_bytes` already may promise a quarter of the quota in all, and all owners three quarters: the rest is for results.
-    ///
-    /// # Errors
-    /// `TooLarge` if it could never fit, `QuotaExceeded` if it does not fit now.
+    /// Errors: `TooLarge` if it could never fit, `QuotaExceeded` if it does not fit now.
     pub(super) fn reserve(&mut self, size_bytes: u64, own_bytes: Option<u64>) -> Result<Vec<BlobInfo>, BlobError> {
         if size_bytes > self.limit_bytes {
             return Err(BlobError::TooLarge { size_bytes, limit_bytes: self.limit_bytes });
@@ -169,10 +163,7 @@ impl Ledger {
         Some(BlobInfo { digest: *digest, size_bytes: entry.size_bytes })
     }
 
-    /// Removes a blob on request.
-    ///
-    /// # Errors
-    /// `NotFound`, `Pinned`.
+    /// Removes a blob on request. Errors: `NotFound`, `Pinned`.
     pub(super) fn delete(&mut self, digest: &Digest) -> Result<BlobInfo, BlobError> {
         match self.entries.get(digest) {
             Some(entry) if entry.pins > 0 => Err(BlobError::Pinned { digest: *digest }),
@@ -180,10 +171,7 @@ impl Ledger {
         }
     }
 
-    /// Pins all of `digests`, or none.
-    ///
-    /// # Errors
-    /// `NotFound`: the first that is not stored.
+    /// Pins all of `digests`, or none. Errors: `NotFound`: the first that is not stored.
     pub(super) fn pin(&mut self, name: &str, digests: &[Digest]) -> Result<(), BlobError> {
         if let Some(digest) = digests.iter().find(|digest| !self.entries.contains_key(digest)) {
             return Err(BlobError::NotFound { digest: *digest });
@@ -194,10 +182,7 @@ impl Ledger {
         Ok(())
     }
 
-    /// As [`Self::pin`]; what `name` holds, it holds in the owner's name.
-    ///
-    /// # Errors
-    /// `NotFound`.
+    /// As [`Self::pin`]; what `name` holds, it holds in the owner's name. Errors: `NotFound`.
     pub(super) fn pin_for(&mut self, owner: Owner, name: &str, digests: &[Digest]) -> Result<(), BlobError> {
         self.pin(name, digests)?;
         if let Some(pin) = self.pins.get_mut(name).filter(|pin| pin.owner.is_none()) {
@@ -258,9 +243,7 @@ impl Ledger {
     }
 
     /// Takes a blob from its owner. Returns it if it has no owner left and no pin: it is out of the books then.
-    ///
-    /// # Errors
-    /// `NotFound`, `Pinned`.
+    /// Errors: `NotFound`, `Pinned`.
     pub(super) fn disown(&mut self, digest: &Digest, owner: Owner) -> Result<Option<BlobInfo>, BlobError> {
         if !self.has(digest, owner) {
             return Err(BlobError::NotFound { digest: *digest });
@@ -277,16 +260,12 @@ impl Ledger {
         Ok(self.forget(digest))
     }
 
-    /// The bytes of all that an owner has.
     pub(super) fn owned_bytes(&self, owner: Owner) -> u64 {
         self.owners.bytes(owner)
     }
 
     /// What an owner gives up, the longest held first, to have room for `size_bytes` more beside what it has and has promised.
-    /// Nothing is changed.
-    ///
-    /// # Errors
-    /// `OwnQuotaExceeded`.
+    /// Nothing is changed. Errors: `OwnQuotaExceeded`.
     pub(super) fn own_room(
         &self,
         owner: Owner,

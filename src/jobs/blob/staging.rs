@@ -1,13 +1,12 @@
 //! Where the bytes of uploads lie until they are whole.
 //!
-//! Purpose: [`Staging`] is one way to keep parts: files that grow ([`Folder`]), memory ([`Memory`]), or the multipart
-//! uploads of an object store ([`Multipart`]).
+//! Purpose: [`Staging`] is one way to keep parts: files that grow ([`Folder`]), or the multipart uploads of an object store
+//! ([`Multipart`]), which memory is too.
 //! Invariant: what a part says it keeps is a prefix of what was appended. Nothing staged is visible as a blob;
 //! publishing shows all of it or nothing.
 //! Must not know: quotas, pins, or which digest was promised.
 
 mod folder;
-mod memory;
 mod multipart;
 
 use std::time::SystemTime;
@@ -17,14 +16,12 @@ use bytes::Bytes;
 use object_store::path::Path;
 
 pub(super) use folder::Folder;
-pub(super) use memory::Memory;
 pub(super) use multipart::Multipart;
 
 use super::BlobError;
 use super::chunk::UploadId;
 use super::digest::Tally;
 
-/// See the module's head.
 #[async_trait]
 pub(super) trait Staging: Send + Sync {
     /// The uploads that an earlier process left, and when each was continued last. Removes what is of no use.
@@ -36,7 +33,6 @@ pub(super) trait Staging: Send + Sync {
     /// What is kept of an upload. `None` if there is nothing of it any more.
     async fn load(&self, id: UploadId) -> Result<Option<Box<dyn Part>>, BlobError>;
 
-    /// Checks that something could be stored now.
     async fn check(&self) -> Result<(), BlobError>;
 
     /// Removes what is kept of an upload, if anything is.
@@ -46,7 +42,6 @@ pub(super) trait Staging: Send + Sync {
 /// The bytes of one upload. After an error the part is of no use; [`Staging::load`] gives what is kept.
 #[async_trait]
 pub(super) trait Part: Send {
-    /// Number and digest of the bytes.
     fn tally(&self) -> &Tally;
 
     /// Adds bytes at the end; `crc32c` was checked.

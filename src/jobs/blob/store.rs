@@ -7,6 +7,7 @@
 
 use std::fmt::Debug;
 use std::ops::Range;
+use std::time::Duration;
 
 use async_trait::async_trait;
 use bytes::Bytes;
@@ -18,38 +19,58 @@ use super::{BlobError, Digest, Owner};
 /// The longest piece that a read gives, bytes.
 pub const READ_BYTES: usize = 1 << 20;
 
+/// How much is kept, and how long. The defaults suit a server with a disk of its own.
+#[derive(Clone, Copy, Debug)]
+pub struct BlobOptions {
+    pub quota_bytes: u64,
+    pub blob_bytes: u64,
+    pub uploads: usize,
+    pub keep_uploads: Duration,
+    /// How long an idle upload keeps its place while others need one.
+    pub keep_crowded_uploads: Duration,
+    /// Whether the disk must have a blob before it is said to be stored. Without, a loss of power may lose blobs.
+    pub fsync: bool,
+    /// Bytes of the disk that stay free: for the journal, which must never find it full.
+    pub reserve_bytes: u64,
+}
+
+impl Default for BlobOptions {
+    fn default() -> Self {
+        Self {
+            quota_bytes: 64 << 30,
+            blob_bytes: 16 << 30,
+            uploads: 256,
+            keep_uploads: Duration::from_secs(24 * 3600),
+            // Twice the pause that a client may make between two pieces.
+            keep_crowded_uploads: Duration::from_secs(120),
+            fsync: true,
+            reserve_bytes: 64 << 20,
+        }
+    }
+}
+
 /// The bytes of a range, in order, in pieces of at most [`READ_BYTES`].
 pub type ByteStream = BoxStream<'static, Result<Bytes, BlobError>>;
 
-/// A blob that is stored.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct BlobInfo {
-    /// Its name.
     pub digest: Digest,
-    /// Its size.
     pub size_bytes: u64,
 }
 
-/// What is in use, and what may be.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Usage {
-    /// Blobs that are stored.
     pub blobs: usize,
-    /// Their bytes.
     pub blob_bytes: u64,
     /// The bytes of those that a pin holds.
     pub pinned_bytes: u64,
-    /// Uploads under way.
     pub uploads: usize,
     /// Their promised bytes.
     pub uploading_bytes: u64,
-    /// The quota.
     pub limit_bytes: u64,
 }
 
-/// A read under way.
 pub struct BlobRead {
-    /// The blob.
     pub info: BlobInfo,
     /// What of it comes; within the blob.
     pub range: Range<u64>,
@@ -140,9 +161,6 @@ pub trait BlobStore: Send + Sync + Debug {
     async fn pin(&self, name: &str, digests: &[Digest]) -> Result<(), BlobError>;
 
     /// As [`pin`](Self::pin), in the name of an owner, which cannot delete the blobs meanwhile.
-    ///
-    /// # Errors
-    /// As [`pin`](Self::pin).
     async fn pin_for(&self, owner: Owner, name: &str, digests: &[Digest]) -> Result<(), BlobError>;
 
     /// Whether a blob is stored and this owner has it: uploaded it, or was given it by [`claim`](Self::claim). Is no use.
@@ -163,7 +181,6 @@ pub trait BlobStore: Send + Sync + Debug {
     /// `NotFound` if the owner does not have it; `Pinned` if it is pinned in the owner's name.
     async fn disown(&self, owner: Owner, digest: Digest) -> Result<(), BlobError>;
 
-    /// The bytes of all blobs that an owner has.
     async fn owned_bytes(&self, owner: Owner) -> Result<u64, BlobError>;
 
     /// Takes back all that `name` protects. A name without pins is no error.
@@ -178,16 +195,12 @@ pub trait BlobStore: Send + Sync + Debug {
     /// `StorageFull`.
     async fn check(&self) -> Result<(), BlobError>;
 
-    /// What is in use.
     async fn usage(&self) -> Result<Usage, BlobError>;
 }
 
 /// Stores bytes that are in memory: results, and uploads of streams. `pin` as in [`BlobStore::finish`].
 ///
 /// Two calls with the same bytes at once share the work.
-///
-/// # Errors
-/// Those of [`BlobStore::begin`], [`BlobStore::write`] and [`BlobStore::finish`].
 pub async fn put(store: &dyn BlobStore, bytes: Bytes, pin: Option<&str>) -> Result<BlobInfo, BlobError> {
     put_upload(store, None, None, bytes, pin).await
 }

@@ -21,11 +21,9 @@ const SHARE: usize = 4;
 /// The least that this part is, if there are that many places.
 const FEW: usize = 8;
 
-/// What this process knows of an upload.
 pub(super) enum Slot {
     /// The storage has it; it is to be read before its next use.
     Kept,
-    /// Ready for the next chunk.
     Open(Box<dyn Part>),
     /// Finished or removed; the table has it no more.
     Gone,
@@ -42,24 +40,20 @@ impl Upload {
         Self { slot: Arc::new(tokio::sync::Mutex::new(Slot::Kept)), touched: Mutex::new(touched) }
     }
 
-    /// Waits for the turn to change it.
     pub(super) async fn lock(&self) -> OwnedMutexGuard<Slot> {
         Arc::clone(&self.slot).lock_owned().await
     }
 
-    /// Somebody continued it.
     pub(super) fn touch(&self) {
         *lock(&self.touched) = SystemTime::now();
     }
 
-    /// Time since it was continued last.
     pub(super) fn idle(&self) -> Duration {
         // A clock that was set back makes an upload younger, not older.
         lock(&self.touched).elapsed().unwrap_or_default()
     }
 }
 
-/// The uploads under way.
 #[derive(Default)]
 pub(super) struct Uploads(Mutex<HashMap<UploadId, Arc<Upload>>>);
 
@@ -69,16 +63,12 @@ impl Uploads {
         lock(&self.0).insert(id, Arc::new(Upload::new(touched)));
     }
 
-    /// An upload, if there is one.
     pub(super) fn get(&self, id: &UploadId) -> Option<Arc<Upload>> {
         lock(&self.0).get(id).cloned()
     }
 
     /// Adds an upload, locked, unless there is one. `admit` gets the bytes that its owner, if it has one, has promised besides,
-    /// and decides whether there is room.
-    ///
-    /// # Errors
-    /// `TooManyUploads`; those of `admit`.
+    /// and decides whether there is room. Errors: `TooManyUploads`; those of `admit`.
     pub(super) fn add<T>(
         &self,
         id: UploadId,
@@ -113,7 +103,6 @@ impl Uploads {
         lock(&self.0).remove(id);
     }
 
-    /// Uploads that were idle for `time`.
     pub(super) fn idle(&self, time: Duration) -> Vec<UploadId> {
         lock(&self.0).iter().filter(|(_, upload)| upload.idle() >= time).map(|(id, _)| *id).collect()
     }
@@ -129,7 +118,6 @@ impl Uploads {
         found.map(|(other, _)| *other)
     }
 
-    /// Number of uploads.
     pub(super) fn len(&self) -> usize {
         lock(&self.0).len()
     }

@@ -10,11 +10,12 @@
 
 use std::collections::VecDeque;
 use std::ops::Range;
-use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Condvar, Mutex, PoisonError};
 use std::time::Duration;
 
 use glam::DVec3;
 
+use crate::lock;
 use crate::observe::activity::Activity;
 use geometry::rvd::{
     Backend, BackendKind, CellSums, DeviceFacts, DeviceWork, Evaluation, PassStats, PhasesMs, PieceBatch, Resident,
@@ -25,7 +26,6 @@ use geometry::token::Token;
 /// How often the token of a waiter is checked.
 const TOKEN_POLL: Duration = Duration::from_millis(20);
 
-/// See the module's head.
 #[derive(Debug, Default)]
 pub(crate) struct Gate {
     queue: Mutex<WaitQueue>,
@@ -44,7 +44,7 @@ struct Permit<'a>(&'a Gate);
 
 impl Drop for Permit<'_> {
     fn drop(&mut self) {
-        let mut queue = self.0.lock();
+        let mut queue = lock(&self.0.queue);
         queue.busy = false;
         let any = !queue.waiting.is_empty();
         drop(queue);
@@ -62,19 +62,14 @@ struct Waiter<'a> {
 
 impl Drop for Waiter<'_> {
     fn drop(&mut self) {
-        self.gate.lock().waiting.retain(|number| *number != self.number);
+        lock(&self.gate.queue).waiting.retain(|number| *number != self.number);
         self.gate.moved.notify_all();
     }
 }
 
 impl Gate {
-    fn lock(&self) -> MutexGuard<'_, WaitQueue> {
-        self.queue.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
-    /// Waits for the turn.
     fn enter(&self, token: Option<&Token>) -> Result<Permit<'_>, RvdError> {
-        let mut queue = self.lock();
+        let mut queue = lock(&self.queue);
         if !queue.busy && queue.waiting.is_empty() {
             queue.busy = true;
             return Ok(Permit(self));
@@ -84,12 +79,12 @@ impl Gate {
         queue.waiting.push_back(number);
         drop(queue);
         let waiter = Waiter { gate: self, number };
-        let mut queue = self.lock();
+        let mut queue = lock(&self.queue);
         while queue.busy || queue.waiting.front() != Some(&number) {
             if let Some(token) = token {
                 drop(queue);
                 token.check()?;
-                queue = self.lock();
+                queue = lock(&self.queue);
                 if !queue.busy && queue.waiting.front() == Some(&number) {
                     break;
                 }
@@ -105,11 +100,9 @@ impl Gate {
 
 /// A backend as one job sees it: its passes are counted and traced, and a device is shared. See the module's head.
 pub(crate) struct Gated {
-    /// The backend.
     pub(crate) backend: Arc<dyn Backend>,
     /// For a device: the gate, and the job's own threads for all that is no pass.
     pub(crate) shared: Option<(Arc<Gate>, Arc<dyn Backend>)>,
-    /// Counts and traces passes.
     pub activity: Arc<Activity>,
 }
 
@@ -174,7 +167,6 @@ struct GatedSession {
 }
 
 impl GatedSession {
-    /// A session that was just opened.
     fn new(session: Box<dyn Session>, gate: Option<Arc<Gate>>, kind: BackendKind, activity: Arc<Activity>) -> Self {
         let work = session.device_work();
         let mut session = Self { session, gate, kind, activity, planned: 0, work };
@@ -335,14 +327,14 @@ mod tests {
                     std::thread::sleep(Duration::from_millis(2));
                     inside.fetch_sub(1, Ordering::SeqCst);
                 });
-                while gate.lock().waiting.len() <= number {
+                while lock(&gate.queue).waiting.len() <= number {
                     std::thread::sleep(Duration::from_millis(1));
                 }
             }
             drop(first);
         });
         assert_eq!(*order.lock().unwrap(), (0..8).collect::<Vec<_>>());
-        assert!(!gate.lock().busy && gate.lock().waiting.is_empty());
+        assert!(!lock(&gate.queue).busy && lock(&gate.queue).waiting.is_empty());
     }
 
     #[test]
@@ -362,7 +354,7 @@ mod tests {
         let token = Token::default();
         token.cancel();
         assert!(matches!(gate.enter(Some(&token)).err(), Some(RvdError::Stopped(Stopped::Cancelled))));
-        assert!(gate.lock().waiting.is_empty());
+        assert!(lock(&gate.queue).waiting.is_empty());
         drop(first);
         drop(gate.enter(None).unwrap());
     }

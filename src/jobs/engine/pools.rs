@@ -11,7 +11,6 @@ use std::sync::{Arc, Mutex};
 use crate::{Backends, PoolFactory, lock};
 use geometry::rvd::Backend;
 
-/// See the module's head.
 pub(crate) struct Pools {
     make: Option<PoolFactory>,
     /// Used where no other can be had.
@@ -54,7 +53,6 @@ impl Pools {
     }
 }
 
-/// Threads of one job, until this is dropped.
 pub(crate) struct PoolLease<'a> {
     pools: &'a Pools,
     backend: Arc<dyn Backend>,

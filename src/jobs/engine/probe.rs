@@ -21,21 +21,14 @@ pub const PROBE_TIME: Duration = Duration::from_secs(10);
 /// times below; a device that computes nonsense does not.
 const TOLERANCE: f64 = 1e-4;
 
-/// Why a probe did not pass.
 #[derive(Clone, Debug, thiserror::Error)]
 pub enum ProbeError {
-    /// The work failed.
     #[error(transparent)]
     Job(#[from] JobError),
-    /// The work did not end.
     #[error("the backend did not answer within {} s", PROBE_TIME.as_secs())]
     Silent,
 }
 
-/// Asks for one diagram.
-///
-/// # Errors
-/// [`ProbeError`].
 pub async fn probe(engine: &Engine) -> Result<(), ProbeError> {
     let mut pending = engine.submit(Admission::Session, Retry::Never, |backends, context| {
         Ok(check(backends.choose(BackendChoice::Auto)?.as_ref(), &context.token)?)
@@ -46,7 +39,6 @@ pub async fn probe(engine: &Engine) -> Result<(), ProbeError> {
     }
 }
 
-/// Computes the diagram and compares.
 fn check(backend: &dyn Backend, token: &Token) -> Result<(), RvdError> {
     let corners = [DVec3::X, DVec3::NEG_X, DVec3::Y, DVec3::NEG_Y, DVec3::Z, DVec3::NEG_Z];
     let facets = vec![[0, 2, 4], [2, 1, 4], [1, 3, 4], [3, 0, 4], [2, 0, 5], [1, 2, 5], [3, 1, 5], [0, 3, 5]];

@@ -8,12 +8,12 @@
 //! gets in once all workers have gone. Must not know: what the work is.
 
 use std::collections::{BTreeMap, HashMap, HashSet, VecDeque};
-use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Condvar, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
-use crate::JobError;
 use crate::engine::schedule::{AdmissionRequest, Schedule, Slots};
 use crate::record::JobId;
+use crate::{JobError, lock};
 use geometry::token::Token;
 
 /// How long a reservation counts against the limit. A job that is uploaded later still gets in, but others do too.
@@ -32,10 +32,8 @@ pub enum Admission {
     Continuation,
 }
 
-/// The two kinds of workers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Lane {
-    /// Whole jobs.
     Jobs,
     /// Pieces of admitted work.
     Short,
@@ -43,7 +41,6 @@ pub(crate) enum Lane {
 
 /// What waits. Dropping an item must be harmless.
 pub(crate) trait Item: Send {
-    /// Whether somebody still waits for the answer.
     fn is_wanted(&self) -> bool;
     /// The flag that stops it while it runs.
     fn token(&self) -> &Token;
@@ -57,9 +54,7 @@ pub(crate) struct Dequeued<T> {
     pub is_alone: bool,
 }
 
-/// What [`Queue::pop`] found.
 pub(crate) enum Popped<T> {
-    /// Work.
     Item(Dequeued<T>),
     /// No work within the time given.
     Nothing,
@@ -67,7 +62,6 @@ pub(crate) enum Popped<T> {
     Closed,
 }
 
-/// See the module's head.
 pub(crate) struct Queue<T> {
     state: Mutex<State<T>>,
     ready: Condvar,
@@ -77,7 +71,6 @@ pub(crate) struct Queue<T> {
 struct State<T> {
     jobs: Schedule<Waiting<T>>,
     short: VecDeque<T>,
-    /// When each reservation was made, by number.
     reservations: BTreeMap<u64, Instant>,
     tickets: u64,
     running: HashMap<u64, Running>,
@@ -95,7 +88,6 @@ struct Waiting<T> {
     kept: Option<JobId>,
 }
 
-/// An item at work.
 struct Running {
     token: Token,
     kept: Option<JobId>,
@@ -105,7 +97,6 @@ struct Running {
 #[derive(Default)]
 struct Kept {
     jobs: HashMap<JobId, (Arc<str>, Token)>,
-    /// How many each tenant has.
     tenants: HashMap<Arc<str>, usize>,
 }
 
@@ -144,12 +135,9 @@ impl<T: Item> Queue<T> {
         Self { state: Mutex::new(state), ready: Condvar::new(), limit }
     }
 
-    /// Reserves a place for a new job. The number is for [`Self::release`].
-    ///
-    /// # Errors
-    /// `QueueFull`, `Draining`.
+    /// Reserves a place for a new job. The number is for [`Self::release`]. Errors: `QueueFull`, `Draining`.
     pub(crate) fn reserve(&self) -> Result<u64, JobError> {
-        let mut state = self.lock();
+        let mut state = lock(&self.state);
         if state.closed {
             return Err(JobError::Draining);
         }
@@ -159,17 +147,14 @@ impl<T: Item> Queue<T> {
         Ok(ticket)
     }
 
-    /// Ends a reservation.
     pub(crate) fn release(&self, ticket: u64) {
-        self.lock().reservations.remove(&ticket);
+        lock(&self.state).reservations.remove(&ticket);
     }
 
     /// Puts an item in and says how many are ahead of it, those at work included.
-    ///
-    /// # Errors
-    /// `QueueFull`, `Draining` (for what is new, and for all once the workers have gone).
+    /// Errors: `QueueFull`, `Draining` (for what is new, and for all once the workers have gone).
     pub(crate) fn push(&self, admission: Admission, item: T) -> Result<usize, JobError> {
-        let mut state = self.lock();
+        let mut state = lock(&self.state);
         let is_new = matches!(admission, Admission::New(_) | Admission::Reserved(_));
         if state.ended || (state.closed && is_new) {
             return Err(JobError::Draining);
@@ -203,7 +188,7 @@ impl<T: Item> Queue<T> {
 
     /// Waits for the next item of a lane that is still wanted, at most `patience` if given.
     pub(crate) fn pop(&self, lane: Lane, patience: Option<Duration>) -> Popped<T> {
-        let mut state = self.lock();
+        let mut state = lock(&self.state);
         let mut waited = false;
         loop {
             let mut unwanted = Vec::new();
@@ -212,7 +197,7 @@ impl<T: Item> Queue<T> {
                 // Their destructors may free much; not under the lock.
                 drop(state);
                 drop(unwanted);
-                state = self.lock();
+                state = lock(&self.state);
             }
             if let Some(taken) = taken {
                 return Popped::Item(taken);
@@ -242,7 +227,7 @@ impl<T: Item> Queue<T> {
 
     /// An item that was taken is done, and took so long.
     pub(crate) fn done(&self, number: u64, took: Duration) {
-        let mut state = self.lock();
+        let mut state = lock(&self.state);
         if let Some(id) = state.running.remove(&number).and_then(|running| running.kept) {
             state.kept.remove(id);
         }
@@ -255,19 +240,18 @@ impl<T: Item> Queue<T> {
 
     /// Items that wait, and whether one is at work.
     pub(crate) fn load(&self) -> (usize, bool) {
-        let state = self.lock();
+        let state = lock(&self.state);
         (state.jobs.waiting() + state.short.len(), !state.running.is_empty())
     }
 
-    /// Refuses what is new from now on.
     pub(crate) fn close(&self) {
-        self.lock().closed = true;
+        lock(&self.state).closed = true;
         self.ready.notify_all();
     }
 
     /// The workers have gone: drops what waits, so that its callers hear of it, and refuses all.
     pub(crate) fn end(&self) {
-        let mut state = self.lock();
+        let mut state = lock(&self.state);
         state.closed = true;
         state.ended = true;
         state.release_kept();
@@ -277,9 +261,8 @@ impl<T: Item> Queue<T> {
         self.ready.notify_all();
     }
 
-    /// Cancels what waits and what runs.
     pub(crate) fn cancel_all(&self) {
-        let mut state = self.lock();
+        let mut state = lock(&self.state);
         state.running.values().for_each(|running| running.token.cancel());
         state.jobs.iter().map(|waiting| &waiting.item).chain(&state.short).for_each(|item| item.token().cancel());
         state.release_kept();
@@ -287,7 +270,7 @@ impl<T: Item> Queue<T> {
 
     /// Jobs of a store that wait or are at work: a tenant's, or all.
     pub(crate) fn kept(&self, tenant: Option<&str>) -> usize {
-        let state = self.lock();
+        let state = lock(&self.state);
         match tenant {
             Some(tenant) => state.kept.tenants.get(tenant).copied().unwrap_or(0),
             None => state.kept.jobs.len(),
@@ -296,17 +279,13 @@ impl<T: Item> Queue<T> {
 
     /// Takes a job of a store out of the line and cancels it. An unknown one is ignored.
     pub(crate) fn remove_kept(&self, id: JobId) {
-        let gone = self.lock().kept.remove(id);
+        let gone = lock(&self.state).kept.remove(id);
         gone.iter().for_each(Token::cancel);
     }
 
     /// Takes the waiting jobs of the store out of the line: the store has them.
     pub(crate) fn release_kept(&self) {
-        self.lock().release_kept();
-    }
-
-    fn lock(&self) -> MutexGuard<'_, State<T>> {
-        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+        lock(&self.state).release_kept();
     }
 }
 
@@ -449,7 +428,7 @@ mod tests {
         assert_eq!(pop(&queue, Lane::Jobs).map(|t| t.0), Some(0));
         let slow = queue.reserve().unwrap();
         // A slow upload keeps no other job out, and gets in all the same.
-        queue.lock().reservations.insert(slow, Instant::now().checked_sub(RESERVATION_TTL).unwrap());
+        lock(&queue.state).reservations.insert(slow, Instant::now().checked_sub(RESERVATION_TTL).unwrap());
         queue.push(new(), ticket(3, true)).unwrap();
         queue.push(reservations(), ticket(4, true)).unwrap();
         // So does a job of a store, and it takes no place.

@@ -17,7 +17,7 @@
 
 use std::cmp::Reverse;
 use std::collections::{BTreeMap, HashMap};
-use std::sync::Arc;
+use std::sync::{Arc, PoisonError, RwLock};
 use std::time::{Duration, Instant};
 
 use crate::record::Bytes;
@@ -33,22 +33,39 @@ const BYPASS_LIMIT: Duration = Duration::from_secs(10);
 pub(crate) struct Slots {
     /// At least 1; one more for a tenant that has none at work.
     pub regular: usize,
-    /// Memory that they may need together.
     pub memory: Bytes,
+}
+
+/// The smallest weight, and the largest.
+const LEAST_WEIGHT: f64 = 0.01;
+const MOST_WEIGHT: f64 = 100.0;
+
+/// Weights of tenants: how large the share of each is beside others'. Without one it is 1. Clones share one table.
+#[derive(Clone, Debug, Default)]
+pub struct Weights(Arc<RwLock<HashMap<String, f64>>>);
+
+impl Weights {
+    pub fn of(&self, tenant: &str) -> f64 {
+        self.0.read().unwrap_or_else(PoisonError::into_inner).get(tenant).copied().unwrap_or(1.0)
+    }
+
+    /// Sets the weights of these tenants, and 1 for all others. Jobs that wait already keep theirs.
+    pub fn set(&self, weights: impl IntoIterator<Item = (String, f64)>) {
+        let sound = weights.into_iter().filter(|(_, weight)| weight.is_finite());
+        let table = sound.map(|(tenant, weight)| (tenant, weight.clamp(LEAST_WEIGHT, MOST_WEIGHT))).collect();
+        *self.0.write().unwrap_or_else(PoisonError::into_inner) = table;
+    }
 }
 
 /// A job for the scheduler: its tenant, share and priority, and its expected cost.
 #[derive(Clone, Debug)]
 pub struct AdmissionRequest {
-    /// Whose job it is.
     pub tenant: Arc<str>,
     /// How much of the work the tenant gets beside others, each of which has 1 if nothing else is said. Above 0.
     pub weight: f64,
     /// The higher goes first among those of its tenant.
     pub priority: i32,
-    /// Seconds that it is expected to take.
     pub seconds: f64,
-    /// Memory that it is expected to need.
     pub memory: Bytes,
     /// Its name if a store keeps it. It then does not count against the queue's limit.
     pub kept: Option<JobId>,
@@ -97,7 +114,6 @@ struct Running {
     memory: Bytes,
 }
 
-/// See the module's head.
 pub(crate) struct Schedule<T> {
     slots: Slots,
     tenants: HashMap<Arc<str>, Tenant<T>>,
@@ -110,7 +126,6 @@ pub(crate) struct Schedule<T> {
 }
 
 impl<T> Schedule<T> {
-    /// Nothing waits.
     pub(crate) fn new(slots: Slots) -> Self {
         let slots = Slots { regular: slots.regular.max(1), ..slots };
         Self {
@@ -124,22 +139,18 @@ impl<T> Schedule<T> {
         }
     }
 
-    /// Jobs that wait.
     pub(crate) fn waiting(&self) -> usize {
         self.waiting
     }
 
-    /// Jobs at work.
     pub(crate) fn running(&self) -> usize {
         self.running.len()
     }
 
-    /// Jobs that wait, in no order.
     pub(crate) fn iter(&self) -> impl Iterator<Item = &T> {
         self.tenants.values().flat_map(|tenant| tenant.waiting.values().map(|waiting| &waiting.item))
     }
 
-    /// Adds a job.
     pub(crate) fn push(&mut self, request: AdmissionRequest, item: T) {
         self.came += 1;
         self.waiting += 1;
@@ -152,7 +163,6 @@ impl<T> Schedule<T> {
         tenant.waiting.insert((Reverse(request.priority), self.came), Waiting { item, request, bypassed: None });
     }
 
-    /// Lets go of jobs.
     pub(crate) fn retain(&mut self, keep: impl Fn(&T) -> bool) {
         for tenant in self.tenants.values_mut() {
             tenant.waiting.retain(|_, waiting| keep(&waiting.item));
@@ -161,7 +171,6 @@ impl<T> Schedule<T> {
         self.forget();
     }
 
-    /// Takes all that waits.
     pub(crate) fn drain(&mut self) -> Vec<T> {
         self.waiting = 0;
         let all = self.tenants.values_mut().flat_map(|tenant| std::mem::take(&mut tenant.waiting).into_values());
@@ -406,5 +415,14 @@ mod tests {
         assert_eq!((schedule.waiting(), schedule.running(), schedule.tenants.len()), (0, 0, 0));
         schedule.push(request("a", 1.0), "job");
         assert_eq!((schedule.drain().len(), schedule.waiting()), (1, 0));
+    }
+
+    #[test]
+    fn who_has_none_counts_once() {
+        let weights = Weights::default();
+        weights.clone().set([("a".to_owned(), 4.0), ("b".to_owned(), 0.0), ("c".to_owned(), f64::NAN)]);
+        assert_eq!(["a", "b", "c", "d"].map(|tenant| weights.of(tenant)), [4.0, LEAST_WEIGHT, 1.0, 1.0]);
+        weights.set([]);
+        assert_eq!(weights.of("a"), 1.0);
     }
 }

@@ -37,16 +37,13 @@ impl Default for Ceilings {
 /// State of the work that was asked to stop.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Work {
-    /// All of it stops in time.
     Stops,
     /// Some goes on in this stage.
     Stuck {
-        /// See [`Token::enter`].
         stage: &'static str,
     },
     /// Some went on for so long that it will not stop. Only the end of the process ends it.
     Lost {
-        /// See [`Token::enter`].
         stage: &'static str,
     },
 }
@@ -104,7 +101,6 @@ impl Drop for WatchGuard {
     }
 }
 
-/// Ends the thread with the last handle.
 impl Drop for Shared {
     fn drop(&mut self) {
         lock(&self.state).ended = true;
@@ -113,7 +109,6 @@ impl Drop for Shared {
 }
 
 impl Watchdog {
-    /// Starts the thread.
     pub(crate) fn start(ceilings: Ceilings) -> std::io::Result<Self> {
         let work = watch::Sender::new(Work::Stops);
         let shared =
@@ -133,7 +128,6 @@ impl Watchdog {
         token
     }
 
-    /// Watches work that begins now.
     pub(crate) fn watch(&self, token: &Token) -> WatchGuard {
         let base_bytes = held_for_work(&self.shared.besides);
         let mut state = lock(&self.shared.state);
@@ -146,12 +140,10 @@ impl Watchdog {
         WatchGuard { shared: Arc::clone(&self.shared), number, token: token.clone() }
     }
 
-    /// See [`crate::Engine::memory_outside_jobs`].
     pub(crate) fn memory_outside_jobs(&self) -> Arc<AtomicI64> {
         Arc::clone(&self.shared.besides)
     }
 
-    /// See [`crate::Engine::watch_work`].
     pub(crate) fn work(&self) -> watch::Receiver<Work> {
         self.shared.work.subscribe()
     }
@@ -180,7 +172,6 @@ fn watch_all(shared: &Weak<Shared>) {
     }
 }
 
-/// One look at all work.
 fn look(entries: &mut [Entry], ceilings: &Ceilings, besides: &AtomicI64) -> Work {
     if let Some(limit_bytes) = ceilings.memory_bytes.filter(|_| !entries.is_empty()) {
         let held = held_for_work(besides);

@@ -3,7 +3,8 @@
 //! Purpose: work on a bounded number of OS threads. A job stays on one of them; the device is shared by the pass
 //! ([`gate`](super::gate)). [`Call`] is a piece of work from its submission to its answer.
 //! Invariant: a lost device is replaced once, by the first thread that finds it lost, before the next piece. A piece that
-//! can be begun anew waits for the new device; this is the one place that counts its attempts. A call is answered exactly
+//! can be begun anew waits for the new device; this is the one place that counts its attempts. Work that was promised to a
+//! device goes to the CPU only by [`LossPolicy`]. A call is answered exactly
 //! once or its caller has gone; a panic is an answer; what the work holds goes before the answer. Must not know: what a
 //! piece computes.
 
@@ -18,18 +19,16 @@ use std::time::{Duration, Instant};
 use tokio::sync::{oneshot, watch};
 
 use crate::engine::gate::Gate;
-use crate::engine::loss::{LossPolicy, Outage};
 use crate::engine::pools::Pools;
 use crate::engine::queue::{Dequeued, Item, Lane, Popped, Queue};
-use crate::engine::schedule::Slots;
+use crate::engine::schedule::{Slots, Weights};
 use crate::engine::watchdog::{Ceilings, Watchdog};
-use crate::engine::weights::Weights;
 use crate::observe::activity::{Activity, Observer, QueuedActivity};
 use crate::record::Bytes;
-use crate::{Backends, JobError};
+use crate::{Backends, JobError, lock};
+use geometry::rvd::{BackendChoice, BackendKind};
 use geometry::token::{StageListener, Token};
 
-/// How the engine is set up.
 #[derive(Clone, Copy, Debug)]
 pub struct EngineOptions {
     /// New jobs that may wait, at least 1.
@@ -66,6 +65,31 @@ impl Default for EngineOptions {
     }
 }
 
+/// What an engine does whose device does not come back in time.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum LossPolicy {
+    /// Tries again, for ever. Work that needs the device is refused after the time.
+    #[default]
+    Wait,
+    /// Ends, so that its process can be started anew.
+    End,
+    /// Lets the CPU do the work from then on.
+    Cpu,
+}
+
+impl Backends {
+    /// The same without the GPU: [`BackendChoice::Auto`] means the CPU.
+    fn without_gpu(&self) -> Self {
+        let reason =
+            "the device was lost and did not come back; the CPU does its work until the server is started anew";
+        let default = match self.default {
+            BackendChoice::Only(BackendKind::Gpu) => BackendChoice::Auto,
+            other => other,
+        };
+        Self { gpu: Err(reason.to_owned()), default, ..self.clone() }
+    }
+}
+
 /// As many jobs at once as there are quarters of the processor's cores, but 2 to 8: a job keeps about four cores busy in all
 /// of its stages, and two let the host's stages of one pass while the device works for the other.
 pub(crate) fn jobs_at_once() -> usize {
@@ -78,10 +102,8 @@ const TOKEN_POLL: Duration = Duration::from_millis(20);
 /// Workers for short pieces.
 const SHORT_WORKERS: usize = 2;
 
-/// How the device is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Device {
-    /// Ready.
     Ready,
     /// Lost; being made anew.
     Lost,
@@ -89,7 +111,6 @@ pub enum Device {
     Replaced,
     /// It did not come back, and the engine is to end.
     Missing,
-    /// The engine has ended.
     Gone,
 }
 
@@ -97,7 +118,6 @@ pub(super) struct Shared {
     pub(super) observer: Arc<dyn Observer>,
     pub(super) watchdog: Watchdog,
     pub(super) queue: Queue<Box<dyn Task>>,
-    /// The threads of the CPU backend.
     pub(super) pool: Option<Arc<rayon::ThreadPool>>,
     pub(super) slots: Slots,
     pub(super) device: watch::Sender<Device>,
@@ -110,15 +130,13 @@ pub(super) struct Shared {
     revive: Duration,
     loss: LossPolicy,
     loss_patience: Duration,
-    /// Devices that were lost so far.
     pub(super) losses: AtomicU64,
 }
 
-/// Makes backends, now and after a loss.
 struct BackendFactory {
     make: Box<dyn FnMut() -> Result<Backends, JobError> + Send>,
     tried: Instant,
-    outage: Outage,
+    outage: Option<Instant>,
 }
 
 impl BackendFactory {
@@ -189,7 +207,7 @@ impl Shared {
         options: EngineOptions,
         observer: Arc<dyn Observer>,
     ) -> Result<Self, JobError> {
-        let mut factory = BackendFactory { make: factory, tried: Instant::now(), outage: Outage::default() };
+        let mut factory = BackendFactory { make: factory, tried: Instant::now(), outage: None };
         let backends = factory.make()?;
         let watchdog = Watchdog::start(options.ceilings)
             .map_err(|error| JobError::Panicked(format!("the watchdog could not be started: {error}")))?;
@@ -275,7 +293,7 @@ impl Shared {
     /// Makes new backends after a loss, unless another thread did, or tried less than `pause` ago. Until then the old ones
     /// stay and answer with errors: work that was promised to a GPU does not go to a CPU silently.
     fn replace(&self, generation: u64, pause: Duration) {
-        let mut factory = self.factory.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut factory = lock(&self.factory);
         let (now, old) = self.current();
         if now != generation || (!pause.is_zero() && factory.tried.elapsed() < pause) {
             return;
@@ -301,15 +319,14 @@ impl Shared {
                 tracing::error!(reason = new.gpu.err(), "the GPU did not come back");
             }
             Ok(new) => {
-                factory.outage.end();
+                factory.outage = None;
                 install(new, Device::Ready);
                 tracing::info!("the device is there again");
                 return;
             }
             Err(error) => tracing::error!(%error, "the device could not be made anew"),
         }
-        factory.outage.begin();
-        if !factory.outage.has_lasted(self.loss_patience) {
+        if factory.outage.get_or_insert_with(Instant::now).elapsed() < self.loss_patience {
             return;
         }
         match self.loss {
@@ -371,27 +388,20 @@ pub enum Retry {
     Never,
 }
 
-/// What a piece of work sees besides the backends.
 #[derive(Clone, Debug)]
 pub struct WorkContext {
     /// Set when the caller has gone or the process must end.
     pub token: Token,
-    /// Milliseconds the piece waited.
     pub queue_ms: f64,
     /// Whether it is begun anew if the device is lost.
     pub(crate) may_retry: bool,
-    /// Counts and traces what is done.
     pub activity: Arc<Activity>,
 }
 
-/// An answer and what it took.
 #[derive(Clone, Debug)]
 pub struct Timed<R> {
-    /// The answer.
     pub value: R,
-    /// Milliseconds in the queue.
     pub queue_ms: f64,
-    /// Milliseconds of work.
     pub compute_ms: f64,
 }
 
@@ -418,7 +428,6 @@ impl Item for Box<dyn Task> {
     }
 }
 
-/// Where the answer to a call goes.
 pub(super) type Reply<R> = oneshot::Sender<Result<Timed<R>, JobError>>;
 
 pub(super) struct Call<R, F> {
@@ -433,7 +442,6 @@ pub(super) struct Call<R, F> {
     pub(super) activity: ActivityState,
 }
 
-/// The metrics and the trace of a call.
 pub(super) enum ActivityState {
     Queued(QueuedActivity),
     Running(Arc<Activity>),

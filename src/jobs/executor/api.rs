@@ -7,7 +7,7 @@
 use async_trait::async_trait;
 use tokio::sync::watch;
 
-pub use crate::admission::error::{JobApiError, Memory};
+pub use crate::admission::{JobApiError, Memory};
 use crate::blob::BlobError;
 pub use crate::observe::preview::{Preview, PreviewReceiver};
 use crate::record::event::Events;
@@ -15,7 +15,7 @@ use crate::record::{Job, JobId, Spec};
 use crate::store::{Created, Page, Query};
 
 /// See the module's head. A call of [`create`](Self::create), [`cancel`](Self::cancel) or [`delete`](Self::delete) must
-/// be run to its end, even if the caller is gone.
+/// be run to its end, even if the caller is gone. Every call may fail with `Store`.
 #[async_trait]
 pub trait JobApi: Send + Sync {
     /// Keeps a job and queues it.
@@ -26,21 +26,12 @@ pub trait JobApi: Send + Sync {
     async fn create(&self, spec: Spec) -> Result<Created, JobApiError>;
 
     /// A job.
-    ///
-    /// # Errors
-    /// `Store`.
     async fn get(&self, tenant: &str, id: JobId) -> Result<Job, JobApiError>;
 
     /// Jobs, the newest first. The query names its tenant.
-    ///
-    /// # Errors
-    /// `Store`.
     async fn list(&self, query: Query) -> Result<Page, JobApiError>;
 
     /// At most `most` events after number `after`; none if none came.
-    ///
-    /// # Errors
-    /// `Store`.
     async fn events(&self, tenant: &str, id: JobId, after: u64, most: usize) -> Result<Events, JobApiError>;
 
     /// Ends once the job has an event after number `after`.
@@ -51,21 +42,12 @@ pub trait JobApi: Send + Sync {
 
     /// The newest seeds of a job at work, from now on until it ends; the sender is then gone. Sets of more than a million are
     /// not shown.
-    ///
-    /// # Errors
-    /// `Store`.
     async fn preview(&self, tenant: &str, id: JobId) -> Result<PreviewReceiver, JobApiError>;
 
     /// Cancels a job; one that is cancelled already stays so.
-    ///
-    /// # Errors
-    /// `Store`.
     async fn cancel(&self, tenant: &str, id: JobId) -> Result<Job, JobApiError>;
 
     /// Forgets a job that has ended, and lets its result go.
-    ///
-    /// # Errors
-    /// `Store`.
     async fn delete(&self, tenant: &str, id: JobId) -> Result<(), JobApiError>;
 
     /// What a job would need. Counts that are not given are read from the job's input.
@@ -84,7 +66,6 @@ pub trait JobApi: Send + Sync {
     async fn drain(&self);
 }
 
-/// What a job would need.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Estimate {
     /// Predicted peak memory of the process, bytes.
@@ -97,6 +78,5 @@ pub struct Estimate {
     pub device_limit_bytes: u64,
     /// Seconds of work, if nothing else is at work.
     pub seconds: f64,
-    /// Whether it could run here.
     pub fits: bool,
 }

@@ -27,31 +27,22 @@ const BATCH_PIECES: usize = 32_768;
 pub struct RvdReport {
     /// "serial", "parallel" or "gpu".
     pub backend: &'static str,
-    /// The GPU adapter's name.
     pub adapter: Option<String>,
-    /// Threads of the CPU pool.
     pub threads: usize,
-    /// Random seed, if the seeds were drawn.
     pub seed: Option<u64>,
-    /// Number of seeds.
     pub seeds: usize,
     /// Always false: nothing is iterated.
     pub converged: bool,
-    /// The surface that came in.
     pub input: InputFigures,
-    /// The diagram.
     pub rvd: RvdFigures,
-    /// Empty.
     pub iterations: Vec<IterationFigures>,
     /// `iterations` is the time for the diagram.
     pub timings_ms: Timings,
-    /// Memory.
     pub memory: MemoryFigures,
     /// What a GPU was kept busy with.
     pub device: DeviceFigures,
 }
 
-/// See the module's head.
 pub struct Diagram {
     /// `None` while it rests.
     session: Option<Box<dyn Session>>,
@@ -71,9 +62,6 @@ pub struct Diagram {
 
 impl Diagram {
     /// Allocates for the surface and sets the seeds.
-    ///
-    /// # Errors
-    /// What the backend says.
     pub fn open(prepared: &Prepared, backend: &dyn Backend) -> Result<Self, JobError> {
         let start = Instant::now();
         let surface = Arc::clone(&prepared.surface);
@@ -115,9 +103,6 @@ impl Diagram {
     }
 
     /// Sums over all cells.
-    ///
-    /// # Errors
-    /// `Stopped`, or what the backend says.
     pub fn sums(&mut self, backend: &dyn Backend, token: &Token) -> Result<WorldSums, JobError> {
         let start = Instant::now();
         let mut unit = CellSums::default();
@@ -132,9 +117,6 @@ impl Diagram {
     }
 
     /// The next batch of pieces, positions in the caller's coordinates; `None` after the last.
-    ///
-    /// # Errors
-    /// `Stopped`, or what the backend says.
     pub fn batch(&mut self, backend: &dyn Backend, token: &Token) -> Result<Option<PieceBatch>, JobError> {
         let facets = self.surface.facets().len() as u32;
         if self.next >= facets {
@@ -196,7 +178,6 @@ impl Diagram {
     }
 }
 
-/// A session of the surface that has the seeds.
 fn open(surface: &Arc<Surface>, seeds: &[DVec3], backend: &dyn Backend) -> Result<Box<dyn Session>, JobError> {
     let mut session = backend.session(Arc::clone(surface), SessionOptions::new(seeds.len()))?;
     let unit: Vec<DVec3> = seeds.iter().map(|&p| surface.frame().to_unit(p)).collect();

@@ -4,8 +4,11 @@
 //! Invariant: what blobs hold is checked against what the task says of them, and against the server's bounds,
 //! before it is used. Bytes of a blob are let go of once they are read. Must not know: queues, stores of jobs.
 
+use futures_util::TryStreamExt;
 use glam::DVec3;
 
+use super::Inner;
+use super::storage::StorageError;
 use crate::JobError;
 use crate::blob::{BlobError, Digest};
 use crate::executor::prepared::Input;
@@ -23,10 +26,8 @@ use wire::counts::Bounds;
 use wire::options::{Start, fill};
 use wire::proto::ArrayForm;
 
-/// Why a job was not done.
 #[derive(Debug)]
 pub(crate) enum WorkError {
-    /// It cannot be done, for this reason.
     Failure(Failure),
     /// It was stopped, or the engine failed.
     Job(JobError),
@@ -38,7 +39,6 @@ impl<E: Into<JobError>> From<E> for WorkError {
     }
 }
 
-/// A failure of this kind.
 pub(crate) fn failure(kind: FailureKind, message: impl Into<String>) -> WorkError {
     WorkError::Failure(Failure { kind, message: message.into() })
 }
@@ -47,23 +47,39 @@ fn bad(field: &str, problem: impl std::fmt::Display) -> WorkError {
     failure(FailureKind::BadInput, format!("{field}: {problem}"))
 }
 
-/// Reads blobs, whole.
-pub(crate) trait ReadBlob {
-    /// The bytes of a blob.
-    ///
-    /// # Errors
-    /// What the store says.
-    fn read(&self, digest: Digest) -> Result<Vec<u8>, BlobError>;
+/// Reads blobs on a thread that may wait.
+pub(crate) struct Blobs<'a>(pub(super) &'a Inner, pub(super) &'a Token);
 
-    /// How many bytes it has.
-    ///
-    /// # Errors
-    /// What the store says.
-    fn size_bytes(&self, digest: Digest) -> Result<u64, BlobError>;
-}
+impl Blobs<'_> {
+    fn patiently<T>(&self, call: impl FnMut() -> Result<T, BlobError>) -> Result<T, BlobError> {
+        self.0.storage.patiently(self.1, call).map_err(|unstored| match unstored {
+            StorageError::Blob(error) => error,
+            // The reader asks the token next.
+            StorageError::Stopped(reason) => BlobError::Unavailable(reason.to_string()),
+        })
+    }
 
-fn read(blobs: &dyn ReadBlob, field: &str, digest: Digest) -> Result<Vec<u8>, WorkError> {
-    blobs.read(digest).map_err(|error| unread(field, &error))
+    fn read_once(&self, digest: Digest) -> Result<Vec<u8>, BlobError> {
+        self.0.runtime.block_on(async {
+            let read = self.0.stores.blobs.read(digest, 0..u64::MAX).await?;
+            let mut all = Vec::with_capacity(usize::try_from(read.info.size_bytes).unwrap_or(0));
+            let mut bytes = read.bytes;
+            // A file that another program changed would give another result in silence: the store checks it.
+            while let Some(piece) = bytes.try_next().await? {
+                all.extend_from_slice(&piece);
+            }
+            Ok(all)
+        })
+    }
+
+    fn read(&self, field: &str, digest: Digest) -> Result<Vec<u8>, WorkError> {
+        self.patiently(|| self.read_once(digest)).map_err(|error| unread(field, &error))
+    }
+
+    fn size_bytes(&self, field: &str, digest: Digest) -> Result<u64, WorkError> {
+        let stat = || self.0.runtime.block_on(self.0.stores.blobs.stat(digest));
+        Ok(self.patiently(stat).map_err(|error| unread(field, &error))?.size_bytes)
+    }
 }
 
 fn unread(field: &str, error: &BlobError) -> WorkError {
@@ -74,9 +90,8 @@ fn unread(field: &str, error: &BlobError) -> WorkError {
     failure(kind, format!("{field}: {error}"))
 }
 
-/// Reads arrays of one job.
 pub(crate) struct Reader<'a> {
-    pub(crate) blobs: &'a dyn ReadBlob,
+    pub(crate) blobs: Blobs<'a>,
     pub(crate) bounds: &'a Bounds,
     pub(crate) token: &'a Token,
 }
@@ -88,13 +103,13 @@ impl Reader<'_> {
             ArrayForm::F64 => 8,
             ArrayForm::F32 | ArrayForm::U32 => 4,
             ArrayForm::U8 => 1,
-            ArrayForm::Text | ArrayForm::Unspecified => return read(self.blobs, field, array.blob),
+            ArrayForm::Text | ArrayForm::Unspecified => return self.blobs.read(field, array.blob),
         };
         let expected = array.count.saturating_mul(numbers * each);
         // Before it takes memory that no estimate has.
-        let found = self.blobs.size_bytes(array.blob).map_err(|error| unread(field, &error))?;
+        let found = self.blobs.size_bytes(field, array.blob)?;
         match found == expected {
-            true => read(self.blobs, field, array.blob),
+            true => self.blobs.read(field, array.blob),
             false => Err(bad(field, format!("the blob has {found} bytes; its count and form give {expected}"))),
         }
     }
@@ -215,16 +230,12 @@ struct Surface {
 }
 
 impl Reader<'_> {
-    /// Reads the surface.
-    ///
-    /// # Errors
-    /// A failure that names the field, or why it was stopped. The same for what follows.
     fn surface(&self, task: &Task) -> Result<Surface, WorkError> {
         self.token.enter("read");
         let surface = match &task.mesh {
             MeshSource::File { blob, format, attributes } => {
                 let format = *format;
-                let bytes = read(self.blobs, FILE, *blob)?;
+                let bytes = self.blobs.read(FILE, *blob)?;
                 self.token.check()?;
                 let wrong = |error| bad(FILE, error);
                 let (mesh, attributes) = if *attributes {

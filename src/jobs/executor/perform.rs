@@ -11,7 +11,7 @@ use std::io::Cursor;
 use std::sync::Arc;
 
 use crate::executor::diagram::Diagram;
-use crate::executor::input::{ReadBlob, Reader, WorkError, failure};
+use crate::executor::input::{Reader, WorkError, failure};
 use crate::executor::prepared::Prepared;
 use crate::observe::activity::Activity;
 use crate::record::{Command, FailureKind, Operation, ResultFormat, Task, steps};
@@ -23,33 +23,20 @@ use geometry::remesh::report::{IterationFigures, to_json};
 use geometry::remesh::{Observer, Remesh, RemeshOptions, remesh};
 use geometry::rvd::cells::CellWriter;
 use geometry::token::Token;
-use wire::counts::Bounds;
 use wire::options;
 use wire::proto::SeedsWanted;
 
 /// What a job gives: bytes, each part under its name.
 pub(crate) type Parts = Vec<(String, Bytes)>;
 
-/// What a job works with.
 pub(crate) struct JobContext<'a> {
     pub backends: &'a Backends,
-    pub blobs: &'a dyn ReadBlob,
-    pub bounds: &'a Bounds,
+    pub reader: Reader<'a>,
     pub token: &'a Token,
     /// Hears of stages and steps.
     pub(crate) activity: &'a Activity,
 }
 
-impl JobContext<'_> {
-    fn reader(&self) -> Reader<'_> {
-        Reader { blobs: self.blobs, bounds: self.bounds, token: self.token }
-    }
-}
-
-/// Does the work.
-///
-/// # Errors
-/// Why it cannot be done, or was stopped.
 pub(crate) fn perform(task: &Task, context: &JobContext<'_>) -> Result<Parts, WorkError> {
     context.token.check()?;
     match &task.operation {
@@ -60,7 +47,7 @@ pub(crate) fn perform(task: &Task, context: &JobContext<'_>) -> Result<Parts, Wo
 }
 
 fn of_remesh(task: &Task, options: &RemeshOptions, context: &JobContext<'_>) -> Result<Parts, WorkError> {
-    let (mesh, options) = context.reader().remesh(task, options.clone())?;
+    let (mesh, options) = context.reader.remesh(task, options.clone())?;
     let backend = Arc::clone(context.backends.choose(task.backend)?);
     let mut observer = context.activity;
     let done = remesh(&mesh, &options, backend.as_ref(), &mut observer, context.token)?;
@@ -152,7 +139,7 @@ fn unwritten(error: std::io::Error) -> WorkError {
 }
 
 fn of_rvd(task: &Task, mut wanted: options::Diagram, context: &JobContext<'_>) -> Result<Parts, WorkError> {
-    let input = context.reader().input(task, &mut wanted)?;
+    let input = context.reader.input(task, &mut wanted)?;
     let backend = Arc::clone(context.backends.choose(task.backend)?);
     context.token.enter("prepare");
     let prepared = Prepared::new(input, context.token)?;
@@ -194,9 +181,9 @@ fn of_cvt(
     commands: &[Command],
     context: &JobContext<'_>,
 ) -> Result<Parts, WorkError> {
-    let input = context.reader().input(task, &mut session)?;
+    let input = context.reader.input(task, &mut session)?;
     let backend = Arc::clone(context.backends.choose(task.backend)?);
-    let (total, most) = (steps(commands), context.bounds.max_iterations);
+    let (total, most) = (steps(commands), context.reader.bounds.max_iterations);
     if total > u64::from(most) {
         let text = format!("spec.cvt.commands: {total} steps; this server takes {most}");
         return Err(failure(FailureKind::BadInput, text));

@@ -10,23 +10,20 @@ use std::time::{Duration, Instant};
 use glam::DVec3;
 
 use crate::JobError;
-use geometry::cvt::density::{self, DensityOptions, Plan};
+use geometry::cvt::density::{self, DensityOptions};
 use geometry::mesh::TriMesh;
 use geometry::mesh::attributes::Attributes;
 use geometry::mesh::sample::sample;
 use geometry::remesh::report::{InputFigures, Timings};
 use geometry::remesh::{RemeshError, Seeds};
 use geometry::rvd::{RvdError, Surface};
-use geometry::token::{Stopped, Token};
+use geometry::token::Token;
 
-/// A surface and seeds, as given.
 #[derive(Clone, Debug)]
 pub struct Input {
     /// The surface, caller's coordinates.
     pub mesh: TriMesh,
-    /// How long edges should be, and where.
     pub density: DensityOptions,
-    /// The seeds, or how to draw them.
     pub seeds: Seeds,
     /// Edges that are creases whatever their angle; of no use but to a remesh.
     pub creases: Vec<[u32; 2]>,
@@ -41,9 +38,7 @@ pub struct Prepared {
     pub surface: Arc<Surface>,
     /// At least one, finite, caller's coordinates.
     pub seeds: Arc<Vec<DVec3>>,
-    /// The random seed, if they were drawn.
     pub random_seed: Option<u64>,
-    /// What came in.
     pub figures: InputFigures,
     /// `prepare` and `sample` are set.
     pub timings: Timings,
@@ -56,23 +51,16 @@ impl Prepared {
     /// # Errors
     /// `WeightCount`, `BadWeight`, `NoSeeds`, `NonFiniteSeed`, `Density`, `Stopped`.
     pub fn new(input: Input, token: &Token) -> Result<Self, JobError> {
-        Self::with(input, token, |plan| Ok(plan))
+        Self::with(input, token, false)
     }
 
     /// The same for steps alone, as a remesh takes them: facets that are long beside the cells are divided, so that steps
     /// take less time ([`Plan::divided`]).
-    ///
-    /// # Errors
-    /// As [`Self::new`].
     pub fn for_steps(input: Input, token: &Token) -> Result<Self, JobError> {
-        Self::with(input, token, |plan| plan.divided(token))
+        Self::with(input, token, true)
     }
 
-    fn with(
-        input: Input,
-        token: &Token,
-        change: impl for<'a> FnOnce(Plan<'a>) -> Result<Plan<'a>, Stopped>,
-    ) -> Result<Self, JobError> {
+    fn with(input: Input, token: &Token, divides: bool) -> Result<Self, JobError> {
         token.enter("prepare");
         let start = Instant::now();
         let Input { mesh, density, seeds, .. } = input;
@@ -93,10 +81,12 @@ impl Prepared {
         };
         let sampled = start.elapsed();
         let start = Instant::now();
-        let facets = plan.mesh.facets().len();
-        let plan = change(plan)?;
-        if plan.mesh.facets().len() != facets {
-            surface = Arc::new(Surface::new(&plan.mesh, plan.weights.as_deref())?);
+        if divides {
+            let facets = plan.mesh.facets().len();
+            let plan = plan.divided(token)?;
+            if plan.mesh.facets().len() != facets {
+                surface = Arc::new(Surface::new(&plan.mesh, plan.weights.as_deref())?);
+            }
         }
         prepare += start.elapsed();
         let ms = |time: Duration| time.as_secs_f64() * 1e3;

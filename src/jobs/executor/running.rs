@@ -8,14 +8,13 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::{Arc, Weak};
 use std::time::Duration;
 
-use futures_util::TryStreamExt;
 use glam::DVec3;
 
 use super::storage::StorageError;
 use super::{Inner, LEASE, ProgressCommand, failed, input_pin, is_outdated, result_pin};
-use crate::blob::{BlobError, Digest, Owner, put};
+use crate::blob::{BlobError, Owner, put};
 use crate::engine::worker::{Device, WorkContext, text};
-use crate::executor::input::{ReadBlob, WorkError};
+use crate::executor::input::{Blobs, Reader, WorkError, failure};
 use crate::executor::perform::{JobContext, Parts, perform};
 use crate::observe::activity::{Activity, JobOutcome, Listener};
 use crate::record::event::Progress;
@@ -37,45 +36,8 @@ pub(super) struct Work {
     claimed: Option<Job>,
 }
 
-/// Whether this process ends for want of its device.
 fn is_ending(inner: &Inner) -> bool {
     *inner.engine.watch_device().borrow() == Device::Missing
-}
-
-/// Reads blobs on a thread that may wait.
-struct Blobs<'a>(&'a Inner, &'a Token);
-
-impl Blobs<'_> {
-    fn patiently<T>(&self, call: impl FnMut() -> Result<T, BlobError>) -> Result<T, BlobError> {
-        self.0.storage.patiently(self.1, call).map_err(|unstored| match unstored {
-            StorageError::Blob(error) => error,
-            // The reader asks the token next.
-            StorageError::Stopped(reason) => BlobError::Unavailable(reason.to_string()),
-        })
-    }
-
-    fn read_once(&self, digest: Digest) -> Result<Vec<u8>, BlobError> {
-        self.0.runtime.block_on(async {
-            let read = self.0.stores.blobs.read(digest, 0..u64::MAX).await?;
-            let mut all = Vec::with_capacity(usize::try_from(read.info.size_bytes).unwrap_or(0));
-            let mut bytes = read.bytes;
-            // A file that another program changed would give another result in silence: the store checks it.
-            while let Some(piece) = bytes.try_next().await? {
-                all.extend_from_slice(&piece);
-            }
-            Ok(all)
-        })
-    }
-}
-
-impl ReadBlob for Blobs<'_> {
-    fn read(&self, digest: Digest) -> Result<Vec<u8>, BlobError> {
-        self.patiently(|| self.read_once(digest))
-    }
-
-    fn size_bytes(&self, digest: Digest) -> Result<u64, BlobError> {
-        self.patiently(|| self.0.runtime.block_on(async { Ok(self.0.stores.blobs.stat(digest).await?.size_bytes) }))
-    }
 }
 
 impl Work {
@@ -83,7 +45,6 @@ impl Work {
         Self { inner, id, claimed: None }
     }
 
-    /// Does it, once or again.
     pub(super) fn run(&mut self, backends: &Backends, context: &WorkContext) -> Result<(), JobError> {
         let Some(inner) = self.inner.upgrade() else { return Ok(()) };
         let Some(job) = self.claim(&inner) else { return Ok(()) };
@@ -122,7 +83,6 @@ impl Work {
     }
 }
 
-/// A job that was claimed.
 struct AtWork {
     inner: Arc<Inner>,
     job: Job,
@@ -173,9 +133,9 @@ impl Listener for Recorder {
 impl AtWork {
     fn perform(&self, backends: &Backends) -> Result<ResultSet, WorkError> {
         let (inner, job) = (&*self.inner, &self.job);
-        let blobs = Blobs(inner, &self.token);
-        let bounds = &inner.options.bounds;
-        let context = JobContext { backends, blobs: &blobs, bounds, token: &self.token, activity: &self.activity };
+        let (token, bounds) = (&self.token, &inner.options.bounds);
+        let reader = Reader { blobs: Blobs(inner, token), bounds, token };
+        let context = JobContext { backends, reader, token, activity: &self.activity };
         let parts = perform(job.spec.task(), &context).map_err(|trouble| match (trouble, self.token.stopped()) {
             // It was stopped while it waited for its input.
             (WorkError::Failure(_), Some(reason)) => WorkError::from(reason),
@@ -184,7 +144,6 @@ impl AtWork {
         self.keep(parts)
     }
 
-    /// Stores the parts of a result.
     fn keep(&self, parts: Parts) -> Result<ResultSet, WorkError> {
         let (inner, pin) = (&*self.inner, result_pin(self.job.id));
         let mut result = ResultSet::default();
@@ -194,7 +153,7 @@ impl AtWork {
         );
         if let Some(limit) = usage.ok().map(|usage| usage.limit_bytes).filter(|limit| bytes > *limit) {
             let text = format!("the result has {bytes} bytes, and this server keeps {limit} in all; ask for less");
-            return Err(crate::executor::input::failure(FailureKind::TooLarge, text));
+            return Err(failure(FailureKind::TooLarge, text));
         }
         for (name, bytes) in parts {
             let store = || inner.runtime.block_on(put(inner.stores.blobs.as_ref(), bytes.clone(), Some(&pin)));
@@ -205,7 +164,7 @@ impl AtWork {
                         BlobError::TooLarge { .. } => FailureKind::TooLarge,
                         _ => FailureKind::Unavailable,
                     };
-                    crate::executor::input::failure(kind, format!("the result cannot be kept: {error}"))
+                    failure(kind, format!("the result cannot be kept: {error}"))
                 }
             })?;
             result.blobs.insert(name, info.digest);
@@ -217,13 +176,10 @@ impl AtWork {
             inner.stores.blobs.pin_for(owner, &pin, &digests).await?;
             inner.stores.blobs.claim(owner, &digests).await
         });
-        given.map_err(|error| {
-            crate::executor::input::failure(FailureKind::Unavailable, format!("the result cannot be kept: {error}"))
-        })?;
+        given.map_err(|error| failure(FailureKind::Unavailable, format!("the result cannot be kept: {error}")))?;
         Ok(result)
     }
 
-    /// Records how the job ended.
     fn record_outcome(&self, outcome: Result<ResultSet, WorkError>) {
         let (inner, job) = (&*self.inner, &self.job);
         let change = match outcome {

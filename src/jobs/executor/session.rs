@@ -24,14 +24,9 @@ const SLICE: Duration = Duration::from_millis(100);
 /// Steps in one slice at most: the answers of a slice travel together.
 const SLICE_STEPS: usize = 64;
 
-/// Steps that were taken in one turn.
-#[derive(Clone, Debug)]
-pub struct Steps {
-    /// One entry a step, with the seeds after it if they were wanted.
-    pub taken: Vec<(Iteration, Option<Vec<DVec3>>)>,
-}
+/// Steps that were taken in one turn, each with the seeds after it if they were wanted.
+pub type Steps = Vec<(Iteration, Option<Vec<DVec3>>)>;
 
-/// See the module's head.
 pub struct CvtSession {
     engine: Engine,
     by: BackendInfo,
@@ -59,17 +54,14 @@ impl CvtSession {
         })
     }
 
-    /// The session that was opened.
     pub fn new(engine: Engine, (cvt, by): (Cvt, BackendInfo)) -> Self {
         Self { engine, by, cvt: Some(cvt) }
     }
 
-    /// The backend that does the work.
     pub fn by(&self) -> &BackendInfo {
         &self.by
     }
 
-    /// How many seeds there are.
     pub fn seed_count(&self) -> usize {
         self.cvt.as_ref().map_or(0, Cvt::len)
     }
@@ -91,7 +83,7 @@ impl CvtSession {
         self.call(move |cvt, context| {
             let token = &context.token;
             let start = Instant::now();
-            let mut taken = Vec::new();
+            let mut taken = Steps::new();
             let most = if seeds == SeedsWanted::Each { 1 } else { steps.min(SLICE_STEPS) };
             while taken.len() < most.max(1) {
                 let iterations = match kind {
@@ -109,7 +101,7 @@ impl CvtSession {
                     break;
                 }
             }
-            Ok(Steps { taken })
+            Ok(taken)
         })
         .await
     }

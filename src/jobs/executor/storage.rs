@@ -18,10 +18,8 @@ const RETRY_PERIOD: Duration = Duration::from_secs(1);
 /// How often the token of a job that waits is checked.
 const TOKEN_POLL: Duration = Duration::from_millis(20);
 
-/// See the module's head.
 #[derive(Debug, Default)]
 pub(super) struct Storage {
-    /// Why nothing can be stored now.
     outage: watch::Sender<Option<BlobError>>,
 }
 
@@ -30,7 +28,6 @@ pub(super) struct Storage {
 pub(super) enum StorageError {
     /// No wait would help.
     Blob(BlobError),
-    /// The job was stopped while it waited.
     Stopped(Stopped),
 }
 
@@ -58,7 +55,6 @@ impl Storage {
         });
     }
 
-    /// Checks the storage.
     pub(super) async fn check(&self, blobs: &dyn BlobStore) {
         self.note(blobs.check().await.err());
     }

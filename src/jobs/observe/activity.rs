@@ -6,35 +6,29 @@
 //! Must not know: how counts are kept, where spans go, what a job does.
 
 use std::fmt;
-use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
+use std::sync::{Arc, Mutex, OnceLock};
 use std::time::{Duration, Instant};
 
 use glam::DVec3;
 use tracing::{Span, debug_span, field, info_span};
 
-use crate::JobError;
 use crate::record::{JobId, Kind};
+use crate::{JobError, lock};
 use geometry::cvt::Iteration;
 use geometry::remesh;
 use geometry::rvd::BackendKind;
 use geometry::token::StageListener;
 use telemetry::trace::{self, TraceContext};
 
-/// The phase of work that is counted.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Phase {
-    /// In the queue.
     Waiting,
-    /// At work.
     Running,
 }
 
-/// How a job ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum JobOutcome {
-    /// It has a result.
     Succeeded,
-    /// It has none.
     Failed,
     /// The result is no longer wanted.
     Cancelled,
@@ -45,15 +39,10 @@ pub enum JobOutcome {
 /// Where a job comes from and how large it is, for metrics.
 #[derive(Clone, Copy, Debug)]
 pub struct Origin {
-    /// What is done.
     pub kind: Kind,
-    /// By whom.
     pub backend: BackendKind,
-    /// Its name, if it is kept.
     pub job: Option<JobId>,
-    /// Facets of its surface.
     pub facets: u64,
-    /// Seeds that are asked for.
     pub seeds: u64,
 }
 
@@ -63,28 +52,22 @@ pub trait Observer: Send + Sync {
     fn moved(&self, _kind: Kind, _from: Option<Phase>, _to: Option<Phase>) {}
     /// A job began after it waited for so long.
     fn began(&self, _kind: Kind, _waited: Duration) {}
-    /// A job ended.
     fn ended(&self, _origin: &Origin, _how: JobOutcome) {}
-    /// A stage of a job ended.
     fn stage(&self, _stage: &'static str, _backend: BackendKind, _took: Duration) {}
-    /// Steps of seeds were taken.
     fn iterated(&self, _steps: u64) {}
     /// A pass ended, for which a backend was busy so long.
     fn passed(&self, _backend: BackendKind, _took: Duration) {}
     /// Change of the bytes that sessions plan on the device.
     fn planned(&self, _bytes: i64) {}
-    /// The device was lost.
     fn lost_device(&self) {}
 }
 
-/// No metrics.
 impl Observer for () {}
 
 /// Hears of stages and steps of one piece of work, on the thread at work, and returns at once.
 pub trait Listener: Send + Sync {
     /// A stage began, or has done this many of its steps; `total` is 0 if it is not known.
     fn stage(&self, name: &'static str, done: u64, total: u64);
-    /// A step was taken.
     fn iteration(&self, iteration: &Iteration, total: usize);
     /// Whether the seeds are to be shown after the next step.
     fn wants_seeds(&self) -> bool {
@@ -94,7 +77,6 @@ pub trait Listener: Send + Sync {
     fn seeds(&self, _steps: usize, _seeds: &[DVec3]) {}
 }
 
-/// A job among those that are counted.
 struct Counted {
     observer: Arc<dyn Observer>,
     kind: Kind,
@@ -135,14 +117,10 @@ impl QueuedActivity {
         let (trace, span) = match (trace::here(), &origin) {
             // A session's next command, or the server's own work.
             (trace, None) => (trace, Span::none()),
-            (trace, Some(Origin { job: Some(job), .. })) => {
-                let span = info_span!(parent: None, "queue", job = %job, trace_id = field::Empty);
-                // The job keeps its trace, which may be its own.
-                let context = trace::join(&span, trace);
-                (trace.or(Some(context)), span)
-            }
-            (trace, Some(_)) => {
-                let span = info_span!(parent: None, "queue", trace_id = field::Empty);
+            (trace, Some(Origin { job, .. })) => {
+                let span = info_span!(parent: None, "queue", job = field::Empty, trace_id = field::Empty);
+                job.iter().for_each(|job| _ = span.record("job", field::display(job)));
+                // A kept job keeps its trace, which may be its own.
                 let context = trace::join(&span, trace);
                 (trace.or(Some(context)), span)
             }
@@ -150,7 +128,6 @@ impl QueuedActivity {
         Self { observer: Arc::clone(observer), origin, counted, trace, since: Instant::now(), _span: span }
     }
 
-    /// Its turn has come.
     pub fn begin(self) -> Arc<Activity> {
         let Self { observer, origin, mut counted, trace, since, _span: queued } = self;
         drop(queued);
@@ -159,13 +136,11 @@ impl QueuedActivity {
         }
         counted.iter_mut().for_each(|counted| counted.go_on(Phase::Running));
         let span = match &origin {
-            Some(Origin { kind, backend, job: Some(job), .. }) => {
+            Some(Origin { kind, backend, job, .. }) => {
                 let (kind, backend) = (kind.name(), backend.name());
-                info_span!(parent: None, "job", kind, backend, job = %job, trace_id = field::Empty)
-            }
-            Some(Origin { kind, backend, job: None, .. }) => {
-                let (kind, backend) = (kind.name(), backend.name());
-                info_span!(parent: None, "job", kind, backend, trace_id = field::Empty)
+                let span = info_span!(parent: None, "job", kind, backend, job = field::Empty, trace_id = field::Empty);
+                job.iter().for_each(|job| _ = span.record("job", field::display(job)));
+                span
             }
             None if trace.is_some() => info_span!(parent: None, "turn", trace_id = field::Empty),
             None => Span::none(),
@@ -178,7 +153,6 @@ impl QueuedActivity {
     }
 }
 
-/// A piece of work that is being done.
 pub struct Activity {
     observer: Arc<dyn Observer>,
     origin: Option<Origin>,
@@ -208,22 +182,17 @@ impl fmt::Debug for Activity {
 }
 
 impl Activity {
-    fn now(&self) -> MutexGuard<'_, Now> {
-        self.now.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
     /// The span of the piece, for what is logged meanwhile.
     pub fn span(&self) -> Span {
-        self.now().span.clone()
+        lock(&self.now).span.clone()
     }
 
-    /// From now on `listener` hears of stages and steps.
     pub fn listen(&self, listener: Arc<dyn Listener>) {
-        self.now().listener = Some(listener);
+        lock(&self.now).listener = Some(listener);
     }
 
     fn listener(&self) -> Option<Arc<dyn Listener>> {
-        self.now().listener.clone()
+        lock(&self.now).listener.clone()
     }
 
     /// A stage has done this many of its steps.
@@ -231,7 +200,6 @@ impl Activity {
         self.listener().iter().for_each(|listener| listener.stage(stage, done, total));
     }
 
-    /// Steps were taken.
     pub fn iterated(&self, steps: u64) {
         self.observer.iterated(steps);
     }
@@ -244,7 +212,7 @@ impl Activity {
     /// A backend begins a pass, which lasts until what this gives is dropped.
     pub(crate) fn pass(&self, pass: &'static str, backend: BackendKind) -> Pass<'_> {
         let span = {
-            let now = self.now();
+            let now = lock(&self.now);
             // A session outlives the piece that opened it; then the piece at work is asked.
             let parent = now.stage.as_ref().map(|stage| &stage.span).filter(|span| !span.is_none());
             match parent.unwrap_or(&now.span) {
@@ -262,7 +230,7 @@ impl Activity {
 
     /// The piece has ended, and is out of the count before anybody hears of its result.
     pub(crate) fn end(&self, error: Option<&JobError>) {
-        let mut now = self.now();
+        let mut now = lock(&self.now);
         self.end_stage(&mut now);
         now.span = Span::none();
         now.listener = None;
@@ -286,7 +254,7 @@ impl Activity {
 
 impl StageListener for Activity {
     fn entered(&self, name: &'static str) {
-        let mut now = self.now();
+        let mut now = lock(&self.now);
         if now.stage.as_ref().is_some_and(|stage| stage.name == name) {
             return;
         }
@@ -317,7 +285,6 @@ impl remesh::Observer for &Activity {
     }
 }
 
-/// A pass under way.
 pub(crate) struct Pass<'a> {
     activity: &'a Activity,
     backend: BackendKind,

@@ -5,12 +5,13 @@
 //! for a watcher. Must not know: jobs' records, watchers, what is drawn.
 
 use std::collections::HashMap;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::Mutex;
 use std::time::{Duration, Instant};
 
 use glam::DVec3;
 use tokio::sync::watch;
 
+use crate::lock;
 use crate::record::JobId;
 
 /// How long a job counts as watched after a request: a watcher asks again once it has drawn.
@@ -19,10 +20,8 @@ const INTEREST: Duration = Duration::from_secs(10);
 /// Larger sets are not shown, so that watching costs no memory worth counting beside the work: 24 MB.
 const MOST_SEEDS: usize = 1_000_000;
 
-/// Where the seeds are after some steps.
 #[derive(Clone, Debug)]
 pub struct Preview {
-    /// Steps taken.
     pub steps: u64,
     /// Three doubles a seed, little-endian, in the caller's coordinates.
     pub seeds: bytes::Bytes,
@@ -31,10 +30,9 @@ pub struct Preview {
 /// What a watcher waits at. The sender is gone once the job has ended.
 pub type PreviewReceiver = watch::Receiver<Option<Preview>>;
 
-/// See the module's head. Clones share one state.
-#[derive(Clone, Debug, Default)]
+#[derive(Debug, Default)]
 pub(crate) struct Previews {
-    jobs: Arc<Mutex<HashMap<JobId, Watched>>>,
+    jobs: Mutex<HashMap<JobId, Watched>>,
 }
 
 #[derive(Debug)]
@@ -50,13 +48,9 @@ impl Watched {
 }
 
 impl Previews {
-    fn lock(&self) -> MutexGuard<'_, HashMap<JobId, Watched>> {
-        self.jobs.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
     /// Watches a job, which may not have begun. What is shown of it from now on can be waited for.
     pub(crate) fn watch(&self, id: JobId) -> PreviewReceiver {
-        let mut jobs = self.lock();
+        let mut jobs = lock(&self.jobs);
         jobs.retain(|other, job| *other == id || job.is_watched());
         let new = || Watched { newest: watch::Sender::new(None), asked: Instant::now() };
         let job = jobs.entry(id).or_insert_with(new);
@@ -64,25 +58,22 @@ impl Previews {
         job.newest.subscribe()
     }
 
-    /// Whether somebody watches a job.
     pub(crate) fn is_watched(&self, id: JobId) -> bool {
-        self.lock().get(&id).is_some_and(Watched::is_watched)
+        lock(&self.jobs).get(&id).is_some_and(Watched::is_watched)
     }
 
-    /// Shows the seeds of a job after `steps` steps.
     pub(crate) fn show(&self, id: JobId, steps: u64, seeds: &[DVec3]) {
         if seeds.len() > MOST_SEEDS || !self.is_watched(id) {
             return;
         }
         let seeds: Vec<u8> = seeds.iter().flat_map(|seed| seed.to_array()).flat_map(f64::to_le_bytes).collect();
-        if let Some(job) = self.lock().get(&id) {
+        if let Some(job) = lock(&self.jobs).get(&id) {
             job.newest.send_replace(Some(Preview { steps, seeds: seeds.into() }));
         }
     }
 
-    /// The job shows nothing more.
     pub(crate) fn end(&self, id: JobId) {
-        self.lock().remove(&id);
+        lock(&self.jobs).remove(&id);
     }
 }
 
@@ -117,11 +108,11 @@ mod tests {
         for number in 0..100 {
             drop(previews.watch(id(number)));
         }
-        for job in previews.lock().values_mut() {
+        for job in lock(&previews.jobs).values_mut() {
             job.asked = Instant::now().checked_sub(2 * INTEREST).unwrap();
         }
         let _watcher = previews.watch(id(200));
-        assert_eq!(previews.lock().len(), 1);
+        assert_eq!(lock(&previews.jobs).len(), 1);
     }
 
     #[tokio::test]

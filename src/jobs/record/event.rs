@@ -14,47 +14,36 @@ use crate::record::state::State;
 /// The most stages and iterations that are kept of a job.
 pub const KEPT_PROGRESS: usize = 64;
 
-/// Something that happened.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Event {
     /// From 1, rising.
     pub number: u64,
-    /// When.
     pub at: Time,
-    /// What.
     pub what: What,
 }
 
-/// What happened.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case", deny_unknown_fields)]
 pub enum What {
-    /// The job came into this state.
     State {
-        /// Which.
         state: State,
         /// Times that it had been begun by then.
         attempt: u32,
     },
-    /// Something of its work.
     Progress(Progress),
 }
 
-/// What an executor says of its work.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case", deny_unknown_fields)]
 pub enum Progress {
-    /// A stage began or got on.
     Stage {
         /// Its name, as in the stream's `Progress`.
         name: String,
-        /// Steps done.
         done: u64,
         /// Steps planned; 0 if not known.
         total: u64,
     },
-    /// A step was taken.
     Iteration {
         /// From 0.
         index: u64,
@@ -112,7 +101,6 @@ impl Log {
         self
     }
 
-    /// At most `most` events after `after`.
     pub fn after(&self, after: u64, most: usize) -> Events {
         let events: Vec<Event> = self.0.iter().filter(|event| event.number > after).take(most).cloned().collect();
         let last = events.last().map_or(after, |event| event.number);
@@ -120,10 +108,8 @@ impl Log {
     }
 }
 
-/// Some events of a job.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Events {
-    /// By number.
     pub events: Vec<Event>,
     /// How many numbers between the one asked for and the last of these have no event: iterations that were thinned out,
     /// or were lost with the process.

@@ -19,7 +19,6 @@ use wire::{WireError, json, proto};
 /// The longest specification, bytes of the message.
 const MAX_SPEC_BYTES: usize = 64 << 10;
 
-/// A specification that makes sense.
 #[derive(Clone, Debug)]
 pub struct Spec {
     /// Whose job it is; empty if the server knows no tenants.
@@ -64,18 +63,15 @@ impl Spec {
         Ok(Self { tenant, request_id, message: Arc::new(message), task: Arc::new(task) })
     }
 
-    /// As it came.
     pub fn message(&self) -> &proto::JobSpec {
         &self.message
     }
 
-    /// For those that do it.
     pub fn task(&self) -> &Task {
         &self.task
     }
 }
 
-/// A specification in a record.
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Kept {

@@ -22,70 +22,42 @@
 
 use serde::{Deserialize, Serialize};
 
-/// Where a job is in its life.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize, strum::IntoStaticStr)]
 #[serde(rename_all = "snake_case")]
+#[strum(serialize_all = "snake_case")]
 pub enum State {
-    /// It waits for an executor.
     Queued,
-    /// An executor has it.
     Running,
-    /// It is done and its result is kept.
     Succeeded,
-    /// It ended without a result; the failure says why.
     Failed,
-    /// Its caller ended it.
     Cancelled,
     /// A deadline passed, or its result was kept as long as results are.
     Expired,
 }
 
 impl State {
-    /// All states.
     pub const ALL: [Self; 6] =
         [Self::Queued, Self::Running, Self::Succeeded, Self::Failed, Self::Cancelled, Self::Expired];
 
-    /// Whether no work is left to do.
     pub fn is_ended(self) -> bool {
         !matches!(self, Self::Queued | Self::Running)
     }
 
     /// Its name, as people and records write it.
     pub fn name(self) -> &'static str {
-        match self {
-            Self::Queued => "queued",
-            Self::Running => "running",
-            Self::Succeeded => "succeeded",
-            Self::Failed => "failed",
-            Self::Cancelled => "cancelled",
-            Self::Expired => "expired",
-        }
+        self.into()
     }
 }
 
-/// What can happen to a job.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Transition {
-    /// An executor takes it.
     Claim,
-    /// Its executor puts it back.
     Release,
-    /// Its executor is gone.
     Orphan,
-    /// It is done.
     Succeed,
-    /// It cannot be done.
     Fail,
-    /// Its caller no longer wants it.
     Cancel,
-    /// Its time is over.
     Expire,
-}
-
-impl Transition {
-    /// All transitions.
-    pub const ALL: [Self; 7] =
-        [Self::Claim, Self::Release, Self::Orphan, Self::Succeed, Self::Fail, Self::Cancel, Self::Expire];
 }
 
 /// A transition that the state does not allow.
@@ -100,9 +72,7 @@ impl Transition {
     Transition::Expire => "expired",
 })]
 pub struct TransitionError {
-    /// The state that the job is in.
     pub state: State,
-    /// What was asked for.
     pub transition: Transition,
 }
 

@@ -7,20 +7,18 @@
 
 use std::time::Duration;
 
-use super::names::Kind;
+use super::Kind;
 use crate::blob::{Digest, DigestError};
-use geometry::cvt::density::DensityOptions;
 use geometry::cvt::{SeedEdit, StepKind};
 use geometry::mesh::io::Format;
 use geometry::remesh::{RemeshOptions, Seeds};
 use geometry::rvd::BackendChoice;
 use wire::attributes::AttributeCounts;
 use wire::counts::{Bounds, MeshCounts};
-use wire::options::{self, Beside, Diagram, Session, Start, choice, within};
+use wire::options::{self, Beside, Diagram, Session, choice, within};
 use wire::proto::{self, ArrayForm, AttributeType, SeedsWanted, cvt_job_command, job_mesh, job_spec, result_format};
 use wire::{WireError, attributes, codec};
 
-/// Labels of a job.
 const MAX_LABELS: u64 = 64;
 /// Ten years: so that no time overflows.
 const MAX_DEADLINE_MS: u64 = 10 * 366 * 24 * 3_600_000;
@@ -29,29 +27,20 @@ const MAX_COMMANDS: u64 = 10_000;
 
 type Read<T> = Result<T, WireError>;
 
-/// See the module's head.
 #[derive(Clone, Debug)]
 pub struct Task {
-    /// The surface.
     pub mesh: MeshSource,
-    /// Arrays beside it.
     pub arrays: Arrays,
-    /// The work.
     pub operation: Operation,
-    /// The backend that is asked for.
     pub backend: BackendChoice,
-    /// What the result comes as.
     pub result: ResultFormat,
     /// Jobs with a higher priority go first among those of their tenant; -100 to 100.
     pub priority: i32,
-    /// How long it may take.
     pub deadlines: Deadlines,
 }
 
-/// How long a job may take.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Deadlines {
-    /// In the queue.
     pub queue: Option<Duration>,
     /// At work, each attempt.
     pub run: Option<Duration>,
@@ -60,16 +49,13 @@ pub struct Deadlines {
 /// The work of a job. Arrays of options are empty until they are read.
 #[derive(Clone, Debug)]
 pub enum Operation {
-    /// A whole remesh.
     Remesh(Box<RemeshOptions>),
-    /// A diagram.
     Rvd(Diagram),
     /// A session's commands in a row.
     Cvt(Session, Vec<Command>),
 }
 
 impl Operation {
-    /// What is done.
     pub fn kind(&self) -> Kind {
         match self {
             Self::Remesh(_) => Kind::Remesh,
@@ -78,33 +64,20 @@ impl Operation {
         }
     }
 
-    fn start(&self) -> &dyn Start {
-        match self {
-            Self::Remesh(options) => &**options,
-            Self::Rvd(diagram) => diagram,
-            Self::Cvt(session, _) => session,
-        }
-    }
-
-    /// Where seeds come from.
     pub fn seeds(&self) -> &Seeds {
-        self.start().seeds()
-    }
-
-    /// Where edges are short.
-    pub fn density(&self) -> &DensityOptions {
-        self.start().density()
+        match self {
+            Self::Remesh(options) => &options.seeds,
+            Self::Rvd(diagram) => &diagram.seeds,
+            Self::Cvt(session, _) => &session.seeds,
+        }
     }
 }
 
-/// A command of a session.
 #[derive(Clone, Debug)]
 pub enum Command {
-    /// Steps of a kind.
     Step {
         /// At least 1.
         iterations: u32,
-        /// Which.
         kind: StepKind,
         /// Which seeds are a result.
         seeds: SeedsWanted,
@@ -118,26 +91,20 @@ pub enum Command {
     },
 }
 
-/// The steps of all commands.
 pub(crate) fn steps(commands: &[Command]) -> u64 {
     let steps =
         |command: &Command| if let Command::Step { iterations, .. } = command { u64::from(*iterations) } else { 0 };
     commands.iter().map(steps).sum()
 }
 
-/// Where the surface is.
 #[derive(Clone, Debug, PartialEq)]
 pub enum MeshSource {
-    /// In a file.
     File {
-        /// Its bytes.
         blob: Digest,
-        /// Its format.
         format: Format,
         /// Whether a remesh carries over what the surface carries.
         attributes: bool,
     },
-    /// In arrays.
     Arrays {
         /// Coordinates x y z of each vertex, F32 or F64.
         positions: ArrayRef,
@@ -148,29 +115,22 @@ pub enum MeshSource {
     },
 }
 
-/// An array in a blob.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ArrayRef {
-    /// Its bytes.
     pub blob: Digest,
-    /// The type of its numbers.
     pub form: ArrayForm,
     /// Elements: vertices, facets, edges, values; 0 for text.
     pub count: u64,
 }
 
-/// An attribute in blobs.
 #[derive(Clone, Debug, PartialEq)]
 pub struct AttributeRef {
-    /// What it is.
     pub counts: AttributeCounts,
-    /// The values.
     pub values: ArrayRef,
     /// Which value each corner of each facet has.
     pub corners: Option<ArrayRef>,
 }
 
-/// Arrays beside the surface.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Arrays {
     /// Coordinates x y z of each: F32, F64 or text.
@@ -183,20 +143,14 @@ pub struct Arrays {
     pub creases: Option<ArrayRef>,
 }
 
-/// What the result of a remesh comes as.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ResultFormat {
-    /// The surface as a file.
     File(Format),
     /// Arrays as the streams send them.
     Arrays,
 }
 
 impl Task {
-    /// Checks a message.
-    ///
-    /// # Errors
-    /// [`WireError::Field`] for the first field that is wrong.
     pub fn of(message: &proto::JobSpec) -> Read<Self> {
         let proto::JobSpec { mesh, work, backend, result, priority, queue_deadline, run_deadline, labels, arrays } =
             message;
@@ -238,7 +192,6 @@ impl Task {
         })
     }
 
-    /// All blobs that it names, each once.
     pub fn blobs(&self) -> Vec<Digest> {
         let Arrays { seeds, edge_lengths, weights, creases } = self.arrays;
         let mut arrays = vec![seeds, edge_lengths, weights, creases];

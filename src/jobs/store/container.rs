@@ -1,19 +1,23 @@
 //! The stores of one process: operations on tables, with a clock.
 //!
-//! Purpose: [`Container`] is what a store of one process needs for all of [`JobStore`]. Invariant: an operation that writes
-//! sees no other under way. Must not know: what operations do.
+//! Purpose: [`Container`] is what a store of one process needs for all of [`JobStore`]. [`MemoryStore`] is one whose jobs are gone
+//! with the process: for `--ephemeral`, and for jobs of the streams. Invariant: an operation that writes sees no other under
+//! way; the lock of the store in memory is held for one operation. Must not know: what operations do.
 
-use super::live::{Live, Waiters};
-use super::tables::{Tables, TablesMut};
-use super::{
-    Answer, Created, JobStore, NewJob, Offer, Orphans, Page, Query, Recovered, Retention, StoreError, Swept,
-    operations as ops,
-};
-use crate::record::event::{Events, Log, Progress};
-use crate::record::{Change, Job, JobId, Spec, Time};
+use std::collections::BTreeMap;
+use std::ops::{Bound, ControlFlow};
+use std::sync::Mutex;
 use std::time::Duration;
 
-/// See the module's head.
+use super::tables::{Live, Order, Table, Tables, TablesMut, Visit, Waiters};
+use super::{
+    Answer, Clock, Created, JobStore, NewJob, Offer, Orphans, Page, Query, Recovered, Retention, StoreError, Swept,
+    operations as ops,
+};
+use crate::lock;
+use crate::record::event::{Events, Log, Progress};
+use crate::record::{Change, Job, JobId, Spec, Time};
+
 pub(crate) trait Container: Send + Sync {
     /// Changes the tables at the time of the clock.
     fn write<T: Send + 'static>(
@@ -29,7 +33,6 @@ pub(crate) trait Container: Send + Sync {
         operation: impl FnOnce(&dyn Tables, Option<Log>) -> Result<T, StoreError> + Send + 'static,
     ) -> Answer<'_, T>;
 
-    /// Those that wait for events.
     fn waiters(&self) -> &Waiters;
 }
 
@@ -88,5 +91,93 @@ impl<C: Container> JobStore for C {
 
     fn recover(&self, orphans: Orphans, max_crashes: u32) -> Answer<'_, Recovered> {
         self.write(move |tables, live, now| ops::recover(tables, live, now, orphans, max_crashes))
+    }
+}
+
+#[derive(Debug, Default)]
+pub struct MemoryStore {
+    contents: Mutex<Contents>,
+    waiters: Waiters,
+    clock: Clock,
+}
+
+#[derive(Debug, Default)]
+struct Contents {
+    tables: Trees,
+    live: Live,
+}
+
+#[derive(Debug, Default)]
+struct Trees([BTreeMap<Vec<u8>, Vec<u8>>; Table::ALL.len()]);
+
+impl Tables for Trees {
+    fn get(&self, table: Table, key: &[u8]) -> Result<Option<Vec<u8>>, StoreError> {
+        Ok(self.0[table as usize].get(key).cloned())
+    }
+
+    fn visit(
+        &self,
+        table: Table,
+        (from, to): (&[u8], &[u8]),
+        order: Order,
+        visit: &mut Visit<'_>,
+    ) -> Result<(), StoreError> {
+        let mut range = self.0[table as usize].range::<[u8], _>((Bound::Included(from), Bound::Excluded(to)));
+        while let Some((key, value)) = if order == Order::Up { range.next() } else { range.next_back() } {
+            if let ControlFlow::Break(()) = visit(key, value)? {
+                break;
+            }
+        }
+        Ok(())
+    }
+}
+
+impl TablesMut for Trees {
+    fn put(&mut self, table: Table, key: &[u8], value: &[u8]) -> Result<(), StoreError> {
+        self.0[table as usize].insert(key.to_vec(), value.to_vec());
+        Ok(())
+    }
+
+    fn remove(&mut self, table: Table, key: &[u8]) -> Result<(), StoreError> {
+        self.0[table as usize].remove(key);
+        Ok(())
+    }
+}
+
+impl MemoryStore {
+    /// A store without jobs, with this clock.
+    pub fn with_clock(clock: Clock) -> Self {
+        Self { clock, ..Self::default() }
+    }
+}
+
+impl Container for MemoryStore {
+    fn write<T: Send + 'static>(
+        &self,
+        operation: impl FnOnce(&mut dyn TablesMut, &mut Live, Time) -> Result<T, StoreError> + Send + 'static,
+    ) -> Answer<'_, T> {
+        let touched;
+        let result = {
+            let mut contents = lock(&self.contents);
+            let Contents { tables, live } = &mut *contents;
+            let result = operation(tables, live, self.clock.now());
+            touched = std::mem::take(&mut live.touched);
+            result
+        };
+        self.waiters.wake(&touched);
+        Box::pin(std::future::ready(result))
+    }
+    fn read<T: Send + 'static>(
+        &self,
+        live: Option<JobId>,
+        operation: impl FnOnce(&dyn Tables, Option<Log>) -> Result<T, StoreError> + Send + 'static,
+    ) -> Answer<'_, T> {
+        let contents = lock(&self.contents);
+        let progress = live.and_then(|id| contents.live.jobs.get(&id)).map(|entry| entry.log.clone());
+        Box::pin(std::future::ready(operation(&contents.tables, progress)))
+    }
+
+    fn waiters(&self) -> &Waiters {
+        &self.waiters
     }
 }

@@ -6,10 +6,11 @@
 
 use std::ops::ControlFlow;
 
+use serde::de::DeserializeOwned;
+
 use super::codec::{Head, decode, encode};
-use super::live::{Entry, Live};
-use super::tables::{Order, Table, Tables, TablesMut};
-use super::{Created, NewJob, Offer, Orphans, Page, PageToken, Query, Recovered, Retention, StoreError, Swept};
+use super::tables::{Entry, Live, Order, Table, Tables, TablesMut};
+use super::{Created, NewJob, Offer, Orphans, Page, Query, Recovered, Retention, StoreError, Swept};
 use crate::record::event::{Event, Events, Log, Progress, What};
 use crate::record::state::State;
 use crate::record::{Bytes, Cause, Change, Failure, FailureKind, Holder, Job, JobId, Spec, Status, Time};
@@ -20,7 +21,7 @@ const RESERVED: u64 = 1024;
 type StoreResult<T> = Result<T, StoreError>;
 
 fn state_term(state: State) -> [u8; 1] {
-    [State::ALL.iter().position(|s| *s == state).unwrap_or_default() as u8]
+    [state as u8]
 }
 
 fn state_key(state: State, id: JobId) -> Vec<u8> {
@@ -50,7 +51,6 @@ fn tenant_term(tenant: &str) -> Vec<u8> {
     [b"t", tenant.as_bytes(), &[0]].concat()
 }
 
-/// The terms under which a job is found.
 fn terms(head: &Head, id: JobId) -> impl Iterator<Item = Vec<u8>> {
     let labels = head.labels.iter().map(|(key, value)| label_term(key, value));
     labels.chain([tenant_term(&head.tenant)]).map(move |term| [&term[..], &id.0].concat())
@@ -68,23 +68,21 @@ fn head(tables: &(impl Tables + ?Sized), id: JobId) -> StoreResult<Head> {
     decode(&format!("heads/{id}"), &bytes)
 }
 
-fn missing(table: Table, id: JobId) -> StoreError {
-    StoreError::Damaged { path: format!("{}/{id}", table.name()).into(), what: "it is missing".to_owned() }
+/// A record of a job beside its head, and how many bytes it takes encoded.
+fn record<T: DeserializeOwned>(tables: &(impl Tables + ?Sized), table: Table, id: JobId) -> StoreResult<(T, usize)> {
+    let path = format!("{}/{id}", table.name());
+    match tables.get(table, &id.0)? {
+        Some(bytes) => Ok((decode(&path, &bytes)?, bytes.len())),
+        None => Err(StoreError::Damaged { path: path.into(), what: "it is missing".to_owned() }),
+    }
 }
 
 fn spec(tables: &(impl Tables + ?Sized), id: JobId) -> StoreResult<Spec> {
-    Ok(spec_and_length(tables, id)?.0)
-}
-
-/// A specification, and how many bytes it takes encoded.
-fn spec_and_length(tables: &(impl Tables + ?Sized), id: JobId) -> StoreResult<(Spec, usize)> {
-    let bytes = tables.get(Table::Specs, &id.0)?.ok_or_else(|| missing(Table::Specs, id))?;
-    Ok((decode(&format!("specs/{id}"), &bytes)?, bytes.len()))
+    Ok(record(tables, Table::Specs, id)?.0)
 }
 
 fn log(tables: &(impl Tables + ?Sized), id: JobId) -> StoreResult<Log> {
-    let bytes = tables.get(Table::Logs, &id.0)?.ok_or_else(|| missing(Table::Logs, id))?;
-    decode(&format!("logs/{id}"), &bytes)
+    Ok(record(tables, Table::Logs, id)?.0)
 }
 
 fn put_head(tables: &mut dyn TablesMut, id: JobId, head: &Head) -> StoreResult<()> {
@@ -121,7 +119,6 @@ pub(crate) fn create(tables: &mut dyn TablesMut, live: &mut Live, new: NewJob, n
     if let Some(job) = requested(tables, &wanted)? {
         return Ok(Created { job, existed: true });
     }
-    let request = (!wanted.request_id.is_empty()).then(|| request_key(&wanted.tenant, &wanted.request_id));
     if tables.get(Table::Heads, &id.0)?.is_some() {
         return Err(StoreError::NameTaken { id });
     }
@@ -138,22 +135,13 @@ pub(crate) fn create(tables: &mut dyn TablesMut, live: &mut Live, new: NewJob, n
         reserved_events: 2,
     };
     let (spec, log) = (encode("spec", &wanted)?, encode("log", &log)?);
-    put_head(tables, id, &head)?;
-    tables.put(Table::Specs, &id.0, &spec)?;
-    tables.put(Table::Logs, &id.0, &log)?;
-    if let Some(key) = &request {
-        tables.put(Table::Requests, key, &id.0)?;
-    }
-    for term in terms(&head, id) {
-        tables.put(Table::Terms, &term, &[])?;
-    }
-    index(tables, id, &head.status)?;
+    adopt(tables, id, &head, &spec, &log)?;
     tables.put(Table::Line, &line_key(&wanted, id), &[])?;
     live.touched.push(id);
     Ok(Created { job: Job { id, spec: wanted, status: head.status }, existed: false })
 }
 
-/// Writes a job as another journal had it, with all its indexes.
+/// Writes a job with all its indexes but its place in the line.
 pub(crate) fn adopt(tables: &mut dyn TablesMut, id: JobId, head: &Head, spec: &[u8], log: &[u8]) -> StoreResult<()> {
     put_head(tables, id, head)?;
     tables.put(Table::Specs, &id.0, spec)?;
@@ -167,7 +155,6 @@ pub(crate) fn adopt(tables: &mut dyn TablesMut, id: JobId, head: &Head, spec: &[
     index(tables, id, &head.status)
 }
 
-/// The job that the same request made before.
 pub(crate) fn requested(tables: &(impl Tables + ?Sized), wanted: &Spec) -> StoreResult<Option<Job>> {
     if wanted.request_id.is_empty() {
         return Ok(None);
@@ -191,13 +178,13 @@ pub(crate) fn list(tables: &dyn Tables, query: &Query) -> StoreResult<Page> {
     let limit = query.limit();
     let low = JobId::first_of(query.since.unwrap_or_default());
     let mut high = query.before.map_or([0xff; 16], |before| JobId::first_of(before).0);
-    if let Some(PageToken(last)) = query.token {
+    if let Some(last) = query.token {
         high = high.min(last.0);
     }
     let mut found = Vec::new();
     let mut look = |id: JobId, head: Head| {
         let fits = query.tenant.as_ref().is_none_or(|tenant| *tenant == head.tenant)
-            && query.states.is_empty_or(head.status.state)
+            && (query.states.is_empty() || query.states.contains(&head.status.state))
             && query.labels.iter().all(|(key, value)| head.labels.get(key) == Some(value));
         if fits {
             found.push((id, head.status));
@@ -232,27 +219,16 @@ pub(crate) fn list(tables: &dyn Tables, query: &Query) -> StoreResult<Page> {
             more = true;
             break;
         }
-        let (spec, length) = spec_and_length(tables, id)?;
+        let (spec, length) = record(tables, Table::Specs, id)?;
         bytes += length;
         jobs.push(Job { id, spec, status });
     }
-    let next = jobs.last().filter(|_| more).map(|job| PageToken(job.id));
+    let next = jobs.last().filter(|_| more).map(|job| job.id);
     Ok(Page { jobs, next })
 }
 
 /// Specifications of a page, encoded: a page is shorter than its limit where they are long.
 const PAGE_BYTES: usize = 2 << 20;
-
-/// Whether a list that may be empty allows something.
-trait EmptyOr<T> {
-    fn is_empty_or(&self, item: T) -> bool;
-}
-
-impl<T: PartialEq> EmptyOr<T> for Vec<T> {
-    fn is_empty_or(&self, item: T) -> bool {
-        self.is_empty() || self.contains(&item)
-    }
-}
 
 fn at_version(head: &Head, id: JobId, at: Option<u64>) -> StoreResult<()> {
     let found = head.status.version;
@@ -279,7 +255,7 @@ pub(crate) fn change(
         .map_err(|cause| StoreError::Transition { id, cause })?;
     let mut log = log(tables, id)?;
     let mut number = before.reserved_events;
-    if let Some(Entry { next, log: progress }) = live.take(id) {
+    if let Some(Entry { next, log: progress }) = live.jobs.remove(&id) {
         log = log.extended(&progress);
         number = next;
     }
@@ -305,7 +281,6 @@ pub(crate) fn change(
     Ok(Job { id, spec, status: head.status })
 }
 
-/// Claims the first waiting job that fits an offer.
 pub(crate) fn claim_next(
     tables: &mut dyn TablesMut,
     live: &mut Live,
@@ -415,7 +390,7 @@ pub(crate) fn delete(tables: &mut dyn TablesMut, live: &mut Live, id: JobId) -> 
     for table in [Table::Heads, Table::Specs, Table::Logs] {
         tables.remove(table, &id.0)?;
     }
-    live.take(id);
+    live.jobs.remove(&id);
     live.touched.push(id);
     Ok(())
 }

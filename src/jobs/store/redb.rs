@@ -8,13 +8,12 @@
 
 mod directory;
 pub(crate) mod repair;
-mod salvage;
 
 use std::cell::Cell;
 use std::collections::HashMap;
 use std::ops::{Bound, ControlFlow};
 use std::path::{Path, PathBuf};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
@@ -25,9 +24,9 @@ use ::redb::{
 use tokio::sync::{mpsc, oneshot};
 
 use super::container::Container;
-use super::live::{Live, Waiters};
-use super::tables::{Order, Table, Tables, TablesMut, Visit};
+use super::tables::{Live, Order, Table, Tables, TablesMut, Visit, Waiters};
 use super::{Answer, Clock, StoreError};
+use crate::lock;
 use crate::record::event::Log;
 use crate::record::{JobId, Time};
 use directory::Directory;
@@ -46,12 +45,10 @@ fn definition(table: Table) -> TableDefinition<'static, Bytes, Bytes> {
     TableDefinition::new(table.name())
 }
 
-/// How the journal is opened.
 #[derive(Clone, Debug)]
 pub struct RedbOptions {
     /// Pages that are kept in memory, bytes.
     pub cache_bytes: usize,
-    /// The clock.
     pub clock: Clock,
 }
 
@@ -97,9 +94,6 @@ impl RedbStore {
     }
 
     /// A journal in something else than a file, as tests need it.
-    ///
-    /// # Errors
-    /// As [`Self::open`].
     pub fn with_backend(backend: impl StorageBackend, options: RedbOptions) -> Result<Self, StoreError> {
         let path = PathBuf::from("journal");
         let database = directory::database(&path, options.cache_bytes, |builder| builder.create_with_backend(backend))?;
@@ -122,7 +116,6 @@ impl RedbStore {
         Ok(Self { shared, commands: Some(commands), writer: Some(writer) })
     }
 
-    /// Sends an operation to the writer.
     fn send<T: Send + 'static>(
         &self,
         operation: impl FnOnce(&mut dyn TablesMut, &mut Live) -> Result<T, StoreError> + Send + 'static,
@@ -157,7 +150,7 @@ impl Container for RedbStore {
     ) -> Answer<'_, T> {
         let shared = Arc::clone(&self.shared);
         let work = move || {
-            let progress = live.and_then(|id| shared.progress().get(&id).cloned());
+            let progress = live.and_then(|id| lock(&shared.progress).get(&id).cloned());
             operation(&shared.reading()?, progress)
         };
         Box::pin(async move {
@@ -189,7 +182,7 @@ impl Shared {
             |what: &dyn std::fmt::Display| StoreError::Damaged { path: self.path.clone(), what: what.to_string() };
         let transaction = self.database.begin_write().map_err(|e| failed(&e))?;
         for table in Table::ALL {
-            transaction.open_table(definition(table)).map_err(|e| failed(&e))?;
+            transaction.open_table(definition(*table)).map_err(|e| failed(&e))?;
         }
         transaction.commit().map_err(|e| failed(&e))
     }
@@ -209,10 +202,6 @@ impl Shared {
     fn reading(&self) -> Result<Reading<'_>, StoreError> {
         let transaction = self.database.begin_read().map_err(|e| self.store_error(e))?;
         Ok(Reading { shared: self, transaction })
-    }
-
-    fn progress(&self) -> MutexGuard<'_, HashMap<JobId, Log>> {
-        self.progress.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
@@ -268,7 +257,7 @@ struct Writing<'t> {
 
 impl<'t> Writing<'t> {
     fn begin(shared: &'t Shared, transaction: &'t WriteTransaction) -> Result<Self, ::redb::TableError> {
-        let tables = Table::ALL.into_iter().map(|table| transaction.open_table(definition(table)));
+        let tables = Table::ALL.iter().map(|table| transaction.open_table(definition(*table)));
         Ok(Self {
             shared,
             tables: tables.collect::<Result<_, _>>()?,
@@ -343,7 +332,6 @@ impl Expected {
     }
 }
 
-/// The one thread that writes.
 struct Writer {
     shared: Arc<Shared>,
     live: Live,
@@ -395,9 +383,8 @@ impl Writer {
         }
     }
 
-    /// Shows the progress of these jobs.
     fn publish(&self, touched: &[JobId]) {
-        let mut progress = self.shared.progress();
+        let mut progress = lock(&self.shared.progress);
         for id in touched {
             match self.live.jobs.get(id) {
                 Some(entry) => drop(progress.insert(*id, entry.log.clone())),

@@ -1,4 +1,4 @@
-//! What the operations need of a container: a few ordered tables of bytes.
+//! What the operations need of a container: a few ordered tables of bytes, and progress that is not in them yet.
 //!
 //! | table | key | value |
 //! | --- | --- | --- |
@@ -12,15 +12,25 @@
 //! | line | priority, job | nothing: jobs that wait |
 //! | terms | label or tenant, job | nothing: for lists |
 //!
-//! Purpose: [`Tables`], so that the stores of one process share their operations. Invariant: keys are in the order of their
-//! bytes. Must not know: what the bytes mean.
+//! Purpose: [`Tables`], so that the stores of one process share their operations; [`Live`]: iterations come often and matter
+//! little, so they are kept in memory until the state changes. Invariant: keys are in the order of their bytes. An entry of
+//! [`Live`] is of the attempt that runs; its numbers are below what the head has reserved. [`Waiters`] wakes waits once the event
+//! can be read. Must not know: what the bytes mean, clocks.
 
+use std::collections::HashMap;
 use std::ops::ControlFlow;
+use std::sync::Mutex;
 
-use super::StoreError;
+use strum::VariantArray;
+use tokio::sync::watch;
 
-/// One of the tables.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+use super::{JobStore, StoreError};
+use crate::lock;
+use crate::record::JobId;
+use crate::record::event::Log;
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, strum::IntoStaticStr, VariantArray)]
+#[strum(serialize_all = "snake_case")]
 pub(crate) enum Table {
     Heads,
     Specs,
@@ -34,30 +44,10 @@ pub(crate) enum Table {
 }
 
 impl Table {
-    pub(crate) const ALL: [Self; 9] = [
-        Self::Heads,
-        Self::Specs,
-        Self::Logs,
-        Self::Requests,
-        Self::States,
-        Self::Due,
-        Self::Ended,
-        Self::Terms,
-        Self::Line,
-    ];
+    pub(crate) const ALL: &[Self] = Self::VARIANTS;
 
     pub(crate) fn name(self) -> &'static str {
-        match self {
-            Self::Heads => "heads",
-            Self::Specs => "specs",
-            Self::Logs => "logs",
-            Self::Requests => "requests",
-            Self::States => "states",
-            Self::Due => "due",
-            Self::Ended => "ended",
-            Self::Terms => "terms",
-            Self::Line => "line",
-        }
+        self.into()
     }
 }
 
@@ -70,7 +60,6 @@ pub(crate) enum Order {
 
 pub(crate) type Visit<'a> = dyn FnMut(&[u8], &[u8]) -> Result<ControlFlow<()>, StoreError> + 'a;
 
-/// Reading.
 pub(crate) trait Tables {
     fn get(&self, table: Table, key: &[u8]) -> Result<Option<Vec<u8>>, StoreError>;
 
@@ -79,8 +68,86 @@ pub(crate) trait Tables {
     -> Result<(), StoreError>;
 }
 
-/// Writing.
 pub(crate) trait TablesMut: Tables {
     fn put(&mut self, table: Table, key: &[u8], value: &[u8]) -> Result<(), StoreError>;
     fn remove(&mut self, table: Table, key: &[u8]) -> Result<(), StoreError>;
+}
+
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Entry {
+    /// The next number that is given away.
+    pub next: u64,
+    /// What came since the state changed.
+    pub log: Log,
+}
+
+#[derive(Debug, Default)]
+pub(crate) struct Live {
+    pub jobs: HashMap<JobId, Entry>,
+    /// Jobs with something new to be seen: an event, or their end.
+    pub touched: Vec<JobId>,
+}
+
+/// Waits, by job.
+#[derive(Debug, Default)]
+pub(crate) struct Waiters(Mutex<HashMap<JobId, watch::Sender<()>>>);
+
+impl Waiters {
+    /// From now on changes of the job are seen by what is returned.
+    pub(crate) fn join(&self, id: JobId) -> watch::Receiver<()> {
+        lock(&self.0).entry(id).or_insert_with(|| watch::channel(()).0).subscribe()
+    }
+
+    /// Wakes the waits for these.
+    pub(crate) fn wake(&self, ids: &[JobId]) {
+        let mut waiters = lock(&self.0);
+        if waiters.is_empty() {
+            return;
+        }
+        for id in ids {
+            if waiters.get(id).is_some_and(|sender| sender.send(()).is_err()) {
+                waiters.remove(id);
+            }
+        }
+    }
+
+    /// Forgets a job without waits.
+    pub(crate) fn leave(&self, id: JobId) {
+        let mut waiters = lock(&self.0);
+        if waiters.get(&id).is_some_and(|sender| sender.receiver_count() == 0) {
+            waiters.remove(&id);
+        }
+    }
+
+    /// Ends once the job has an event after number `after`, or is gone.
+    pub(crate) async fn until(&self, store: &dyn JobStore, id: JobId, after: u64) -> Result<(), StoreError> {
+        let mut changes = Place { waiters: self, id, changes: Some(self.join(id)) };
+        loop {
+            if !store.events(id, after, 1).await?.events.is_empty() {
+                return Ok(());
+            }
+            if let Some(changes) = &mut changes.changes {
+                changes.changed().await.map_err(|_| StoreError::Closed)?;
+            }
+        }
+    }
+
+    /// Wakes everybody: the store is closing.
+    pub(crate) fn close(&self) {
+        lock(&self.0).clear();
+    }
+}
+
+/// A wait, which may be dropped at any time.
+struct Place<'a> {
+    waiters: &'a Waiters,
+    id: JobId,
+    changes: Option<watch::Receiver<()>>,
+}
+
+impl Drop for Place<'_> {
+    fn drop(&mut self) {
+        self.changes = None;
+        self.waiters.leave(self.id);
+    }
 }

@@ -1,5 +1,7 @@
 //! Needs grow with every count, and never overflow.
 
+mod calibration;
+
 use proptest::prelude::*;
 
 use super::*;

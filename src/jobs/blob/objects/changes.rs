@@ -18,14 +18,13 @@ use tokio::task::spawn_blocking;
 
 use super::LOCKS;
 use crate::blob::chunk::{Chunk, UploadId, UploadStatus};
+use crate::blob::digest::path_of;
 use crate::blob::error::found;
-use crate::blob::options::BlobOptions;
-use crate::blob::place::path_of;
 use crate::blob::quota::Ledger;
 use crate::blob::reader::bytes_of;
 use crate::blob::staging::{Part, Staging};
 use crate::blob::upload::{Slot, Upload, Uploads};
-use crate::blob::{BlobError, BlobInfo, ByteStream, Digest};
+use crate::blob::{BlobError, BlobInfo, BlobOptions, ByteStream, Digest};
 use crate::lock;
 
 /// Removals and questions to the store that run at once.
@@ -42,7 +41,6 @@ pub(super) enum Kind {
     Shared,
 }
 
-/// See the module's head.
 pub(super) struct Inner {
     pub(super) objects: Arc<dyn ObjectStore>,
     pub(super) staging: Box<dyn Staging>,
@@ -84,7 +82,6 @@ impl Inner {
         self.locks[usize::from(digest.as_bytes()[0]) % LOCKS].lock().await
     }
 
-    /// A blob, if it is stored.
     pub(super) async fn stored(&self, digest: Digest) -> Result<Option<BlobInfo>, BlobError> {
         let known = lock(&self.ledger).get(&digest);
         if known.is_some() || !matches!(self.kind, Kind::Shared) {
@@ -484,7 +481,6 @@ impl Inner {
         Ok(swept)
     }
 
-    /// Whether the stored bytes have their digest.
     async fn is_sound(&self, digest: Digest) -> Result<bool, BlobError> {
         let opened = found("open a blob", self.objects.get(&path_of(&digest)).await)?;
         let Some(opened) = opened else { return Ok(false) };

@@ -15,7 +15,6 @@ use crate::blob::quota::Ledger;
 use crate::blob::{BlobError, Digest, Owner};
 use crate::lock;
 
-/// Folder of the marks.
 const OWNERS: &str = "owners";
 
 /// Marks that are written or removed at once.
@@ -77,7 +76,6 @@ impl Inner {
         put.map(drop).map_err(object("mark the owner of a blob"))
     }
 
-    /// Removes a mark.
     pub(super) async fn unmark(&self, digest: Digest, owner: Owner) -> Result<(), BlobError> {
         remove(&*self.objects, vec![(digest, owner)]).await
     }

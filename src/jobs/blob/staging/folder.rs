@@ -31,11 +31,9 @@ const SYNC_BYTES: u64 = 32 << 20;
 /// A line of the sums: the end of a chunk (8 bytes) and its CRC-32C (4 bytes), little-endian.
 const SUM_BYTES: usize = 12;
 
-/// See the module's head.
 #[derive(Debug)]
 pub(in crate::blob) struct Folder {
     objects: Arc<LocalFileSystem>,
-    /// Where the parts lie.
     uploads: PathBuf,
     /// The same, as the object store says it.
     prefix: ObjectPath,
@@ -165,7 +163,6 @@ fn scan(uploads: &Path) -> io::Result<Vec<(UploadId, SystemTime)>> {
     Ok(found)
 }
 
-/// The two files of an upload.
 #[derive(Clone, Debug)]
 struct Files {
     part: PathBuf,

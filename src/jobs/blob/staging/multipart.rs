@@ -24,24 +24,20 @@ use tokio::task::spawn_blocking;
 use super::{Part, Staging};
 use crate::blob::BlobError;
 use crate::blob::chunk::UploadId;
-use crate::blob::digest::Tally;
+use crate::blob::digest::{Tally, path_of};
 use crate::blob::error::{found, join, object};
-use crate::blob::place::path_of;
 
 /// Bytes of a part. S3 takes 5 MiB to 5 GiB, and 10,000 parts.
 const PART_BYTES: usize = 8 << 20;
 
-/// See the module's head.
 #[derive(Clone)]
 pub(in crate::blob) struct Multipart {
-    pub(in crate::blob) objects: Arc<dyn ObjectStore>,
+    objects: Arc<dyn ObjectStore>,
     /// The same store.
-    pub(in crate::blob) parts: Arc<dyn MultipartStore>,
-    /// Folder of the notes.
-    pub(in crate::blob) prefix: Path,
+    parts: Arc<dyn MultipartStore>,
+    prefix: Path,
 }
 
-/// How far an upload is.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
 struct Note {
     multipart: String,
@@ -52,6 +48,10 @@ struct Note {
 }
 
 impl Multipart {
+    pub(in crate::blob) fn new<S: ObjectStore + MultipartStore>(store: &Arc<S>, prefix: &str) -> Self {
+        Self { objects: Arc::clone(store) as _, parts: Arc::clone(store) as _, prefix: prefix.into() }
+    }
+
     fn note_path(&self, id: UploadId) -> Path {
         self.prefix.clone().join(format!("{id}.json"))
     }

@@ -29,7 +29,7 @@ pub(super) struct Directory {
     _lock: File,
 }
 
-fn io<'a>(action: &'static str, path: &'a Path) -> impl FnOnce(std::io::Error) -> StoreError + 'a {
+pub(super) fn io<'a>(action: &'static str, path: &'a Path) -> impl FnOnce(std::io::Error) -> StoreError + 'a {
     move |cause| StoreError::Io { action, path: path.to_owned(), cause: cause.to_string() }
 }
 

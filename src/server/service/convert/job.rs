@@ -8,7 +8,7 @@ use super::{failure_value, state, state_value, time, timestamp};
 use jobs::executor::api::Estimate;
 use jobs::record::event::{Event, Progress, What};
 use jobs::record::{Cause, Failure, Job, Outcome, ResultSet, Status};
-use jobs::store::{Page, PageToken, Query};
+use jobs::store::{Page, Query};
 use wire::{WireError, proto};
 
 /// The longest page, bytes, unless its only job is longer: below what a client takes by default.
@@ -108,7 +108,7 @@ pub(in crate::service) fn page(page: &Page) -> proto::ListJobsResponse {
         if let Some(last) = last
             && bytes > PAGE_BYTES
         {
-            next = Some(PageToken(last));
+            next = Some(last);
             break;
         }
         last = Some(job.id);

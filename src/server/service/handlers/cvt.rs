@@ -84,8 +84,8 @@ impl Talk {
         while left > 0 {
             let Timed { value: steps, queue_ms, compute_ms } = self.session.step(left, kind, wanted).await?;
             self.clock.add(queue_ms, compute_ms);
-            left = left.saturating_sub(steps.taken.len());
-            for (iteration, seeds) in steps.taken {
+            left = left.saturating_sub(steps.len());
+            for (iteration, seeds) in steps {
                 self.iterations += 1;
                 let message = codec::iteration(&iteration, total, queue_ms);
                 self.outbox.send(wrap(response::Message::Iteration(message))).await?;

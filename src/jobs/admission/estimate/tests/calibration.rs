@@ -10,7 +10,7 @@ use std::process::Command;
 
 use serde_json::{Value, json};
 
-use super::*;
+use super::super::*;
 use geometry::mesh::io::{self, Format};
 
 /// A run, with two threads of the parallel backend.
