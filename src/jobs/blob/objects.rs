@@ -30,7 +30,7 @@ use super::digest::{BLOBS, path_of};
 use super::error::{found, io, join, object};
 use super::quota::Ledger;
 use super::reader::bytes_of;
-use super::staging::{Folder, Multipart, Staging};
+use super::staging::{Folder, Memory, Multipart, Staging};
 use super::store::{BlobInfo, BlobOptions, BlobRead, BlobStore, Usage};
 use super::upload::Uploads;
 use super::{BlobError, Digest, Owner};
@@ -68,8 +68,8 @@ impl ObjectBlobs {
 
     /// Blobs that are gone with the process.
     pub fn in_memory(options: BlobOptions) -> Self {
-        let objects = Arc::new(InMemory::new());
-        let staging = Box::new(Multipart::new(&objects, UPLOADS));
+        let objects: Arc<dyn ObjectStore> = Arc::new(InMemory::new());
+        let staging = Box::new(Memory(Arc::clone(&objects)));
         let ledger = Ledger::new(options.quota_bytes);
         Self(Arc::new(Inner::new(objects, staging, Kind::Memory, options, ledger, Uploads::default())))
     }

@@ -1,12 +1,13 @@
 //! Where the bytes of uploads lie until they are whole.
 //!
-//! Purpose: [`Staging`] is one way to keep parts: files that grow ([`Folder`]), or the multipart uploads of an object store
-//! ([`Multipart`]), which memory is too.
+//! Purpose: [`Staging`] is one way to keep parts: files that grow ([`Folder`]), memory ([`Memory`]), or the multipart
+//! uploads of an object store ([`Multipart`]).
 //! Invariant: what a part says it keeps is a prefix of what was appended. Nothing staged is visible as a blob;
 //! publishing shows all of it or nothing.
 //! Must not know: quotas, pins, or which digest was promised.
 
 mod folder;
+mod memory;
 mod multipart;
 
 use std::time::SystemTime;
@@ -16,6 +17,7 @@ use bytes::Bytes;
 use object_store::path::Path;
 
 pub(super) use folder::Folder;
+pub(super) use memory::Memory;
 pub(super) use multipart::Multipart;
 
 use super::BlobError;
