@@ -44,7 +44,6 @@ enum What {
     Fig4(fig4::Fig4Args),
 }
 
-/// Runs it.
 pub(crate) fn run(args: &BenchArgs) -> Result<()> {
     match &args.what {
         What::Rvd(args) => rvd::run(args),

@@ -48,7 +48,6 @@ enum BlobsCommand {
     },
 }
 
-/// Runs it.
 pub(crate) fn run(args: &BlobsArgs) -> Result<()> {
     let server = &args.server;
     // Before a file is read.

@@ -15,7 +15,6 @@ use super::files;
 use geometry::rvd::PieceBatch;
 use geometry::rvd::cell_file::CellWriter;
 
-/// A file being written.
 pub(crate) struct CellFile {
     path: PathBuf,
     writer: CellWriter<BufWriter<NamedTempFile>, File>,
@@ -34,7 +33,6 @@ impl CellFile {
         Ok(Self { path: path.to_owned(), writer })
     }
 
-    /// Adds pieces.
     pub(crate) fn append(&mut self, cells: &PieceBatch) -> Result<()> {
         Ok(self.writer.append(cells).map_err(|e| unwritten(&self.path, &e))?)
     }

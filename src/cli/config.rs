@@ -41,7 +41,6 @@ impl ConfigArgs {
     }
 }
 
-/// Runs it.
 pub(crate) fn run(args: &ConfigArgs, found: Option<&ArgMatches>) -> Result<()> {
     match &args.command {
         ConfigCommand::Check(options) => {

@@ -15,9 +15,7 @@ pub(crate) type Sink<'a> = &'a mut dyn FnMut(&PieceBatch) -> Result<()>;
 /// What is to be computed.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Wants {
-    /// The pieces.
     pub(crate) cells: bool,
-    /// The centroids.
     pub(crate) centroids: bool,
 }
 
@@ -25,6 +23,5 @@ pub(crate) struct Wants {
 pub(crate) struct RvdResult {
     /// One a seed; empty if not wanted.
     pub(crate) centroids: Vec<DVec3>,
-    /// The report.
     pub(crate) report: Value,
 }

@@ -15,7 +15,6 @@ pub(crate) struct DoctorArgs {
     backend: BackendArgs,
 }
 
-/// Prints it.
 pub(crate) fn run(args: &DoctorArgs) -> Result<()> {
     args.backend.check()?;
     outln!("tessera     {}", env!("CARGO_PKG_VERSION"))?;

@@ -13,17 +13,14 @@ use tonic::transport::Uri;
 pub(crate) struct ServerUrl(String);
 
 impl ServerUrl {
-    /// As a URL.
     pub(crate) fn as_str(&self) -> &str {
         &self.0
     }
 
-    /// Whether it is asked over TLS.
     pub(crate) fn has_tls(&self) -> bool {
         self.0.starts_with(TLS)
     }
 
-    /// The same over TLS.
     pub(crate) fn with_tls(&self) -> String {
         self.0.replacen(CLEAR, TLS, 1)
     }
@@ -35,11 +32,9 @@ impl fmt::Display for ServerUrl {
     }
 }
 
-/// How addresses begin.
 const CLEAR: &str = "http://";
 const TLS: &str = "https://";
 
-/// An example for error messages.
 const EXAMPLE: &str = "http://127.0.0.1:50051";
 
 impl FromStr for ServerUrl {

@@ -32,7 +32,6 @@ impl Surface {
         Self { path: path.to_owned(), format }
     }
 
-    /// Whether it is the standard input or output.
     pub(crate) fn is_standard(&self) -> bool {
         self.path.as_os_str() == "-"
     }
@@ -53,7 +52,6 @@ impl Surface {
         }
     }
 
-    /// All bytes of a file or of the standard input.
     pub(crate) fn bytes(&self) -> Result<Vec<u8>> {
         let mut bytes = Vec::new();
         let read = match self.is_standard() {
@@ -63,14 +61,12 @@ impl Surface {
         Ok(read.map_err(|cause| NoInput { path: self.path.clone(), cause })?)
     }
 
-    /// Reads the surface alone.
     pub(crate) fn read_mesh(&self) -> Result<TriMesh> {
         let format = self.format(INPUT_FORMAT)?;
         let bytes = self.bytes()?;
         Ok(io::decode(format, &bytes).map_err(|cause| self.refused(&cause))?)
     }
 
-    /// Reads the surface and what it carries.
     pub(crate) fn read_loaded(&self) -> Result<Loaded> {
         let format = self.format(INPUT_FORMAT)?;
         let bytes = self.bytes()?;
@@ -136,7 +132,6 @@ pub(crate) fn format() -> impl TypedValueParser<Value = Format> {
         .try_map(|name| Format::from_extension(&name).ok_or("is no format"))
 }
 
-/// Reads a surface from a file.
 pub(crate) fn read_mesh(path: &Path) -> Result<TriMesh> {
     io::read(path).map_err(unread)
 }
@@ -155,7 +150,6 @@ fn unread(error: FileError) -> anyhow::Error {
     }
 }
 
-/// Reads a file of text.
 pub(crate) fn read_text(path: &Path) -> Result<String> {
     let bytes = std::fs::read(path).map_err(|cause| NoInput { path: path.to_owned(), cause })?;
     Ok(String::from_utf8(bytes).map_err(|_| BadInput(format!("{}: this is no text in UTF-8", path.display())))?)
@@ -191,7 +185,6 @@ fn is_stream(path: &Path) -> bool {
     path.starts_with("/dev") || path.starts_with("/proc") || std::fs::metadata(path).is_ok_and(|meta| !meta.is_file())
 }
 
-/// Where a file is.
 fn folder_of(path: &Path) -> &Path {
     path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."))
 }
@@ -212,7 +205,6 @@ pub(crate) fn check_apart<'a>(
     Ok(())
 }
 
-/// Whether two names are of one file.
 pub(crate) fn same(a: &Path, b: &Path) -> bool {
     place(a).is_some_and(|a| Some(a) == place(b))
 }
@@ -239,7 +231,6 @@ pub(crate) fn write_points(path: &Path, points: &[DVec3]) -> Result<()> {
     })
 }
 
-/// Writes a report.
 pub(crate) fn write_json(path: &Path, report: &impl serde::Serialize) -> Result<()> {
     write(path, |out| {
         serde_json::to_writer_pretty(&mut *out, report)?;
@@ -263,7 +254,6 @@ pub(crate) struct Output {
 }
 
 impl Output {
-    /// What will be `path`.
     pub(crate) fn begin(path: &Path) -> Result<Self> {
         let open = || match is_stream(path) {
             true => Ok((OpenOptions::new().write(true).open(path)?, None)),
@@ -273,12 +263,10 @@ impl Output {
         Ok(Self { path: path.to_owned(), body: BufWriter::new(file), temporary })
     }
 
-    /// The next bytes.
     pub(crate) fn add(&mut self, bytes: &[u8]) -> Result<()> {
         Ok(self.body.write_all(bytes).map_err(|error| unwritten(&self.path, &error))?)
     }
 
-    /// It is whole.
     pub(crate) fn finish(self) -> Result<()> {
         let Self { path, mut body, temporary } = self;
         let end = || {

@@ -15,7 +15,6 @@ use crate::exit::Usage;
 use wire::fields::Fields;
 use wire::proto;
 
-/// Texts of options, by their ids.
 pub(crate) type Texts = BTreeMap<String, String>;
 
 #[derive(Debug)]
@@ -43,7 +42,6 @@ impl<A> Given<A> {
         self.set.contains_key(id).then_some(value)
     }
 
-    /// All that are set.
     pub(crate) fn texts(&self) -> &Texts {
         &self.set
     }

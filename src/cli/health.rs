@@ -37,7 +37,6 @@ pub(crate) struct HealthArgs {
     server: ServerArgs,
 }
 
-/// Runs it.
 pub(crate) fn run(args: &HealthArgs) -> Result<()> {
     let limit = Duration::from_secs_f64(args.timeout_s);
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().context("no runtime")?;

@@ -23,7 +23,6 @@ pub(crate) struct InfoArgs {
     server: ServerArgs,
 }
 
-/// Runs it.
 pub(crate) fn run(args: &InfoArgs) -> Result<()> {
     let (server, limit) = (args.server.server()?, Duration::from_secs_f64(args.timeout_s));
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().context("no runtime")?;
@@ -83,7 +82,6 @@ fn seconds(time: Option<prost_types::Duration>) -> Option<f64> {
     time.map(|time| time.seconds as f64 + f64::from(time.nanos) * 1e-9)
 }
 
-/// All of it, under the names of the interface.
 pub(crate) fn as_json(told: &GetServerInfoResponse) -> Value {
     let backend = |state: &BackendState| {
         json!({

@@ -206,7 +206,6 @@ fn labels(all: &[(String, String)]) -> Result<std::collections::HashMap<String, 
     }
 }
 
-/// Runs it.
 pub(crate) fn run(args: &JobsArgs) -> Result<()> {
     let server = &args.server;
     // Before a file is read.

@@ -189,7 +189,6 @@ fn length(text: &str) -> Result<Duration, String> {
     span(text).ok().filter(|length| *length >= Duration::from_millis(100)).ok_or_else(wrong)
 }
 
-/// Runs it.
 pub(crate) fn run(args: &LoadArgs) -> Result<()> {
     args.check()?;
     let server = args.at.server()?;
@@ -361,7 +360,6 @@ impl LoadArgs {
     }
 }
 
-/// What is known once a load is over.
 struct Done {
     measure: Measure,
     comparison: Option<Comparison>,
@@ -410,7 +408,6 @@ impl Done {
         }
     }
 
-    /// A figure of a threshold.
     fn figure(&self, name: &str) -> Option<f64> {
         let (measure, counts) = (&self.measure, &self.measure.counts);
         let count = match name {

@@ -65,12 +65,10 @@ fn direction(text: &str) -> Result<DVec3, String> {
 }
 
 impl PictureArgs {
-    /// Where it goes.
     pub(crate) fn path(&self) -> Option<&Path> {
         self.picture.as_deref()
     }
 
-    /// Whether one is wanted.
     pub(crate) fn wanted(&self) -> bool {
         self.picture.is_some()
     }

@@ -20,9 +20,7 @@ use geometry::cvt::Iteration;
 use geometry::remesh::Observer;
 use jobs::lock;
 
-/// Parts of the bar.
 const PARTS: u64 = 1000;
-/// Time between two looks at the bar.
 const TICK: Duration = Duration::from_millis(200);
 /// Time between two lines where there is no terminal, unless `TESSERA_PROGRESS_S` says otherwise.
 const LINE: Duration = Duration::from_secs(5);
@@ -33,15 +31,12 @@ pub(crate) struct Progress {
 }
 
 struct State {
-    /// Whose progress it is.
     name: String,
     start: Instant,
     track: Track,
     /// The part of the whole that this file is.
     span: (f64, f64),
-    /// Where there is a terminal.
     bar: Option<ProgressBar>,
-    /// The stage, and how far it is.
     stage: String,
     /// Energy, or place in the queue.
     detail: String,
@@ -76,7 +71,6 @@ impl Progress {
         state.draw();
     }
 
-    /// What there is to do.
     pub(crate) fn plan(&self, plan: Plan) {
         lock(&self.shared).track.plan(plan, Instant::now());
     }
@@ -96,7 +90,6 @@ impl Progress {
         }
     }
 
-    /// An iteration.
     pub(crate) fn iteration(&self, index: u64, total: u64, energy_ratio: f64) {
         let mut state = lock(&self.shared);
         let done = index.saturating_add(1);
@@ -107,14 +100,12 @@ impl Progress {
         state.draw();
     }
 
-    /// A word on the stage that is at work.
     pub(crate) fn detail(&self, text: &str) {
         let mut state = lock(&self.shared);
         text.clone_into(&mut state.detail);
         state.draw();
     }
 
-    /// A warning, above the bar.
     pub(crate) fn note(&self, text: &str) {
         match &lock(&self.shared).bar {
             Some(bar) => bar.suspend(|| errln!("{text}")),
@@ -122,7 +113,6 @@ impl Progress {
         }
     }
 
-    /// Writes to the standard output, above the bar.
     pub(crate) fn aside<R>(&self, write: impl FnOnce() -> R) -> R {
         match &lock(&self.shared).bar {
             Some(bar) => bar.suspend(write),

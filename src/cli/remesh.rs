@@ -29,7 +29,6 @@ use summary::Told;
 use tasks::Task;
 use wire::proto;
 
-/// Runs it.
 pub(crate) fn run(args: &RemeshArgs) -> Result<()> {
     let tasks = tasks::of(args)?;
     let worker = Worker::new(args)?;
@@ -39,11 +38,8 @@ pub(crate) fn run(args: &RemeshArgs) -> Result<()> {
     })
 }
 
-/// Where the work is done.
 struct Worker {
-    /// The server that does it.
     server: Option<Server>,
-    /// Cancels the work that is done here.
     token: Token,
     /// Opened once it is needed, and kept for the files that follow.
     backend: Option<Arc<dyn Backend>>,
@@ -80,7 +76,6 @@ impl Worker {
     }
 }
 
-/// A file that was remeshed.
 struct Remeshed {
     report: Value,
     /// What the format of the output cannot hold.
@@ -88,7 +83,6 @@ struct Remeshed {
     total_ms: f64,
 }
 
-/// Remeshes one file.
 fn alone(args: &RemeshArgs, task: &Task, mut worker: Worker) -> Result<()> {
     let mut progress = Progress::begin(task.input.path(), args.say.quiet);
     let done = one(args, task, &mut worker, &mut progress, true)?;

@@ -47,31 +47,23 @@ use wire::counts::{MeshCounts, mesh_header};
 use wire::proto::remesh_service_client::RemeshServiceClient;
 use wire::proto::{self, ArrayKind, Chunk};
 
-/// A remesh to ask for.
 pub(crate) struct RemeshJob<'a> {
-    /// The surface.
     pub(crate) mesh: &'a TriMesh,
     /// What to do, as the server is asked.
     pub(crate) message: &'a proto::RemeshOptions,
     /// The same with the arrays.
     pub(crate) options: &'a RemeshOptions,
-    /// The backend to use.
     pub(crate) backend: BackendArg,
 }
 
-/// What came back.
 pub(crate) struct RemeshDone {
-    /// The remesh.
     pub(crate) mesh: TriMesh,
     /// Its edges on creases and boundaries that were kept.
     pub(crate) curve_edges: Vec<[u32; 2]>,
-    /// The server's report.
     pub(crate) report: serde_json::Value,
-    /// What the remesh carries.
     pub(crate) attributes: Option<Attributes>,
 }
 
-/// Has `job` done at `server`.
 pub(crate) fn remesh(server: &Server, job: &RemeshJob<'_>, progress: &Progress) -> Result<RemeshDone> {
     use proto::remesh_request::Message as Ask;
     use proto::remesh_response::Message as Answer;
@@ -131,7 +123,6 @@ pub(crate) fn remesh(server: &Server, job: &RemeshJob<'_>, progress: &Progress) 
     })
 }
 
-/// The remesh that was sent.
 fn result(arrays: &Arrays, expected: &Expected, done: &proto::RemeshDone) -> Result<RemeshDone> {
     let positions = arrays.points(ArrayKind::Positions).map_err(wrong)?;
     let facets = arrays.facets(ArrayKind::Facets).map_err(wrong)?;
@@ -144,15 +135,10 @@ fn result(arrays: &Arrays, expected: &Expected, done: &proto::RemeshDone) -> Res
     Ok(RemeshDone { mesh, curve_edges, report, attributes })
 }
 
-/// A diagram to ask for.
 pub(crate) struct RvdJob<'a> {
-    /// The surface.
     pub(crate) mesh: &'a TriMesh,
-    /// The seeds.
     pub(crate) seeds: Seeds,
-    /// What is to come back.
     pub(crate) wants: Wants,
-    /// The backend to use.
     pub(crate) backend: BackendArg,
 }
 
@@ -242,7 +228,6 @@ fn block_on<R>(work: impl Future<Output = Result<R>>) -> Result<R> {
     })
 }
 
-/// Messages, counted as they leave.
 fn counted<T: Send + 'static>(
     messages: Vec<T>,
     progress: &Progress,
@@ -255,12 +240,10 @@ fn counted<T: Send + 'static>(
     })
 }
 
-/// A stage's name, as it is shown.
 fn stage(name: &str) -> String {
     plain(name).chars().take(32).collect()
 }
 
-/// The job was taken in.
 fn waiting(progress: &Progress, accepted: &proto::Accepted) {
     progress.stage("queued", 0, 0);
     if accepted.queue_position > 0 {

@@ -88,7 +88,6 @@ struct FileArgs {
 }
 
 impl RvdArgs {
-    /// The seeds that the arguments name.
     pub(super) fn seeds(&self) -> Result<Seeds> {
         let SeedArgs { seeds, points, seed } = &self.seeds;
         Ok(match seeds {
@@ -98,7 +97,6 @@ impl RvdArgs {
     }
 }
 
-/// Runs it.
 pub(crate) fn run(args: &RvdArgs) -> Result<()> {
     check(args)?;
     backends::on_threads(&args.backend, || work(args))
@@ -163,7 +161,6 @@ fn work(args: &RvdArgs) -> Result<()> {
     Ok(())
 }
 
-/// Refuses what cannot be, before any work.
 fn check(args: &RvdArgs) -> Result<()> {
     let FileArgs { output, centroids, report } = &args.files;
     args.backend.check()?;
@@ -180,7 +177,6 @@ fn check(args: &RvdArgs) -> Result<()> {
     Ok(())
 }
 
-/// What a person wants to know at the end.
 fn summary(args: &RvdArgs, report: &Value, total_ms: f64) -> Result<(), NotWritten> {
     let rvd = &report["rvd"];
     let at = args.at.endpoint.as_ref().map(|url| format!(" at {url}")).unwrap_or_default();
@@ -204,7 +200,6 @@ fn ms(since: Instant) -> f64 {
     since.elapsed().as_secs_f64() * 1e3
 }
 
-/// The diagram, and its seeds.
 fn here(
     args: &RvdArgs,
     mesh: TriMesh,

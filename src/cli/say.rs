@@ -23,7 +23,6 @@ pub(crate) struct SayArgs {
 }
 
 impl SayArgs {
-    /// Whether a summary is printed for people.
     pub(crate) fn summary(&self) -> bool {
         !self.quiet && !self.json
     }
@@ -63,7 +62,6 @@ pub(crate) fn json_line(report: &serde_json::Value) -> Result<(), NotWritten> {
     line(format_args!("{report}"))
 }
 
-/// Writes what is no text to the standard output.
 pub(crate) fn bytes(bytes: &[u8]) -> Result<(), NotWritten> {
     let mut out = io::stdout().lock();
     heard(out.write_all(bytes).and_then(|()| out.flush()))
@@ -78,7 +76,6 @@ fn heard(written: io::Result<()>) -> Result<(), NotWritten> {
     }
 }
 
-/// Writes a report to the standard output.
 pub(crate) fn json(report: &serde_json::Value) -> Result<(), NotWritten> {
     line(format_args!("{report:#}"))
 }

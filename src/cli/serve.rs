@@ -34,7 +34,6 @@ use server::readiness::{Readiness, Reason};
 use server::service::{self, About, Access, AccessOptions, Door, Jobs, Parts, ServeError, Tls};
 use wire::counts::Bounds;
 
-/// Opens what is kept, and says where that is.
 async fn stores(config: &ServeConfig) -> Result<Stores> {
     let room = BlobRoom { quota_bytes: config.blob_bytes, reserve_bytes: config.disk_reserve_bytes };
     let Some(folder) = &config.data_dir else {
@@ -69,7 +68,6 @@ fn access(args: &ServeArgs, config: &ServeConfig) -> Result<Access> {
     }
 }
 
-/// What is kept cannot be used.
 fn unusable(config: &ServeConfig, error: &JobApiError) -> Unavailable {
     match (&config.data_dir, error) {
         // It names the folder, and what to do.
@@ -97,7 +95,6 @@ fn prepare(args: &ServeArgs) -> Result<(ServeConfig, Option<Arc<Tls>>)> {
     Ok((config, tls.map(Arc::new)))
 }
 
-/// Runs it.
 pub(crate) fn run(args: &ServeArgs) -> Result<()> {
     let begin = Instant::now();
     let (config, tls) = prepare(args)?;
@@ -212,7 +209,6 @@ async fn serve(args: &ServeArgs, config: ServeConfig, tls: Option<Arc<Tls>>, met
     served.context("serving")
 }
 
-/// Opens the HTTP listener, if there is one.
 async fn open_door(config: &ServeConfig) -> Result<Option<Door>> {
     if config.http.is_empty() {
         return Ok(None);
@@ -231,7 +227,6 @@ async fn open_door(config: &ServeConfig) -> Result<Option<Door>> {
     Ok(Some(http::door(listener)))
 }
 
-/// Listens to operators, if they are to be.
 async fn open_admin(
     config: &ServeConfig,
     engine: &Engine,

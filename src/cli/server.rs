@@ -20,13 +20,11 @@ use server::keys::Secret;
 /// A server, and the credentials for it.
 #[derive(Clone, Debug)]
 pub(crate) struct Server {
-    /// Where it is.
     pub(crate) url: ServerUrl,
     /// Tenant of the jobs; without it, the tenant of the key or of this host.
     pub(crate) tenant: Option<Tenant>,
     /// Whom a client trusts over TLS, and what it shows.
     pub(crate) trust: Trust,
-    /// With what it lets us in.
     pub(crate) key: Option<Secret>,
 }
 
@@ -35,7 +33,6 @@ pub(crate) struct Server {
 pub(crate) struct Tenant(String);
 
 impl Tenant {
-    /// As it is sent.
     pub(crate) fn as_str(&self) -> &str {
         &self.0
     }
@@ -69,7 +66,6 @@ pub(crate) struct EndpointArgs {
 }
 
 impl EndpointArgs {
-    /// The server, if one is to do the work.
     pub(crate) fn server(&self) -> Result<Option<Server>> {
         let Some(url) = &self.endpoint else { return Ok(None) };
         let (trust, key) = (self.trust.read(url)?, key(self.key_file.as_deref())?);
@@ -125,7 +121,6 @@ pub(crate) fn key(file: Option<&Path>) -> Result<Option<Secret>> {
     #[cfg(unix)]
     {
         use std::os::unix::fs::PermissionsExt;
-        /// Bits of the group and of others.
         const OTHERS: u32 = 0o077;
         if std::fs::metadata(path).is_ok_and(|found| found.is_file() && found.permissions().mode() & OTHERS != 0) {
             errln!("tessera: warning: others can read the key in {}; chmod 600 keeps them out", path.display());
@@ -152,7 +147,6 @@ impl CallArgs {
         self.endpoint.as_ref().ok_or_else(|| Usage(NONE.to_owned()))
     }
 
-    /// The server that is meant.
     pub(crate) fn server(&self) -> Result<Server> {
         let url = self.url()?;
         let (trust, key) = (self.trust.read(url)?, key(self.key_file.as_deref())?);
@@ -161,12 +155,10 @@ impl CallArgs {
 }
 
 impl ServerArgs {
-    /// The server that is meant.
     pub(crate) fn server(&self) -> Result<Server> {
         self.at.server()
     }
 
-    /// Where the server is.
     pub(crate) fn url(&self) -> Result<&ServerUrl, Usage> {
         self.at.url()
     }
@@ -180,7 +172,6 @@ impl ServerArgs {
         Ok(())
     }
 
-    /// How long to try again after a lost connection.
     pub(crate) fn retry(&self) -> Duration {
         Duration::from_secs_f64(self.retry_s)
     }

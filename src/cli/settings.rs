@@ -19,14 +19,12 @@ const SERVER: &[&[&str]] = &[&["serve"], &["config", "check"], &["config", "prin
 /// The options of `config` that are its own, and the one that says which file is meant.
 const SHOWN: &[&str] = &["config", "defaults"];
 
-/// The command line, understood.
 pub(super) struct Given {
     pub(super) cli: Cli,
     /// What clap found of a server's options, if the subcommand has them.
     pub(super) options: Option<ArgMatches>,
 }
 
-/// The program's command line.
 pub(super) fn command() -> clap::Command {
     without_empty(with_server(Cli::command(), &|options| options))
 }
@@ -73,7 +71,6 @@ pub(super) fn parse(line: &[OsString]) -> Result<Given> {
     Ok(Given { cli, options })
 }
 
-/// What clap found of a server's options.
 fn options(found: &ArgMatches) -> Option<&ArgMatches> {
     SERVER.iter().find_map(|path| {
         path.iter().try_fold(found, |found, name| match found.subcommand() {
@@ -83,7 +80,6 @@ fn options(found: &ArgMatches) -> Option<&ArgMatches> {
     })
 }
 
-/// A server's options, if the command has them.
 fn server(command: &mut Command) -> Option<&mut ServeArgs> {
     match command {
         Command::Serve(args) => Some(args),

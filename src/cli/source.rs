@@ -15,11 +15,9 @@ use wire::pieces::{Hash, PIECE_BYTES};
 
 #[derive(Debug)]
 pub(crate) struct Source {
-    /// As it was named.
     path: PathBuf,
     digest: String,
     size: u64,
-    /// What a pipe brought.
     kept: Option<NamedTempFile>,
 }
 
@@ -57,12 +55,10 @@ impl Source {
         &self.digest
     }
 
-    /// How many bytes there are.
     pub(crate) fn size(&self) -> u64 {
         self.size
     }
 
-    /// As it was named.
     pub(crate) fn path(&self) -> &Path {
         &self.path
     }
@@ -75,7 +71,6 @@ impl Source {
     }
 }
 
-/// What is left to be sent.
 #[derive(Debug)]
 pub(crate) struct Pieces {
     file: File,

@@ -29,9 +29,7 @@ pub(crate) struct TrustArgs {
 /// What the files hold; nothing if the system's authorities are to be trusted and nothing is shown.
 #[derive(Clone, Default)]
 pub(crate) struct Trust {
-    /// Authorities, in PEM.
     pub(crate) authorities: Option<Vec<u8>>,
-    /// Certificate and key, in PEM.
     pub(crate) identity: Option<(Vec<u8>, Vec<u8>)>,
 }
 
@@ -42,7 +40,6 @@ impl fmt::Debug for Trust {
 }
 
 impl TrustArgs {
-    /// Reads the files.
     pub(crate) fn read(&self, url: &ServerUrl) -> Result<Trust> {
         let given = [("--ca", &self.ca), ("--client-cert", &self.client_cert), ("--client-key", &self.client_key)];
         if let Some((option, _)) = given.iter().find(|(_, file)| file.is_some())

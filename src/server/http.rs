@@ -80,7 +80,6 @@ const fn route(
     Route { method, path, role, kind, handler }
 }
 
-/// All of them.
 pub const ROUTES: &[Route] = &[
     route("POST", "/v1/remesh", Role::Submit, Kind::Stream, || post(remesh::remesh)),
     route("POST", "/v1/blobs", Role::Submit, Kind::Stream, || post(blobs::upload)),
@@ -98,7 +97,6 @@ pub const ROUTES: &[Route] = &[
     route("GET", "/v1/openapi.json", Role::Read, Kind::Call, || get(openapi)),
 ];
 
-/// A listener at this address.
 pub fn door(listener: TcpListener) -> Door {
     Door::new(listener, routes)
 }

@@ -44,12 +44,10 @@ const WORK_SECONDS: [f64; 13] = [0.001, 0.003, 0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 1
 type Labels<const N: usize> = [(&'static str, &'static str); N];
 type Histograms<L> = Family<L, Histogram, fn() -> Histogram>;
 
-/// Bytes of blobs.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct BlobBytes {
     /// Whole blobs and uploads under way.
     pub kept: u64,
-    /// What may be kept.
     pub limit: u64,
 }
 
@@ -207,7 +205,6 @@ impl Metrics {
         Open(self.0.open_connections.clone())
     }
 
-    /// A call or a connection was refused.
     pub fn refused(&self, reason: Refused) {
         self.refusals(reason, 1);
     }
@@ -216,7 +213,6 @@ impl Metrics {
         self.0.refusals.get_or_create(&[("reason", reason.name())]).inc_by(times);
     }
 
-    /// Bytes of blobs now.
     pub fn blobs(&self, bytes: BlobBytes) {
         for (kind, bytes) in [("kept", bytes.kept), ("limit", bytes.limit)] {
             self.0.blob_bytes.get_or_create(&[("kind", kind)]).set(signed(bytes));
@@ -248,7 +244,6 @@ impl Metrics {
         self.0.steps.get_or_create(&[("step", step)]).set(took.as_secs_f64());
     }
 
-    /// Probes came out well, or not.
     pub fn probed(&self, is_good: bool, times: u64) {
         let outcome = if is_good { "passed" } else { "failed" };
         self.0.probes.get_or_create(&[("outcome", outcome)]).inc_by(times);
@@ -278,17 +273,13 @@ impl Drop for Open {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, IntoStaticStr)]
 #[strum(serialize_all = "snake_case")]
 pub enum Refused {
-    /// The queue is full.
     Queue,
     /// There is no memory for it now, on the host or on the device.
     Memory,
     /// Too many streams, sessions or watches are open.
     Streams,
-    /// The server is shutting down.
     Draining,
-    /// Too many connections are open.
     Connections,
-    /// A message is longer than any may be.
     MessageSize,
     /// It could never be done here.
     TooLarge,

@@ -58,22 +58,17 @@ use wire::{WireError, proto};
 
 pub use self::access::{Access, AccessOptions};
 
-/// Health service name of `RemeshService`.
 pub const SERVICE_NAME: &str = "tessera.v1.RemeshService";
 
-/// Health service name of `BlobService`.
 pub const BLOB_SERVICE_NAME: &str = "tessera.v1.BlobService";
 
-/// Health service name of `JobService`.
 pub const JOB_SERVICE_NAME: &str = "tessera.v1.JobService";
 
-/// Health service name of `ServerService`.
 pub const SERVER_SERVICE_NAME: &str = "tessera.v1.ServerService";
 
 /// What a server is made of.
 #[derive(Debug)]
 pub struct Parts {
-    /// Does the work.
     pub engine: Engine,
     /// The engine's thread, joined at the end.
     pub worker: JoinHandle<()>,
@@ -81,15 +76,12 @@ pub struct Parts {
     pub limits: Limits,
     /// Jobs that outlive their stream; without, neither they nor blobs are served.
     pub jobs: Option<Jobs>,
-    /// The certificates, if TLS is spoken.
     pub tls: Option<Arc<Tls>>,
     /// Keys and roles of callers.
     pub access: Access,
     /// Counts. Give the engine the same.
     pub metrics: Metrics,
-    /// Whether the server can do what it is asked.
     pub readiness: Readiness,
-    /// What it knows of itself.
     pub about: About,
     /// A way in beside gRPC, to the same jobs and blobs.
     pub door: Option<Door>,
@@ -116,9 +108,7 @@ impl fmt::Debug for Door {
 /// What the services of blobs and jobs are made of.
 #[derive(Clone)]
 pub struct Jobs {
-    /// Keeps blobs.
     pub blobs: Arc<dyn BlobStore>,
-    /// Keeps jobs and has them done.
     pub api: Arc<dyn JobApi>,
 }
 
@@ -128,30 +118,20 @@ impl fmt::Debug for Jobs {
     }
 }
 
-/// Why a server ended badly.
 #[derive(Debug, thiserror::Error)]
 pub enum ServeError {
-    /// The descriptors are not readable; a fault of the build.
     #[error("the descriptors for reflection are broken: {0}")]
     Reflection(#[from] tonic_reflection::server::Error),
-    /// The engine ended by itself.
     #[error("the engine ended while it was needed; the log may say why")]
     WorkerDied,
-    /// The engine did not end in time.
     #[error("the engine did not end within {} s of the shutdown", .0.as_secs_f64())]
     WorkerStuck(Duration),
-    /// The journal of jobs can no longer be written.
     #[error("the journal of jobs can no longer be written; see that its disk has room and is sound, then start again")]
     Journal,
-    /// The device was lost and could not be opened again.
     #[error("the device was lost and could not be opened again; see to its driver, or give --on-device-loss cpu")]
     DeviceMissing,
-    /// Work went on long after it was told to stop.
     #[error("work in the stage {stage:?} went on long after it was told to stop; only a new process can go on")]
-    WorkStuck {
-        /// What it was at.
-        stage: &'static str,
-    },
+    WorkStuck { stage: &'static str },
 }
 
 /// Why a request is refused or ends badly. `status` makes a status code of it.
@@ -381,7 +361,6 @@ async fn join(worker: JoinHandle<()>) -> Result<(), ServeError> {
     Ok(())
 }
 
-/// Serves blobs and jobs too.
 fn with_jobs(routes: Routes, Jobs { blobs, api }: Jobs, limits: Limits, budget: &Budget, gate: &Gate) -> Routes {
     let jobs = handlers::jobs::Jobs::new(api, Arc::clone(&blobs), budget.clone(), gate.clone());
     let blobs = handlers::blobs::Blobs::new(blobs, limits, budget.clone(), gate.clone());
@@ -400,7 +379,6 @@ fn with_jobs(routes: Routes, Jobs { blobs, api }: Jobs, limits: Limits, budget: 
     routes.add_service(blobs).add_service(jobs)
 }
 
-/// The services that are served.
 fn names(jobs: bool) -> &'static [&'static str] {
     const NAMES: &[&str] = &[SERVICE_NAME, SERVER_SERVICE_NAME, BLOB_SERVICE_NAME, JOB_SERVICE_NAME];
     if jobs { NAMES } else { &[SERVICE_NAME, SERVER_SERVICE_NAME] }

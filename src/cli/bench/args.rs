@@ -29,7 +29,6 @@ pub(super) struct SurfaceArgs {
 }
 
 impl SurfaceArgs {
-    /// The surface and its name.
     pub(super) fn mesh(&self) -> Result<(String, TriMesh)> {
         mesh(self.mesh.as_deref(), Shape::Torus, self.facets as usize)
     }
@@ -82,12 +81,10 @@ impl RunArgs {
         token()
     }
 
-    /// `points` seeds, to be drawn.
     pub(super) fn drawn(&self, points: u32) -> Seeds {
         Seeds::Sample { points: points as usize, seed: self.seed }
     }
 
-    /// The backend that is asked for.
     pub(super) fn worker(&self) -> Result<Worker> {
         Worker::one(&self.backend)
     }

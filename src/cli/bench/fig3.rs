@@ -63,7 +63,6 @@ struct Sweep {
     left_out: Vec<Value>,
 }
 
-/// Runs it.
 pub(super) fn run(args: &Fig3Args) -> Result<()> {
     let token = args.run.begin()?;
     let fixed = args.surface.mesh()?;

@@ -29,7 +29,6 @@ pub(super) struct Fig4Args {
     run: RunArgs,
 }
 
-/// Runs it.
 pub(super) fn run(args: &Fig4Args) -> Result<()> {
     let token = args.run.begin()?;
     let mesh = args.surface.mesh()?;

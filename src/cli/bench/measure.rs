@@ -29,7 +29,6 @@ const WARM_UP: usize = 2;
 /// Steps that are timed whatever a limit says.
 const FEWEST: usize = 3;
 
-/// A surface and seeds on it.
 pub(super) struct Load {
     pub(super) name: String,
     pub(super) surface: Arc<Surface>,
@@ -140,7 +139,6 @@ impl Load {
     }
 }
 
-/// Steps that were timed.
 pub(super) struct Timed {
     /// As was asked for; a step that failed as such is one of Lloyd's.
     pub(super) kind: StepKind,
@@ -168,7 +166,6 @@ impl Timed {
         })
     }
 
-    /// Times of the steps.
     pub(super) fn step_ms(&self) -> Spread {
         Spread::of(self.steps.iter().map(|s| s.ms))
     }
@@ -178,7 +175,6 @@ impl Timed {
         Spread::of(self.steps.iter().map(|s| s.ms / s.evaluations.max(1) as f64))
     }
 
-    /// Passes of all steps.
     pub(super) fn evaluations(&self) -> usize {
         self.steps.iter().map(|s| s.evaluations).sum()
     }
@@ -202,7 +198,6 @@ impl Timed {
         self.steps.iter().fold(DeviceWork::default(), |most, s| most.with(&s.stats.device, u64::max))
     }
 
-    /// As a case of a report.
     pub(super) fn json(&self, load: &Load, by: &Worker) -> Value {
         let mut case = by.json();
         let phases = self.phases();

@@ -26,13 +26,11 @@ pub(super) struct OutputArgs {
 }
 
 impl OutputArgs {
-    /// Refuses what cannot be written.
     pub(super) fn check(&self) -> Result<()> {
         self.json.iter().try_for_each(|path| files::check_output(path, &[]))?;
         self.plot.iter().try_for_each(|path| files::check_output(path, &["png"]))
     }
 
-    /// Writes what is wanted.
     pub(super) fn write(&self, report: &Value, figure: &Figure) -> Result<()> {
         if let Some(path) = &self.json {
             files::write_json(path, report)?;

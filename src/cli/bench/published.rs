@@ -17,15 +17,10 @@ use crate::files;
 pub(super) struct Row {
     /// The model: a file's name without ending, in any case.
     pub(super) mesh: String,
-    /// Its facets, as published.
     pub(super) facets: Option<u64>,
-    /// Points, as published.
     pub(super) points: Option<u64>,
-    /// The GPU's time.
     pub(super) gpu_ms: Option<f64>,
-    /// One core's.
     pub(super) serial_ms: Option<f64>,
-    /// All cores'.
     pub(super) parallel_ms: Option<f64>,
 }
 
@@ -36,19 +31,15 @@ impl Row {
     }
 }
 
-/// What a publication says.
 #[derive(Clone, Debug, Default, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct Published {
-    /// Where the figures are from.
     #[serde(default)]
     pub(super) source: String,
-    /// One a model.
     pub(super) rows: Vec<Row>,
 }
 
 impl Published {
-    /// Reads a file.
     pub(super) fn read(path: &Path) -> Result<Self> {
         let bad = |text: String| BadInput(format!("{}: {text}", path.display()));
         let text = files::read_text(path)?;
@@ -64,7 +55,6 @@ impl Published {
         }
     }
 
-    /// The row of a model.
     pub(super) fn row(&self, mesh: &str) -> Option<&Row> {
         self.rows.iter().find(|row| row.mesh.eq_ignore_ascii_case(mesh))
     }

@@ -61,7 +61,6 @@ enum AccumulateArg {
     Auto,
 }
 
-/// Runs it.
 pub(super) fn run(args: &RvdBenchArgs) -> Result<()> {
     let token = args.run.begin()?;
     let mesh = args.surface.mesh()?;

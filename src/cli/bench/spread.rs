@@ -5,7 +5,6 @@
 
 use serde::Serialize;
 
-/// Least, middle and most.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub(super) struct Spread {
     pub(super) min: f64,
@@ -25,7 +24,6 @@ impl Spread {
         Self { min: at(0), median: at(sorted.len() / 2), max: at(sorted.len().saturating_sub(1)), mean }
     }
 
-    /// A line of a table.
     pub(super) fn row(&self, name: &str) -> String {
         format!("{name:<22}{:>10.3}{:>10.3}{:>10.3}{:>10.3}", self.min, self.median, self.max, self.mean)
     }

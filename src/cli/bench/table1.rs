@@ -57,7 +57,6 @@ const POINTS: u32 = 10_000;
 const COLUMNS: [(&str, &str); 3] = [("gpu", "GPU"), ("serial", "CPU"), ("parallel", "multi-core")];
 const NOT_AT_HAND: &str = "not at hand";
 
-/// A model that is to be measured.
 struct Model<'a> {
     file: Option<&'a PathBuf>,
     shape: Shape,
@@ -65,14 +64,12 @@ struct Model<'a> {
     points: u32,
 }
 
-/// One line of the table.
 struct Row {
     load: Load,
     /// In the order of the workers.
     times: Vec<(&'static str, Timed)>,
 }
 
-/// Runs it.
 pub(super) fn run(args: &Table1Args) -> Result<()> {
     let token = args.run.begin()?;
     let models = models(args)?;
@@ -102,7 +99,6 @@ pub(super) fn run(args: &Table1Args) -> Result<()> {
     args.run.output.write(&report, &figure(&rows, &published))
 }
 
-/// What the options name.
 fn models(args: &Table1Args) -> Result<Vec<Model<'_>>> {
     let pick = |name: &str, given: &[u32], k: usize, models: usize, default: u32| match given.len() {
         0 => Ok(default),

@@ -12,7 +12,6 @@ use geometry::rvd::{Backend, BackendKind};
 use gpu::diagram::Gpu;
 use server::config::{BackendArg, BackendArgs};
 
-/// A backend that is measured.
 pub(super) struct Worker {
     pub(super) backend: Arc<dyn Backend>,
     /// The same, if it is the GPU's.
@@ -76,13 +75,11 @@ impl Worker {
         }
     }
 
-    /// Backend, adapter and threads.
     pub(super) fn json(&self) -> Value {
         let (adapter, threads) = (self.backend.adapter(), self.backend.threads());
         json!({ "backend": self.name(), "adapter": adapter, "threads": threads })
     }
 
-    /// Where the times of the phases come from.
     pub(super) fn phases_by(&self) -> &'static str {
         match (self.backend.kind(), self.clock) {
             (BackendKind::Gpu, true) => "device clock",

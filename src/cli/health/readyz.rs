@@ -17,7 +17,6 @@ use crate::http_get::get;
 pub(super) struct Readiness(Value);
 
 impl Readiness {
-    /// Reads the answer's body.
     fn read(bytes: &[u8]) -> Option<Self> {
         let value: Value = serde_json::from_slice(bytes).ok()?;
         (value["ready"].is_boolean() && value["reasons"].is_array()).then_some(Self(value))
@@ -51,7 +50,6 @@ impl fmt::Display for Readiness {
     }
 }
 
-/// Asks the admin port at an address.
 pub(super) async fn ask(address: &str, limit: Duration) -> Result<Readiness, Unavailable> {
     /// The admin port sends no longer answer.
     const MOST_BYTES: usize = 64 << 10;

@@ -28,7 +28,6 @@ use wire::proto::{
 /// A job that can be sent once its files are uploaded.
 #[derive(Debug)]
 pub(super) struct Asked {
-    /// The message.
     pub(super) spec: JobSpec,
     /// The files that it names by their digests.
     pub(super) sources: Vec<Source>,
@@ -86,7 +85,6 @@ impl InputArgs {
         }
     }
 
-    /// The job without its work.
     fn begin(&self, attributes: Option<bool>) -> Result<Asked> {
         let format = self.format()?;
         let (digest, sources, input) = match &self.input {

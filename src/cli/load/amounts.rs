@@ -10,19 +10,15 @@ use strum::{EnumString, IntoStaticStr, VariantArray, VariantNames};
 use geometry::mesh::shapes::MAX_FACETS;
 use server::config::whole;
 
-/// What is asked of a server.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, EnumString, IntoStaticStr, VariantArray, VariantNames)]
 #[strum(serialize_all = "kebab-case")]
 pub(super) enum Kind {
-    /// The stream `Remesh`.
     Remesh,
-    /// The stream `ComputeRvd`.
     Rvd,
     /// The stream `Cvt`: a session of a few steps.
     Cvt,
     /// A remesh as a job of `JobService`: upload, create, watch, download.
     RemeshJob,
-    /// A diagram as a job.
     RvdJob,
     /// `GetServerInfo`, which does no work: what the way to the server costs.
     Info,
@@ -31,17 +27,14 @@ pub(super) enum Kind {
 impl Kind {
     pub(super) const ALL: &[Self] = <Self as VariantArray>::VARIANTS;
 
-    /// As it is written.
     pub(super) fn name(self) -> &'static str {
         self.into()
     }
 
-    /// Its place in [`Kind::ALL`].
     pub(super) fn place(self) -> usize {
         self as usize
     }
 
-    /// Whether it is a job of `JobService`.
     pub(super) fn is_job(self) -> bool {
         matches!(self, Self::RemeshJob | Self::RvdJob)
     }
@@ -52,7 +45,6 @@ impl Kind {
     }
 }
 
-/// Kinds with their weights.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Mix(Vec<(Kind, f64)>);
 
@@ -121,7 +113,6 @@ pub(super) struct Sizes {
 }
 
 impl Sizes {
-    /// Whether all are alike.
     pub(super) fn is_one(self) -> bool {
         self.least == self.most
     }
@@ -155,17 +146,13 @@ impl FromStr for Sizes {
     }
 }
 
-/// How many points are asked for.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Points {
-    /// As many.
     Count(u64),
-    /// A share of the facets.
     Part(f64),
 }
 
 impl Points {
-    /// For a surface of `facets` facets.
     pub(super) fn of(self, facets: usize) -> u64 {
         /// Fewer may be too few for the topology of a made surface.
         const LEAST: u64 = 100;

@@ -28,18 +28,21 @@ use wire::proto::{BackendChoice, DiagramOptions, GetServerInfoRequest, RemeshOpt
 
 pub(super) use job::{Rubbish, delete_blob, put, sweep};
 
-/// How a call went.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(super) enum Outcome {
-    /// The result arrived.
     #[default]
     Done,
     /// It was cancelled, as the plan says.
     Cancelled,
     /// The server did not take it, and says when to come again.
-    Refused { reason: String, after: Duration },
-    /// It failed.
-    Failed { code: String, said: String },
+    Refused {
+        reason: String,
+        after: Duration,
+    },
+    Failed {
+        code: String,
+        said: String,
+    },
     /// The run was stopped meanwhile.
     Stopped,
 }
@@ -47,21 +50,17 @@ pub(super) enum Outcome {
 /// Where the time went, as far as it is known.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct Stages {
-    /// Sending the surface.
     pub(super) upload: Option<Duration>,
     /// Waiting for a turn, as the server says.
     pub(super) queue: Option<Duration>,
     /// At work, as the server says.
     pub(super) compute: Option<Duration>,
-    /// Taking the result.
     pub(super) download: Option<Duration>,
 }
 
 impl Stages {
-    /// Their names.
     pub(super) const NAMES: [&'static str; 4] = ["upload", "queue", "compute", "download"];
 
-    /// In the order of the names.
     pub(super) fn all(&self) -> [Option<Duration>; 4] {
         [self.upload, self.queue, self.compute, self.download]
     }
@@ -74,15 +73,11 @@ pub(super) struct Asked {
     pub(super) stages: Stages,
     pub(super) facets: u64,
     pub(super) seeds: u64,
-    /// Payload bytes sent.
     pub(super) sent_bytes: u64,
-    /// Payload bytes received.
     pub(super) came_bytes: u64,
-    /// Job and blobs left at the server.
     pub(super) rubbish: Option<Rubbish>,
 }
 
-/// Why a call ends before its answer does.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Why {
     Cancel,
@@ -90,7 +85,6 @@ enum Why {
     Stop,
 }
 
-/// How a call ends without a result.
 #[derive(Debug)]
 enum End {
     Status(Status),
@@ -102,7 +96,6 @@ enum End {
     Here(Why),
 }
 
-/// When a call ends from this side.
 struct Ends {
     cancel: Option<Instant>,
     limit: Instant,
@@ -110,7 +103,6 @@ struct Ends {
 }
 
 impl Ends {
-    /// The first reason that comes.
     async fn first(&self) -> Why {
         let mut stop = self.stop.clone();
         let stopped = async {
@@ -141,11 +133,8 @@ impl Ends {
     }
 }
 
-/// What all calls of a run have in common.
 pub(super) struct Caller {
-    /// Where RPCs are counted.
     pub(super) tally: Tally,
-    /// What may be sent.
     pub(super) surfaces: Arc<Vec<Surface>>,
     pub(super) settings: Settings,
     /// The name of the run, which its jobs have as a label.
@@ -154,14 +143,12 @@ pub(super) struct Caller {
     pub(super) stop: watch::Receiver<bool>,
     /// How long calls of each kind take, in microseconds, for cancelling some at a likely time.
     usual_us: [AtomicU64; Kind::ALL.len()],
-    /// Files that were uploaded.
     uploaded: AtomicU64,
 }
 
 /// What a call is taken to last before one has ended.
 const USUAL: Duration = Duration::from_millis(200);
 
-/// Options of all calls of a run.
 pub(super) struct Settings {
     /// Lloyd steps of a remesh; the server's default if not given.
     pub(super) lloyd: Option<u32>,
@@ -243,15 +230,12 @@ fn reason(status: &Status) -> String {
     format!("{}: {}", tally::name(status.code()), text.chars().take(MOST).collect::<String>())
 }
 
-/// How fast an answer is read.
 struct Pace {
     bytes_a_second: Option<u64>,
-    /// When the next may be read.
     due: Option<Instant>,
 }
 
 impl Pace {
-    /// Counts bytes that were read.
     async fn read(&mut self, bytes: usize) {
         let Some(rate) = self.bytes_a_second else { return };
         let now = Instant::now();
@@ -261,7 +245,6 @@ impl Pace {
     }
 }
 
-/// A call at a place.
 struct At<'a> {
     caller: &'a Caller,
     door: &'a Door,

@@ -21,7 +21,6 @@ use super::view::View;
 use crate::remote::Door;
 use jobs::lock;
 
-/// How calls follow each other.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Looping {
     /// Each of the clients asks again once it has its answer.
@@ -30,7 +29,6 @@ pub(super) enum Looping {
     Open { rate: f64, max_in_flight: u32 },
 }
 
-/// When what is sent.
 #[derive(Clone, Debug)]
 pub(super) struct Schedule {
     pub(super) looping: Looping,
@@ -54,7 +52,6 @@ impl Schedule {
     }
 }
 
-/// Where calls go.
 pub(super) struct Doors {
     pub(super) usual: Vec<Door>,
     /// Of slow readers, whose windows are narrow.
@@ -63,17 +60,14 @@ pub(super) struct Doors {
 
 /// The first pause after a failure, and the longest.
 const PAUSES: (Duration, Duration) = (Duration::from_millis(100), Duration::from_secs(2));
-/// The longest that a refused client waits.
 const REFUSED: Duration = Duration::from_secs(60);
 /// Sender of the open loop; clients come after it.
 const OPEN: u64 = 0;
-/// The first slow reader.
 const SLOW: u64 = 1 << 32;
 /// How many remove what is left at once, and how long they have at the end.
 const CLEANERS: usize = 8;
 const CLEANING: Duration = Duration::from_secs(60);
 
-/// A run.
 pub(super) struct Run {
     caller: Arc<Caller>,
     doors: Doors,
@@ -85,7 +79,6 @@ pub(super) struct Run {
     rubbish: Option<mpsc::Sender<(Rubbish, Door, bool)>>,
 }
 
-/// What a run came to.
 pub(super) struct Ran {
     pub(super) measure: Measure,
     /// Jobs and blobs that could not be removed.
@@ -153,7 +146,6 @@ async fn clean(caller: Arc<Caller>, mut receiver: mpsc::Receiver<(Rubbish, Door,
     left.load(Ordering::Relaxed)
 }
 
-/// Draws the view until the run is over.
 async fn show(run: Arc<Run>, view: View) {
     let mut tick = tokio::time::interval(View::EVERY);
     loop {
@@ -175,7 +167,6 @@ impl Run {
         self.schedule.window().end
     }
 
-    /// Makes all calls, and waits for them.
     async fn calls(self: &Arc<Self>) {
         let mut clients = JoinSet::new();
         if let Looping::Closed { clients: count } = self.schedule.looping {
@@ -196,7 +187,6 @@ impl Run {
         }
     }
 
-    /// Sends by the plan.
     async fn arrivals(self: &Arc<Self>, rate: f64, max_in_flight: u32) {
         let Schedule { mix, cancel, ramp, seed, .. } = &self.schedule;
         let arrivals = Arrivals::new(rate, *ramp, *seed);
@@ -261,7 +251,6 @@ impl Run {
         }
     }
 
-    /// One call.
     async fn one(&self, intended: Duration, item: Item, door: &Door, pace: Option<u64>) -> Outcome {
         let sent = self.start.elapsed();
         self.open.fetch_add(1, Ordering::Relaxed);

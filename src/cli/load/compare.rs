@@ -11,7 +11,6 @@ use serde_json::{Value, json};
 use super::scrape::Samples;
 use super::tally::{Calls, Methods};
 
-/// Calls of a method with a status.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub(super) struct Row {
     /// Such as "OK".
@@ -21,13 +20,11 @@ pub(super) struct Row {
     pub(super) there: i64,
 }
 
-/// Calls of a method.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub(super) struct Method {
     /// Such as "tessera.v1.JobService/CreateJob".
     #[serde(rename = "method")]
     pub(super) name: String,
-    /// By status.
     #[serde(rename = "counts")]
     pub(super) rows: Vec<Row>,
     /// Calls whose status did not come.
@@ -68,7 +65,6 @@ impl Method {
         Self { name: name.to_owned(), rows, unheard: calls.unheard, mean_s: Means { here: calls.mean_s(), there } }
     }
 
-    /// What the server counted more.
     fn more(&self) -> i64 {
         self.rows.iter().map(|row| row.there - row.here as i64).sum()
     }
@@ -83,7 +79,6 @@ impl Method {
     }
 }
 
-/// All methods that were called.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Comparison {
     pub(super) methods: Vec<Method>,
@@ -118,7 +113,6 @@ impl Comparison {
         self.methods.iter().all(|method| method.more() == method.unheard as i64)
     }
 
-    /// Calls as this side counted them.
     pub(super) fn calls(&self) -> u64 {
         self.methods.iter().map(|m| m.rows.iter().map(|row| row.here).sum::<u64>() + m.unheard).sum()
     }
@@ -128,7 +122,6 @@ impl Comparison {
         self.methods.iter().map(|method| method.unheard).sum()
     }
 
-    /// As an object.
     pub(super) fn json(&self) -> Value {
         let method = |method: &Method| {
             let mut value = json!(method);

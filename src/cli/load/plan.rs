@@ -57,12 +57,9 @@ impl Iterator for Arrivals {
     }
 }
 
-/// A call to make.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Item {
-    /// Of which kind.
     pub(super) kind: Kind,
-    /// With which of the surfaces.
     pub(super) mesh: usize,
     /// For the server's random points, so that no two results are alike.
     pub(super) random_seed: u64,
@@ -70,7 +67,6 @@ pub(super) struct Item {
     pub(super) cancel: Option<f64>,
 }
 
-/// The calls of one sender.
 #[derive(Clone, Debug)]
 pub(super) struct Items {
     rng: ChaCha8Rng,

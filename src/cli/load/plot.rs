@@ -5,7 +5,6 @@
 use super::measure::{Measure, Second};
 use picture::chart::{Axis, Figure, Panel, Series};
 
-/// The picture.
 pub(super) fn figure(title: String, measure: &Measure) -> Figure {
     let seconds = &measure.seconds;
     let series = |name: &str, of: &dyn Fn(&Second) -> Option<f64>| Series {

@@ -16,12 +16,10 @@ use super::measure::{Counts, Latencies};
 pub(super) const QUANTILES: [(&str, f64); 4] = [("p50", 0.5), ("p90", 0.9), ("p99", 0.99), ("p999", 0.999)];
 
 impl Done {
-    /// Kinds of calls that have latencies.
     fn kinds(&self) -> impl Iterator<Item = (&'static str, &Latencies)> {
         Kind::ALL.iter().map(|kind| kind.name()).zip(&self.measure.kinds).filter(|(_, all)| all.count() > 0)
     }
 
-    /// Stages that have latencies.
     fn stages(&self) -> impl Iterator<Item = (&'static str, &Latencies)> {
         Stages::NAMES.into_iter().zip(&self.measure.stages).filter(|(_, all)| all.count() > 0)
     }
@@ -102,7 +100,6 @@ impl Done {
         lines
     }
 
-    /// As an object.
     pub(super) fn json(&self, crossed: &[String]) -> Value {
         let (measure, amounts) = (&self.measure, &self.measure.amounts);
         let kinds: BTreeMap<_, _> = self.kinds().map(|(name, all)| (name, latencies(all))).collect();
@@ -133,7 +130,6 @@ impl Done {
     }
 }
 
-/// How many ended how, a line each.
 fn outcomes(counts: &Counts) -> Vec<String> {
     let part = |count: u64| format!("{count} ({:.1} %)", 100.0 * count as f64 / counts.intended.max(1) as f64);
     let mut lines = vec![format!("done       {} of {} calls", counts.done, counts.intended)];

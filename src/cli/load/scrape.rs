@@ -25,21 +25,14 @@ pub(super) fn metrics_url(text: &str) -> Result<Uri, String> {
     }
 }
 
-/// Method and status of calls.
 pub(super) type Key = (String, String);
 
-/// What is kept of a scrape.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(super) struct Samples {
-    /// Calls by method and status.
     pub(super) calls: BTreeMap<Key, u64>,
-    /// Seconds that they took.
     pub(super) seconds: BTreeMap<Key, f64>,
-    /// Refusals by reason.
     pub(super) refusals: BTreeMap<String, u64>,
-    /// Facets of jobs that are done.
     pub(super) facets: u64,
-    /// Seeds that they asked for.
     pub(super) seeds: u64,
 }
 
@@ -65,10 +58,8 @@ impl Samples {
     }
 }
 
-/// Names and values of labels.
 type Labels<'a> = Vec<(&'a str, String)>;
 
-/// A line's name, labels and value.
 fn sample(line: &str) -> Option<(&str, Labels<'_>, f64)> {
     let name_end = line.find(['{', ' '])?;
     let (name, mut rest) = line.split_at(name_end);
@@ -107,7 +98,6 @@ fn quoted(text: &str) -> Option<(String, &str)> {
     }
 }
 
-/// Reads the metrics.
 pub(super) async fn read(url: &Uri) -> Result<Samples> {
     const LIMIT: Duration = Duration::from_secs(10);
     const MOST_BYTES: usize = 16 << 20;

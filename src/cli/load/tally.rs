@@ -12,19 +12,16 @@ use tonic::{Code, Status};
 use crate::remote::is_lost;
 use jobs::lock;
 
-/// Counts of the calls of a method.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(super) struct Calls {
     /// Calls whose status came, by its name.
     pub(super) heard: BTreeMap<&'static str, u64>,
-    /// Calls without a status.
     pub(super) unheard: u64,
     /// Time of the calls whose status came.
     pub(super) time: Duration,
 }
 
 impl Calls {
-    /// Mean time, seconds.
     pub(super) fn mean_s(&self) -> Option<f64> {
         let heard: u64 = self.heard.values().sum();
         (heard > 0).then(|| self.time.as_secs_f64() / heard as f64)
@@ -39,12 +36,10 @@ pub(super) type Methods = BTreeMap<&'static str, Calls>;
 pub(super) struct Tally(Arc<Mutex<Methods>>);
 
 impl Tally {
-    /// Begins a call.
     pub(super) fn begin(&self, method: &'static str) -> Call {
         Call { tally: self.clone(), method, began: Instant::now(), heard: None }
     }
 
-    /// The counts so far.
     pub(super) fn methods(&self) -> Methods {
         lock(&self.0).clone()
     }
@@ -60,7 +55,6 @@ pub(super) struct Call {
 }
 
 impl Call {
-    /// The call ended with this answer.
     pub(super) fn over<T>(mut self, answer: &Result<T, Status>) {
         self.heard = match answer {
             Ok(_) => Some(name(Code::Ok)),

@@ -11,7 +11,6 @@ use super::measure::Measure;
 pub(super) struct View(Option<ProgressBar>);
 
 impl View {
-    /// Between two looks.
     pub(super) const EVERY: Duration = Duration::from_millis(250);
 
     /// Of a run that lasts so long.
@@ -24,7 +23,6 @@ impl View {
         Self(bar)
     }
 
-    /// Draws it.
     pub(super) fn draw(&self, measure: &Measure, elapsed: Duration, open: u64) {
         let Some(bar) = &self.0 else { return };
         bar.set_position(elapsed.as_millis() as u64);

@@ -13,7 +13,6 @@ use std::time::{Duration, Instant};
 /// A stage's name and its predicted time, seconds.
 type Stage = (&'static str, f64);
 
-/// What each stage of a run is expected to take.
 #[derive(Clone, Debug)]
 pub(crate) struct Plan(Vec<Stage>);
 

@@ -265,7 +265,6 @@ impl PlacementArg {
     }
 }
 
-/// An error of an option, by its name.
 pub(crate) fn usage(error: WireError) -> anyhow::Error {
     let text = error.under("options").to_string();
     Usage(names::in_text(&text, flag).unwrap_or(text)).into()

@@ -61,7 +61,6 @@ fn size(task: &Task) -> u64 {
     std::fs::metadata(task.input.path()).map_or(1, |meta| meta.len().max(1))
 }
 
-/// Tells of a file that was remeshed.
 fn told(args: &RemeshArgs, task: &Task, done: &Remeshed, progress: &Progress) -> Result<(), NotWritten> {
     done.left_out.iter().for_each(|note| progress.note(note));
     if args.say.json {

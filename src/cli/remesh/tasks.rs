@@ -12,14 +12,12 @@ use crate::exit::{NotWritten, Usage};
 use crate::files::{self, Surface};
 use crate::sizes;
 
-/// A surface and where its remesh goes.
 #[derive(Debug)]
 pub(super) struct Task {
     pub(super) input: Surface,
     pub(super) output: Surface,
 }
 
-/// What is to be done.
 pub(super) fn of(args: &RemeshArgs) -> Result<Vec<Task>> {
     args.backend.check()?;
     args.picture.check()?;

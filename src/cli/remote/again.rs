@@ -10,13 +10,11 @@ use tokio::time::Instant;
 
 /// The first pause; each is twice the one before.
 const FIRST: Duration = Duration::from_millis(100);
-/// The longest pause.
 const LONGEST: Duration = Duration::from_secs(5);
 
 #[derive(Debug)]
 pub(super) struct Again {
     limit: Duration,
-    /// Since when nothing has come.
     since: Option<Instant>,
     pause: Duration,
     tries: u32,

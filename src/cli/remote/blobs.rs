@@ -36,7 +36,6 @@ fn client(link: &Link<'_>) -> BlobServiceClient<Door> {
 type Broken = Arc<Mutex<Option<io::Error>>>;
 
 impl Session<'_> {
-    /// The size of a blob.
     pub(crate) async fn stat(&mut self, digest: &str) -> Result<u64> {
         let request = StatRequest { digest: digest.to_owned() };
         let answer = self.once(async |link| one(link, client(link).stat(request)).await).await?;
@@ -182,7 +181,6 @@ fn messages(
     })
 }
 
-/// Takes what is left of a blob.
 async fn read_on(
     link: &Link<'_>,
     digest: &str,

@@ -31,7 +31,6 @@ pub(super) fn of_status(url: &ServerUrl, status: &Status) -> anyhow::Error {
     }
 }
 
-/// How a call about a job or a blob failed.
 #[derive(Debug)]
 pub(super) enum Fault {
     /// The connection was lost, or the server is away: the same call may succeed soon.

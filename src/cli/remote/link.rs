@@ -23,7 +23,6 @@ use crate::endpoint::ServerUrl;
 use crate::exit::{BadInput, Unavailable, Usage};
 use crate::server::{Server, Tenant};
 
-/// How long things may take.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Patience {
     /// To connect; then, to answer anything at all.
@@ -52,17 +51,13 @@ pub(crate) enum Windows {
     Narrow,
 }
 
-/// Bytes of a narrow window.
 const NARROW_BYTES: u32 = 65_535;
 
-/// How many messages of a request have left.
 pub(super) type Sent = Arc<AtomicU64>;
 
-/// Metadata with the tenant, and with the key.
 const TENANT: &str = "tessera-tenant";
 const KEY: &str = "authorization";
 
-/// Adds tenant and key to each call.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Caller {
     tenant: Option<AsciiMetadataValue>,
@@ -105,7 +100,6 @@ pub(super) struct Link<'a> {
 }
 
 impl<'a> Link<'a> {
-    /// Connects.
     pub(super) async fn open(server: &'a Server, patience: Patience) -> Result<Self> {
         Self::open_with(server, patience, Windows::Usual).await
     }
@@ -164,7 +158,6 @@ impl<'a> Link<'a> {
         InterceptedService::new(self.channel.clone(), self.caller.clone())
     }
 
-    /// Where the server is.
     pub(super) fn url(&self) -> &'a ServerUrl {
         self.url
     }
@@ -210,7 +203,6 @@ pub(crate) struct Line {
 }
 
 impl Line {
-    /// Connects.
     pub(crate) async fn open(server: &Server, windows: Windows) -> Result<Self> {
         let Link { channel, .. } = Link::open_with(server, Patience::with(0), windows).await?;
         Ok(Self { server: server.clone(), channel })

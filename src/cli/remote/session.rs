@@ -32,7 +32,6 @@ pub(crate) fn session<R>(args: &ServerArgs, work: impl AsyncFnOnce(&mut Session<
 }
 
 impl<'a> Session<'a> {
-    /// Makes a call once.
     pub(super) async fn once<T>(&mut self, ask: impl AsyncFnOnce(&Link<'a>) -> Result<T, Fault>) -> Result<T, Fault> {
         let link = match self.link.take() {
             Some(link) => link,

@@ -39,7 +39,6 @@ const MEANINGS: &[(&[&str], &str)] = &[
     (&["TLS handshake timeout"], "the TLS handshake took too long"),
 ];
 
-/// The settings of a connection.
 pub(super) fn settings(trust: &Trust, limit: Duration) -> ClientTlsConfig {
     let settings = ClientTlsConfig::new().timeout(limit);
     let settings = match &trust.authorities {

@@ -38,7 +38,6 @@ pub struct DeviceArgs {
     pub device_loss_s: f64,
 }
 
-/// The checked rules for the device.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct DeviceRules {
     /// Memory for jobs, if limited, bytes.
@@ -52,7 +51,6 @@ pub struct DeviceRules {
 }
 
 impl DeviceArgs {
-    /// Checks every value.
     pub(super) fn check(&self) -> Result<DeviceRules, ConfigError> {
         Ok(DeviceRules {
             memory_bytes: mebibytes("--device-memory-mib", self.device_memory_mib)?,

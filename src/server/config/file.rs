@@ -25,45 +25,27 @@ const LONGEST_BYTES: u64 = 1 << 20;
 /// Letters that may be wrong in a key for another to be meant.
 const NEAR: usize = 3;
 
-/// Why a file cannot be used.
 #[derive(Debug, thiserror::Error)]
 pub enum FileError {
-    /// It cannot be read.
     #[error("cannot read the configuration {}: {cause}; name another with --config", file.display())]
-    Read {
-        /// The file.
-        file: PathBuf,
-        /// Error of the system.
-        cause: std::io::Error,
-    },
-    /// It is no text, or longer than any.
+    Read { file: PathBuf, cause: std::io::Error },
     #[error("the configuration {} {what}", file.display())]
-    Unreadable {
-        /// The file.
-        file: PathBuf,
-        /// The defect.
-        what: &'static str,
-    },
-    /// A line has an invalid key or value.
+    Unreadable { file: PathBuf, what: &'static str },
     #[error("{}:{line}: {what}", file.display())]
     Line {
-        /// The file.
         file: PathBuf,
         /// From 1 on.
         line: usize,
-        /// The defect and the remedy.
         what: String,
     },
 }
 
-/// The values of a key.
 #[derive(Debug)]
 struct Entry {
     line: usize,
     values: Vec<String>,
 }
 
-/// See the module's head.
 #[derive(Debug)]
 pub struct ConfigFile {
     path: PathBuf,
@@ -160,7 +142,6 @@ fn article(word: &str) -> &'static str {
     if word.starts_with(['a', 'e', 'i', 'o', 'u']) { "an" } else { "a" }
 }
 
-/// The message for an unknown key.
 fn unknown(command: &Command, key: &str, value: &DeValue<'_>) -> String {
     if value.is_table() {
         return format!("{key}: there are no tables; keys stand at the top, as `max_streams = 256`");

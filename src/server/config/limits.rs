@@ -5,26 +5,17 @@
 
 use std::time::Duration;
 
-/// Limits of a request.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Limits {
-    /// Mesh vertices.
     pub max_vertices: u64,
-    /// Mesh facets.
     pub max_facets: u64,
-    /// Seeds.
     pub max_seeds: u64,
-    /// Iterations.
     pub max_iterations: u32,
-    /// Streams at once.
     pub max_streams: usize,
-    /// Interactive sessions at once.
     pub max_sessions: usize,
     /// Uploaded geometry and waiting results in memory, all streams together, bytes.
     pub memory_bytes: u64,
-    /// Connections at once.
     pub max_connections: usize,
-    /// Connections at once from one address.
     pub max_connections_per_peer: usize,
     /// For a new connection to send its first request.
     pub first_request: Duration,
@@ -42,7 +33,6 @@ pub struct Limits {
     pub grace: Duration,
     /// Between two probes of an idle backend.
     pub probe: Duration,
-    /// Limits of a connection.
     pub transport: Transport,
 }
 
@@ -93,7 +83,6 @@ pub struct Transport {
     pub ping_timeout: Duration,
     /// For a new connection to send anything.
     pub first_byte: Duration,
-    /// TLS handshakes at once.
     pub handshakes: usize,
     /// For a TLS handshake, waiting for its turn included.
     pub handshake: Duration,

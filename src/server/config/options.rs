@@ -26,7 +26,6 @@ pub(super) enum Kind {
     Text,
 }
 
-/// The options of `tessera serve`.
 pub(super) fn options() -> Command {
     with_switches(ServeArgs::augment_args(Command::new("serve")))
 }
@@ -71,7 +70,6 @@ pub(super) fn is_list(arg: &Arg) -> bool {
     matches!(arg.get_action(), ArgAction::Append) || arg.get_value_delimiter().is_some()
 }
 
-/// The type of an option's value.
 pub(super) fn kind(arg: &Arg) -> Kind {
     let of = arg.get_value_parser().type_id();
     let numbers = [

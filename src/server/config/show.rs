@@ -13,7 +13,6 @@ use toml::Value;
 use super::options::{Kind, is_key, is_list, kind, options};
 use super::sources::Sources;
 
-/// The values of `found` as TOML.
 pub fn print(found: &ArgMatches, sources: &Sources) -> String {
     let mut out = format!("# What `tessera serve` {} would use. Name it with --config.\n", env!("CARGO_PKG_VERSION"));
     let mut heading = None;

@@ -7,21 +7,16 @@
 use std::collections::BTreeMap;
 use std::fmt;
 
-/// The source of a value.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Source {
     /// The program.
     Default,
-    /// A line of the file.
     File {
-        /// As it was named.
         file: String,
         /// From 1 on.
         line: usize,
     },
-    /// A variable.
     Environment(String),
-    /// The command line.
     Line(String),
 }
 

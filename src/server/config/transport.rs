@@ -48,7 +48,6 @@ pub struct TransportArgs {
 }
 
 impl TransportArgs {
-    /// Checks every value.
     pub(super) fn check(&self) -> Result<Transport, ConfigError> {
         let count = |option, value: u32| within(option, value, 1..=100_000);
         Ok(Transport {

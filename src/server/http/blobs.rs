@@ -27,7 +27,6 @@ use jobs::blob::{BlobError, BlobInfo, BlobStore, Chunk, Digest, Owner, UploadId}
 /// Bytes of an upload that are stored at once.
 const PIECE: usize = 1 << 20;
 
-/// The digest of a path.
 fn digest(text: &str) -> Result<Digest, RequestError> {
     text.parse().map_err(|error: jobs::blob::DigestError| wrong("digest", format!("is no digest: {error}")))
 }

@@ -30,17 +30,14 @@ use telemetry::trace::{self, TraceContext};
 /// How a route that is not served is counted, as OpenTelemetry calls it.
 const OTHER: &str = "_OTHER";
 
-/// What a route's guard knows.
 #[derive(Clone)]
 pub(super) struct Guard {
     pub(super) desk: Desk,
     pub(super) route: Route,
 }
 
-/// The caller.
 #[derive(Clone, Debug)]
 pub(super) struct Client {
-    /// In whose name.
     pub(super) tenant: String,
     /// What blobs the tenant may have, bytes.
     pub(super) bytes: Option<u64>,
@@ -81,7 +78,6 @@ impl Drop for Counted {
     }
 }
 
-/// See the module's head.
 pub(super) async fn guard(State(guard): State<Guard>, request: Request, next: Next) -> Response {
     let Guard { desk, route } = guard;
     let method = if request.method() == "HEAD" { "HEAD" } else { route.method };
@@ -148,7 +144,6 @@ fn span(method: &'static str, route: &'static str, headers: &HeaderMap) -> (Span
 
 type Entered = (Request, OwnedSemaphorePermit, Option<Pass>);
 
-/// Lets a request in.
 fn enter(desk: &Desk, route: Route, mut request: Request) -> Result<Entered, RequestError> {
     let pass = desk.access.admit(&mut request, Some(route.role))?;
     let permit = desk.gate.admit(route.kind)?;
@@ -199,7 +194,6 @@ fn until_cut(desk: &Desk, pass: Option<&Pass>) -> impl Future<Output = RequestEr
     }
 }
 
-/// Answers where there is no route.
 pub(super) async fn unknown(State(desk): State<Desk>, mut request: Request) -> Response {
     let mut counted = Counted::new(&desk.metrics, OTHER, OTHER);
     let response = match desk.access.admit(&mut request, None) {
@@ -216,7 +210,6 @@ pub(super) async fn unknown(State(desk): State<Desk>, mut request: Request) -> R
     response
 }
 
-/// Whether a path is one of a route.
 fn matches(route: &str, path: &str) -> bool {
     let (mut of_route, mut of_path) = (route.split('/'), path.split('/'));
     loop {

@@ -41,7 +41,6 @@ pub(super) fn answer(status: StatusCode, body: &Value) -> Response {
     (status, [(CONTENT_TYPE, "application/json")], body.to_string()).into_response()
 }
 
-/// A job as JSON.
 pub(super) fn told(job: &Job) -> Value {
     let status = &job.status;
     let (mut failure, mut results, mut expired_by) = (Value::Null, json!({}), Value::Null);
@@ -188,7 +187,6 @@ pub(super) async fn result(
 /// The surface among the results of a job.
 pub(super) const MESH: &str = "mesh";
 
-/// Sends a result of a job that has one.
 pub(super) async fn send_result(
     desk: &Desk,
     client: &Client,
@@ -210,7 +208,6 @@ pub(super) async fn send_result(
     send(desk, &client.tenant, *digest, headers, media_type, until).await
 }
 
-/// Why a job has no result.
 fn without_result(job: &Job) -> Fault {
     let of = |kind, text: &str, reason: &'static str| {
         let (subject, description) = (job.id.to_string(), text.to_owned());

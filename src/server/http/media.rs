@@ -5,7 +5,6 @@
 
 use geometry::mesh::io::Format;
 
-/// The preferred media type of a format.
 pub(super) fn media_type(format: Format) -> &'static str {
     format.media_types().first().copied().unwrap_or("application/octet-stream")
 }

@@ -22,7 +22,6 @@ use wire::proto::{
 
 type Read<T> = Result<T, RequestError>;
 
-/// See the module's head.
 #[derive(Debug, Default)]
 pub(super) struct Asked {
     values: BTreeMap<String, String>,
@@ -109,12 +108,10 @@ impl Asked {
         Ok(seconds.and_then(parts))
     }
 
-    /// The labels.
     pub(super) fn labels(&mut self) -> BTreeMap<String, String> {
         std::mem::take(&mut self.labels)
     }
 
-    /// Nothing else was asked for.
     pub(super) fn finish(self) -> Read<()> {
         match self.values.into_keys().next() {
             Some(name) => Err(wrong(name, "is no option; GET /v1/openapi.json lists all")),

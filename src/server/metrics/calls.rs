@@ -10,13 +10,11 @@ use std::time::Instant;
 use super::Metrics;
 use jobs::lock;
 
-/// Label with the method of a call.
 const METHOD: &str = "rpc_method";
 
 /// The status of a call that was dropped before it had one.
 const DROPPED: &str = "CANCELLED";
 
-/// See the module's head.
 pub struct Calls {
     metrics: Metrics,
     methods: HashSet<&'static str>,

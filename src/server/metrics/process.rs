@@ -11,7 +11,6 @@ use prometheus_client::registry::{Registry, Unit};
 
 use super::{add, plain};
 
-/// See the module's head.
 pub(super) struct Process {
     resident: Gauge,
     descriptors: Gauge,
@@ -34,7 +33,6 @@ impl Process {
         }
     }
 
-    /// Takes the figures of now.
     pub(super) fn look(&self) {
         #[cfg(target_os = "linux")]
         {

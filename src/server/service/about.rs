@@ -4,14 +4,12 @@
 
 use std::time::{Duration, Instant};
 
-/// See the module's head.
 #[derive(Clone, Debug)]
 pub struct About {
     /// Revision of the sources, if the build was told.
     pub revision: Option<&'static str>,
     /// Features that were compiled in.
     pub features: Vec<&'static str>,
-    /// When the server began.
     pub started: Instant,
     /// Memory of the machine or its container, bytes, if it is known.
     pub machine_bytes: Option<u64>,
@@ -19,7 +17,6 @@ pub struct About {
     pub job_limit_bytes: Option<u64>,
     /// Time at work of one job, if there is a limit.
     pub job_time: Option<Duration>,
-    /// Jobs at work at once.
     pub jobs_at_once: usize,
 }
 

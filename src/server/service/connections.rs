@@ -53,7 +53,6 @@ const ROOM_TIME: Duration = Duration::from_millis(500);
 const PAUSE: Duration = Duration::from_millis(10);
 const LONGEST_PAUSE: Duration = Duration::from_secs(1);
 
-/// What is behind a port.
 #[derive(Clone)]
 pub(super) enum Spoken {
     /// The services, over HTTP/2.
@@ -93,11 +92,9 @@ impl Ground {
     }
 }
 
-/// What all connections of a port share.
 struct Common {
     limits: Limits,
     budget: Budget,
-    /// Where TLS is spoken.
     handshakes: Option<Handshakes>,
     metrics: Metrics,
     /// Connections that were closed for breaking a limit.

@@ -46,7 +46,6 @@ pub enum Kind {
 }
 
 impl Kind {
-    /// Its name in lower case.
     pub fn name(self) -> &'static str {
         self.into()
     }
@@ -55,23 +54,32 @@ impl Kind {
 /// What a program can read of it.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Detail {
-    /// A field is wrong.
-    Field { path: String, description: String },
+    Field {
+        path: String,
+        description: String,
+    },
     /// When it is worth another try.
     Retry(Duration),
-    /// A limit is reached.
-    Quota { subject: &'static str, description: String },
+    Quota {
+        subject: &'static str,
+        description: String,
+    },
     /// Something has to be otherwise first.
-    Precondition { kind: &'static str, subject: String, description: String },
-    /// Something is not there.
-    Missing { kind: &'static str, name: String, description: String },
+    Precondition {
+        kind: &'static str,
+        subject: String,
+        description: String,
+    },
+    Missing {
+        kind: &'static str,
+        name: String,
+        description: String,
+    },
 }
 
-/// See the module's head.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Fault {
     pub kind: Kind,
-    /// For people.
     pub text: String,
     pub details: Vec<Detail>,
     /// As refusals are counted, if it is one.

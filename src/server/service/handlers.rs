@@ -40,13 +40,11 @@ mod remesh;
 /// The longest report that the last message holds, bytes; a longer one goes ahead of it in chunks.
 const REPORT_IN_DONE_BYTES: usize = 256 << 10;
 
-/// The service.
 pub(super) struct Handlers {
     shared: Arc<Shared>,
     gate: Gate,
 }
 
-/// What every stream uses.
 struct Shared {
     engine: Engine,
     limits: Limits,
@@ -105,7 +103,6 @@ impl proto::remesh_service_server::RemeshService for Handlers {
     }
 }
 
-/// What was uploaded.
 struct Received {
     arrays: Uploaded,
     /// Its memory. Held until the job is done.
@@ -232,7 +229,6 @@ async fn prepare(
     .await
 }
 
-/// Sends an array.
 async fn send_all<T: prost::Message>(
     outbox: &Outbox<T>,
     chunks: impl Iterator<Item = Chunk>,
@@ -297,7 +293,6 @@ async fn send_seeds<T: prost::Message>(
     send_all(outbox, point_chunks(ArrayKind::Seeds, seeds), wrap).await
 }
 
-/// A job was taken in.
 fn accepted(position: usize, by: &BackendInfo) -> proto::Accepted {
     proto::Accepted {
         queue_position: u32::try_from(position).unwrap_or(u32::MAX),

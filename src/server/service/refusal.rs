@@ -12,7 +12,6 @@ use jobs::JobError;
 use jobs::blob::BlobError;
 use jobs::executor::api::JobApiError;
 
-/// The refusal that an error stands for, if any.
 pub(super) fn of(error: &RequestError) -> Option<Refused> {
     match error {
         RequestError::Memory { .. } => Some(Refused::Memory),

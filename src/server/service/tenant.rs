@@ -12,7 +12,6 @@ use super::access::{Caller, TENANT, tenant};
 use super::connections::Peer;
 use wire::WireError;
 
-/// The tenant of a call.
 pub(super) fn of(metadata: &MetadataMap, extensions: &Extensions) -> Result<String, WireError> {
     of_headers(metadata.as_ref(), extensions)
 }

@@ -31,7 +31,6 @@ pub(in crate::load) const LABEL: &str = "tessera-load";
 /// What a call leaves at the server.
 #[derive(Clone, Debug)]
 pub(in crate::load) struct Rubbish {
-    /// The job.
     job: Option<String>,
     /// Files and results.
     blobs: Vec<String>,
@@ -129,7 +128,6 @@ impl At<'_> {
         Err(End::Here(why))
     }
 
-    /// Takes a blob.
     async fn read(&self, digest: &str, asked: &mut Asked, pace: &mut Pace) -> Result<(), End> {
         let wrong = |what: &dyn std::fmt::Display| End::Wrong(what.to_string());
         let request = ReadRequest { digest: digest.to_owned(), ..ReadRequest::default() };
@@ -181,7 +179,6 @@ fn stages(job: &Job) -> (Option<Duration>, Option<Duration>) {
     (between(created, started), between(started, changed))
 }
 
-/// Uploads a file in one stream.
 async fn write(tally: &Tally, door: &Door, ends: &Ends, digest: &str, bytes: Bytes) -> Result<(), End> {
     let (size_bytes, digest) = (bytes.len() as u64, digest.to_owned());
     let count = bytes.len().div_ceil(PIECE_BYTES).max(1);

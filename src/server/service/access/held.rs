@@ -16,7 +16,6 @@ use tonic::codegen::http::HeaderMap;
 use super::super::RequestError;
 use super::table::Pass;
 
-/// See the module's head.
 pub(super) struct Held {
     body: Body,
     ended: Pin<Box<dyn Future<Output = ()> + Send>>,

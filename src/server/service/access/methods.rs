@@ -37,7 +37,6 @@ const METHODS: &[(&str, &str, Role)] = &[
     ("tessera.v1.ServerService", "GetServerInfo", Role::Read),
 ];
 
-/// Services that are not ours.
 const HEALTH: &str = "grpc.health.v1.Health";
 const REFLECTION: [&str; 2] = ["grpc.reflection.v1.ServerReflection", "grpc.reflection.v1alpha.ServerReflection"];
 

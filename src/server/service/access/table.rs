@@ -16,7 +16,6 @@ use tokio::sync::watch;
 use super::Refusal;
 use crate::keys::{Hash, Key, KeySet, Secret};
 
-/// See the module's head.
 #[derive(Default)]
 pub(super) struct Table {
     keys: HashMap<String, Arc<Entry>>,
@@ -25,7 +24,6 @@ pub(super) struct Table {
 
 struct Entry {
     key: Key,
-    /// Calls that are open.
     open: Arc<AtomicU32>,
     rate: Option<Arc<DefaultDirectRateLimiter>>,
     ended: Arc<watch::Sender<bool>>,
@@ -68,12 +66,10 @@ impl Table {
         set.keys().len() != self.keys.len() || !set.keys().iter().all(same)
     }
 
-    /// Whether a name has a key.
     pub(super) fn has(&self, name: &str) -> bool {
         self.names.contains(name)
     }
 
-    /// The weights of the names that have one.
     pub(super) fn weights(&self) -> Vec<(String, f64)> {
         let of = |entry: &Arc<Entry>| Some((entry.key.name.clone(), entry.key.limits.weight?));
         let mut weights: Vec<_> = self.keys.values().filter_map(of).collect();
@@ -106,7 +102,6 @@ pub struct Pass {
 }
 
 impl Pass {
-    /// Whose.
     pub(super) fn key(&self) -> &Key {
         &self.entry.key
     }

@@ -12,7 +12,6 @@ use super::exchange::{Ending, Exchange};
 use crate::metrics::{Call, Calls};
 use telemetry::trace::{self, TraceContext};
 
-/// Header or trailer with the status of the call.
 const STATUS: &str = "grpc-status";
 
 /// The names of the codes, by their numbers.
@@ -41,7 +40,6 @@ fn code(headers: &HeaderMap) -> Option<&'static str> {
     Some(CODES.get(number).copied().unwrap_or("UNKNOWN"))
 }
 
-/// See the module's head.
 pub(super) struct Account {
     call: Call,
     exchange: Arc<Exchange>,
@@ -69,7 +67,6 @@ impl Account {
         (Self { call, exchange: Arc::clone(exchange), span }, context)
     }
 
-    /// The answer begins.
     pub(super) fn begun(&self, status: StatusCode, headers: &HeaderMap) {
         match code(headers) {
             Some(code) => self.call.end(code),

@@ -42,7 +42,6 @@ const SEND_BUFFER: usize = 128 << 10;
 /// How the paths of the services begin that take uploads.
 const OURS: &str = "/tessera.v1.";
 
-/// The header with the compression of messages.
 const ENCODING: &str = "grpc-encoding";
 
 /// The longest message to health and reflection, bytes.
@@ -58,13 +57,11 @@ const CUT_TIME: Duration = Duration::from_secs(1);
 const LOOK_EVERY: Duration = Duration::from_secs(1);
 const LOOK_EVERY_AT_THE_END: Duration = Duration::from_millis(25);
 
-/// State of a connection.
 pub(super) struct State {
     pub(super) peer: Peer,
     opened: Instant,
     pub(super) traffic: Arc<Traffic>,
     streams: Mutex<Streams>,
-    /// Notified once it has to go.
     pub(super) evicted: Notify,
 }
 
@@ -85,7 +82,6 @@ impl State {
         Self { peer, opened, traffic, streams: Mutex::new(streams), evicted: Notify::new() }
     }
 
-    /// Registers a request.
     pub(super) fn take(&self, exchange: &Arc<Exchange>) {
         let mut streams = self.lock();
         streams.requests += 1;
@@ -130,11 +126,9 @@ enum Verdict {
     Stays,
     /// Say goodbye, then close.
     Finish(&'static str),
-    /// Close at once.
     Close(&'static str),
 }
 
-/// Runs the connection.
 pub(super) async fn serve(
     line: Line,
     state: Arc<State>,
@@ -354,7 +348,6 @@ impl Drop for EndOnDrop {
     }
 }
 
-/// Hands requests to the services.
 struct Answerer {
     state: Arc<State>,
     common: Arc<Common>,

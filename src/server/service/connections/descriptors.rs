@@ -21,7 +21,6 @@ pub(super) fn exhausted(error: &io::Error) -> bool {
     out_of_descriptors(error)
 }
 
-/// Descriptors that are open now.
 fn in_use() -> usize {
     std::fs::read_dir("/dev/fd").map_or(IN_USE_IF_UNKNOWN, Iterator::count)
 }

@@ -9,23 +9,18 @@ use std::task::{Context, Poll};
 
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 
-/// See the module's head.
 pub(super) type Line = Box<dyn Stream>;
 
-/// Bytes in both directions.
 pub(super) trait Stream: AsyncRead + AsyncWrite + Send + Unpin {}
 
 impl<S: AsyncRead + AsyncWrite + Send + Unpin> Stream for S {}
 
-/// Watches a stream.
 pub(super) trait Tap: Unpin {
     /// These bytes arrived; none if reading has to wait. An error ends the stream.
     fn read(&mut self, bytes: &[u8]) -> io::Result<()>;
-    /// The outcome of a write.
     fn wrote(&mut self, outcome: &Poll<io::Result<usize>>);
 }
 
-/// A stream and what watches it.
 #[derive(Debug)]
 pub(super) struct Tapped<S, T> {
     pub(super) stream: S,

@@ -27,7 +27,6 @@ const PROBE_EVERY: Duration = Duration::from_secs(5);
 #[cfg(unix)]
 const PROBES: u32 = 3;
 
-/// Counters of a socket's bytes.
 #[derive(Debug, Default)]
 pub(super) struct Traffic {
     /// Set once the peer has sent anything.
@@ -63,10 +62,8 @@ impl Tap for Arc<Traffic> {
     }
 }
 
-/// See the module's head.
 pub(super) type Socket = Tapped<TcpStream, Arc<Traffic>>;
 
-/// Sets the options of a socket.
 pub(super) fn open(stream: TcpStream, traffic: Arc<Traffic>) -> io::Result<Socket> {
     stream.set_nodelay(true)?;
     let socket = SockRef::from(&stream);

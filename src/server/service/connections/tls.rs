@@ -26,7 +26,6 @@ const WARN_BEFORE: Duration = Duration::from_secs(14 * 24 * 3600);
 /// Time between two such warnings.
 const WARN_EVERY: Duration = Duration::from_secs(24 * 3600);
 
-/// See the module's head.
 #[derive(Debug)]
 pub struct Tls {
     files: TlsFiles,

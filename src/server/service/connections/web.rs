@@ -27,7 +27,6 @@ use super::line::Line;
 /// Smallest buffer that hyper allows for the head of an HTTP/1.1 request, bytes.
 const LEAST_HEAD: usize = 8 << 10;
 
-/// Runs the connection.
 pub(super) async fn serve(
     line: Line,
     state: Arc<State>,
@@ -48,7 +47,6 @@ pub(super) async fn serve(
     connection::run(served, auto::Connection::graceful_shutdown, &state, &common, phase).await;
 }
 
-/// Hands requests to the router.
 struct Entrance {
     state: Arc<State>,
     common: Arc<Common>,

@@ -14,7 +14,6 @@ use wire::{WireError, proto};
 /// The longest page, bytes, unless its only job is longer: below what a client takes by default.
 const PAGE_BYTES: usize = 3 << 20;
 
-/// A job.
 pub(in crate::service) fn message(job: &Job) -> proto::Job {
     let Status { state, version: _, created, changed, started, attempts, crashes, due: _, holder: _, outcome } =
         &job.status;
@@ -57,7 +56,6 @@ fn cause_name(cause: Cause) -> &'static str {
     }
 }
 
-/// An event.
 pub(in crate::service) fn event(event: Event) -> proto::JobEvent {
     use proto::job_event::What as Told;
     let Event { number, at, what } = event;
@@ -73,7 +71,6 @@ pub(in crate::service) fn event(event: Event) -> proto::JobEvent {
     proto::JobEvent { number, at: Some(timestamp(at)), what: Some(what) }
 }
 
-/// What a list is asked for.
 pub(in crate::service) fn query(request: proto::ListJobsRequest, tenant: String) -> Result<Query, WireError> {
     let proto::ListJobsRequest { page_size, page_token, states, labels, created_since, created_before } = request;
     let one = |(i, value): (usize, i32)| {

@@ -20,10 +20,8 @@ use crate::service::{Phase, RequestError, tenant};
 use jobs::blob::{BlobError, BlobInfo, BlobStore, Chunk, Digest, Owner, UploadId, UploadStatus};
 use wire::{WireError, proto};
 
-/// Digests of one question.
 const MOST_DIGESTS: usize = 10_000;
 
-/// The service.
 pub(in crate::service) struct Blobs {
     store: Arc<dyn BlobStore>,
     limits: Limits,
@@ -217,7 +215,6 @@ fn check_same(upload: UploadId, message: &proto::WriteRequest) -> Result<(), Wir
     Ok(())
 }
 
-/// Sends a range of a blob.
 async fn send(
     store: Arc<dyn BlobStore>,
     owner: Owner,

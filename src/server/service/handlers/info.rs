@@ -13,7 +13,6 @@ use jobs::Engine;
 use jobs::memory;
 use wire::proto::{self, GetServerInfoRequest, GetServerInfoResponse};
 
-/// The service.
 pub(in crate::service) struct Info {
     pub(in crate::service) engine: Engine,
     pub(in crate::service) limits: Limits,

@@ -19,7 +19,6 @@ use jobs::record::Spec;
 use jobs::record::event::Event;
 use wire::{WireError, proto};
 
-/// The service.
 pub(in crate::service) struct Jobs {
     api: Arc<dyn JobApi>,
     /// Asked how much a tenant has.
@@ -138,13 +137,11 @@ impl proto::job_service_server::JobService for Jobs {
     }
 }
 
-/// A specification that was checked.
 fn spec(message: Option<proto::JobSpec>, tenant: String, request_id: String) -> Result<Spec, WireError> {
     let message = message.ok_or_else(|| WireError::field("spec", "is missing; say what the job is to do"))?;
     Spec::new(message, tenant, request_id)
 }
 
-/// Sends an event.
 async fn tell(outbox: &Outbox<proto::WatchJobResponse>, event: Event) -> Result<(), RequestError> {
     outbox.send(proto::WatchJobResponse { event: Some(job::event(event)) }).await
 }

@@ -21,7 +21,6 @@ pub(super) trait Needs: Header<Options: Start> {
     /// Whether later pieces continue what the first one makes.
     const HAS_CONTINUATIONS: bool;
 
-    /// The counts with the options.
     fn counts(counts: Counts, options: &Self::Options) -> Counts;
 }
 

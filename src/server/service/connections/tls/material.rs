@@ -23,57 +23,22 @@ use jobs::blob::Digest;
 /// No chain of certificates is longer; a device that never ends is none.
 const LONGEST_BYTES: u64 = 1 << 20;
 
-/// HTTP/2, as a handshake names it.
 const HTTP2: &[u8] = b"h2";
 
-/// Why files make no TLS.
 #[derive(Debug, thiserror::Error)]
 pub enum TlsError {
-    /// A file cannot be read.
     #[error("cannot read {}: {cause}", file.display())]
-    Read {
-        /// The file.
-        file: PathBuf,
-        /// Error of the system.
-        cause: io::Error,
-    },
-    /// A file lacks its expected content.
+    Read { file: PathBuf, cause: io::Error },
     #[error("{} holds no {what} in PEM{why}", file.display())]
-    Missing {
-        /// The file.
-        file: PathBuf,
-        /// The expected content.
-        what: &'static str,
-        /// The defect of the content, if any.
-        why: String,
-    },
-    /// Certificate and key do not go together.
+    Missing { file: PathBuf, what: &'static str, why: String },
     #[error("the certificate {} and the key {} cannot be used: {why}", cert.display(), key.display())]
-    Pair {
-        /// The certificate's file.
-        cert: PathBuf,
-        /// The key's file.
-        key: PathBuf,
-        /// Error of the TLS library.
-        why: String,
-    },
-    /// The authorities of clients cannot be used.
+    Pair { cert: PathBuf, key: PathBuf, why: String },
     #[error("the authorities in {} cannot be used: {why}", file.display())]
-    Authorities {
-        /// Their file.
-        file: PathBuf,
-        /// Error of the TLS library.
-        why: String,
-    },
-    /// The certificate is not yet good, or no longer.
+    Authorities { file: PathBuf, why: String },
     #[error("the certificate {} is out of date", file.display())]
-    OutOfDate {
-        /// Its file.
-        file: PathBuf,
-    },
+    OutOfDate { file: PathBuf },
 }
 
-/// The bytes of all files.
 pub(super) struct Material {
     cert: Vec<u8>,
     key: Vec<u8>,
@@ -81,13 +46,11 @@ pub(super) struct Material {
 }
 
 impl Material {
-    /// Reads the files.
     pub(super) fn read(files: &TlsFiles) -> Result<Self, TlsError> {
         let client_ca = files.client_ca.as_deref().map(bytes).transpose()?;
         Ok(Self { cert: bytes(&files.cert)?, key: bytes(&files.key)?, client_ca })
     }
 
-    /// Digest of the files' bytes.
     pub(super) fn digest(&self) -> Digest {
         let parts = [Some(&self.cert), Some(&self.key), self.client_ca.as_ref()];
         let digests = parts.map(|part| part.map(|bytes| Digest::of(bytes).to_string()));
@@ -133,7 +96,6 @@ impl Material {
     }
 }
 
-/// All of a file.
 fn bytes(file: &Path) -> Result<Vec<u8>, TlsError> {
     read_regular(file, LONGEST_BYTES).map_err(|cause| TlsError::Read { file: file.to_owned(), cause })
 }
