@@ -10,10 +10,7 @@ mod cvt;
 mod fig3;
 mod fig4;
 mod measure;
-mod output;
-mod published;
 mod rvd;
-mod spread;
 mod table1;
 mod worker;
 

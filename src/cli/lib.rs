@@ -12,14 +12,10 @@ mod say;
 pub(crate) mod backends;
 mod bench;
 mod blobs;
-mod cell_file;
 mod completions;
 mod config;
 #[cfg(test)]
 mod defaults;
-mod diagram;
-pub(crate) mod doctor;
-mod endpoint;
 mod exit;
 mod files;
 mod given;
@@ -33,7 +29,6 @@ mod keys;
 mod load;
 mod measure;
 mod picture;
-mod plain;
 mod progress;
 mod remesh;
 mod remote;
@@ -45,7 +40,6 @@ pub(crate) mod shape;
 mod sizes;
 mod source;
 mod surroundings;
-mod trust;
 
 use std::process::ExitCode;
 
@@ -107,7 +101,7 @@ enum Command {
     /// Write a procedural surface.
     Shape(shape::ShapeArgs),
     /// Say what this machine has and what would be used.
-    Doctor(doctor::DoctorArgs),
+    Doctor(backends::DoctorArgs),
     /// Print a script that completes words of this program in a shell.
     Completions(completions::CompletionsArgs),
     /// Print the page of the manual, or write those of all commands.
@@ -122,7 +116,7 @@ pub fn main() -> ExitCode {
 fn run() -> u8 {
     execute().map_or_else(
         |error| {
-            errln!("tessera: {}", plain::lines(&format!("{error:#}")));
+            errln!("tessera: {}", say::plain_lines(&format!("{error:#}")));
             exit::code(&error)
         },
         |()| 0,
@@ -152,7 +146,7 @@ fn execute() -> anyhow::Result<()> {
         Command::Bench(args) => bench::run(args),
         Command::Measure(args) => measure::run(args),
         Command::Shape(args) => shape::run(args),
-        Command::Doctor(args) => doctor::run(args),
+        Command::Doctor(args) => backends::run(args),
         Command::Completions(args) => completions::completions(args, settings::command()),
         Command::Man(args) => completions::man(args, settings::command()),
     }

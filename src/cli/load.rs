@@ -10,11 +10,8 @@ mod clients;
 mod compare;
 mod measure;
 mod meshes;
-mod plan;
-mod plot;
 mod report;
 mod scrape;
-mod tally;
 mod thresholds;
 mod view;
 
@@ -325,7 +322,7 @@ impl LoadArgs {
             for surface in caller.surfaces.iter() {
                 let stored = put(&caller.tally, door, &surface.digest, surface.file(), self.timeout_s).await;
                 let is_new = stored.map_err(|status| {
-                    let said = super::plain::plain(status.message());
+                    let said = super::say::plain(status.message());
                     Unavailable(format!("the surfaces cannot be uploaded; the server says: {said}"))
                 })?;
                 if is_new {
@@ -387,7 +384,7 @@ impl Done {
             files::write_json(path, &all)?;
         }
         if let Some(path) = &args.plot {
-            let figure = plot::figure(args.title(), &self.measure);
+            let figure = report::figure(args.title(), &self.measure);
             figure.write(Size::new(1600, 600)?, path).with_context(|| format!("cannot draw {}", path.display()))?;
         }
         if !args.quiet {
@@ -432,7 +429,7 @@ impl Done {
         let Some(info) = &self.info else { return server.url.to_string() };
         let usual = info.backends.iter().find(|backend| backend.is_default);
         let backend = usual.map(|b| format!(", {}, {} threads", b.name, b.threads)).unwrap_or_default();
-        super::plain::plain(&format!("{}, version {}{backend}", server.url, info.version))
+        super::say::plain(&format!("{}, version {}{backend}", server.url, info.version))
     }
 
     fn surfaces(&self, args: &LoadArgs) -> String {

@@ -5,7 +5,6 @@
 //! Invariant: what is received is checked (`wire::arrays`), then against the request and against itself (`checks`), before
 //! it is used. Must not know: the server (`service`).
 
-mod again;
 mod blobs;
 mod checks;
 mod faults;
@@ -13,39 +12,39 @@ mod jobs;
 mod link;
 mod session;
 pub(crate) mod status;
-mod tls;
 
 use std::future::Future;
 use std::sync::atomic::Ordering;
 
 use anyhow::{Context, Result};
-
-use super::diagram::{RvdResult, Sink, Wants};
-use super::interrupt;
-use super::plain::plain;
-use super::progress::Progress;
-use super::server::Server;
 use checks::{Expected, Pieces};
 pub(crate) use faults::is_lost;
 use faults::wrong;
+use glam::DVec3;
+pub(crate) use link::{Door, Line, Windows};
+use link::{Link, Patience, Sent};
+use serde_json::Value;
+pub(crate) use session::{Session, session};
+
+use super::interrupt;
+use super::progress::Progress;
+use super::say::plain;
+use super::server::Server;
 use geometry::cvt::density::DensitySource;
 use geometry::mesh::TriMesh;
 use geometry::mesh::attributes::Attributes;
 use geometry::remesh::{RemeshOptions, Seeds};
-use geometry::rvd::RvdError;
+use geometry::rvd::{PieceBatch, RvdError};
 use geometry::token::Stopped;
 pub(crate) use jobs::{has_ended, is_id};
-pub(crate) use link::{Door, Line, Windows};
-use link::{Link, Patience, Sent};
 pub(crate) use server::config::BackendArg;
-pub(crate) use session::{Session, session};
 use wire::arrays::Arrays;
-use wire::attributes;
 use wire::cells::batch;
 use wire::chunks::{facet_chunks, index_chunks, number_chunks, point_chunks};
 use wire::counts::{MeshCounts, mesh_header};
 use wire::proto::remesh_service_client::RemeshServiceClient;
-use wire::proto::{self, ArrayKind, Chunk};
+use wire::proto::{ArrayKind, Chunk};
+use wire::{attributes, proto};
 
 pub(crate) struct RemeshJob<'a> {
     pub(crate) mesh: &'a TriMesh,
@@ -290,4 +289,21 @@ fn attributes_of(arrays: &Arrays, mesh: &TriMesh, headers: &[proto::AttributeHea
     let all = announced.into_iter().zip(0u32..).map(|(counts, place)| arrays.attribute(counts, place));
     let all = all.collect::<Result<Vec<_>, _>>()?;
     Ok(Some(attributes::collect(mesh, all).context(broken)?))
+}
+
+/// Takes each batch of pieces as it comes, caller's coordinates.
+pub(crate) type Sink<'a> = &'a mut dyn FnMut(&PieceBatch) -> Result<()>;
+
+/// What is to be computed.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Wants {
+    pub(crate) cells: bool,
+    pub(crate) centroids: bool,
+}
+
+/// What came out, wherever it was computed.
+pub(crate) struct RvdResult {
+    /// One a seed; empty if not wanted.
+    pub(crate) centroids: Vec<DVec3>,
+    pub(crate) report: Value,
 }

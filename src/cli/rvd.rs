@@ -1,6 +1,9 @@
 //! `tessera rvd`.
 
-use std::path::PathBuf;
+use std::fs::File;
+use std::io;
+use std::io::BufWriter;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Instant;
 
@@ -8,26 +11,26 @@ use anyhow::{Context, Result};
 use clap::{ArgGroup, Args};
 use glam::DVec3;
 use serde_json::Value;
+use tempfile::NamedTempFile;
 
-use super::cell_file::CellFile;
-use super::diagram::{RvdResult, Sink, Wants};
 use super::exit::{NotWritten, Usage};
 use super::picture::PictureArgs;
 use super::progress::{Plan, Progress};
-use super::say::{self, SayArgs};
+use super::remote::{RvdResult, Sink, Wants};
+use super::say::SayArgs;
 use super::server::EndpointArgs;
-use super::{backends, files, interrupt, remote};
+use super::{backends, files, interrupt, remote, say};
 use geometry::cvt::density::DensityOptions;
 use geometry::mesh::TriMesh;
 use geometry::mesh::io::Format;
 use geometry::remesh::Seeds;
 use geometry::remesh::report::to_json;
 use geometry::rvd::PieceBatch;
+use geometry::rvd::cell_file::CellWriter;
 use geometry::token::Token;
-use jobs::BackendInfo;
 use jobs::executor::diagram::Diagram;
 use jobs::executor::prepared::{Input, Prepared};
-use jobs::memory;
+use jobs::{BackendInfo, memory};
 use server::config::{BackendArgs, count, whole};
 
 /// `tessera rvd`'s options.
@@ -229,4 +232,62 @@ fn here(
     }
     let report = to_json(&diagram.report(&prepared, &BackendInfo::of(backend.as_ref())))?;
     Ok((RvdResult { centroids, report }, Arc::clone(&prepared.seeds)))
+}
+
+pub(crate) struct CellFile {
+    path: PathBuf,
+    writer: CellWriter<BufWriter<NamedTempFile>, File>,
+}
+
+impl CellFile {
+    /// Begins a file that will be `path`.
+    pub(crate) fn create(path: &Path) -> Result<Self> {
+        let begin = || {
+            let vertices = BufWriter::new(files::begin(path)?);
+            let folder = vertices.get_ref().path().parent().unwrap_or(Path::new("."));
+            let polygons = tempfile::tempfile_in(folder)?;
+            CellWriter::new(vertices, polygons)
+        };
+        let writer = begin().map_err(|e| unwritten(path, &e))?;
+        Ok(Self { path: path.to_owned(), writer })
+    }
+
+    pub(crate) fn append(&mut self, cells: &PieceBatch) -> Result<()> {
+        Ok(self.writer.append(cells).map_err(|e| unwritten(&self.path, &e))?)
+    }
+
+    /// Gives the file its name.
+    pub(crate) fn finish(self) -> Result<()> {
+        let Self { path, writer } = self;
+        let finish = || {
+            let file = writer.finish()?.into_inner().map_err(io::IntoInnerError::into_error)?;
+            files::keep(file.into_temp_path(), &path)
+        };
+        Ok(finish().map_err(|e| unwritten(&path, &e))?)
+    }
+}
+
+fn unwritten(path: &Path, error: &io::Error) -> NotWritten {
+    NotWritten(format!("cannot write {}: {error}", path.display()))
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::DVec3;
+
+    use super::*;
+
+    #[test]
+    fn a_file_has_its_name_once_it_is_whole() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("cells.ply");
+        let mut file = CellFile::create(&path).unwrap();
+        let mut batch = PieceBatch::default();
+        batch.push(7, 3, [DVec3::X, DVec3::Y, DVec3::Z].map(|p| (p, 1.0, 0)));
+        file.append(&batch).unwrap();
+        assert!(!path.exists(), "not before it is whole");
+        file.finish().unwrap();
+        let bytes = std::fs::read(&path).unwrap();
+        assert!(bytes.starts_with(b"ply\n") && bytes.len() == 512 + 3 * 24 + 24, "{}", bytes.len());
+    }
 }

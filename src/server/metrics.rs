@@ -8,7 +8,8 @@
 
 mod calls;
 mod format;
-mod process;
+#[cfg(test)]
+mod tests;
 
 use std::fmt;
 use std::hash::Hash;
@@ -16,22 +17,21 @@ use std::sync::atomic::{AtomicI64, AtomicU64, Ordering};
 use std::sync::{Arc, OnceLock};
 use std::time::Duration;
 
+pub use calls::status_name;
+pub(crate) use calls::{Call, Calls};
+pub use format::Format;
 use prometheus_client::metrics::counter::Counter;
 use prometheus_client::metrics::family::Family;
 use prometheus_client::metrics::gauge::Gauge;
 use prometheus_client::metrics::histogram::Histogram;
 use prometheus_client::metrics::info::Info;
 use prometheus_client::registry::{Metric, Registry, Unit};
-
 use strum::IntoStaticStr;
 
 use crate::readiness::{Condition, Reason};
 use geometry::rvd::BackendKind;
 use jobs::admission::estimate::Kind;
 use jobs::observe::activity::{JobOutcome, Observer, Origin, Phase};
-
-pub(crate) use calls::{Call, Calls};
-pub use format::Format;
 
 /// Upper bounds for calls, seconds: those that OpenTelemetry advises, and more for work that takes minutes.
 const CALL_SECONDS: [f64; 18] =
@@ -80,7 +80,7 @@ struct Inner {
     degraded: Family<Labels<1>, Gauge>,
     probes: Family<Labels<1>, Counter>,
     steps: Family<Labels<1>, Gauge<f64, AtomicU64>>,
-    process: process::Process,
+    process: Process,
 }
 
 impl fmt::Debug for Metrics {
@@ -122,7 +122,7 @@ impl Metrics {
     pub fn new(version: &str, revision: Option<&str>) -> Self {
         let mut registry = Registry::default();
         let (r, s, b) = (&mut registry, || Some(Unit::Seconds), || Some(Unit::Bytes));
-        let process = process::Process::register(r);
+        let process = Process::register(r);
         let build = vec![("version", version.to_owned()), ("revision", revision.unwrap_or("unknown").to_owned())];
         r.register("tessera_build", "The version of this server", Info::new(build));
         let (calls, requests) = (
@@ -361,5 +361,40 @@ impl Observer for Metrics {
     }
 }
 
-#[cfg(test)]
-mod tests;
+struct Process {
+    resident: Gauge,
+    descriptors: Gauge,
+    most_descriptors: Gauge,
+    threads: Gauge,
+    start: Gauge<f64, AtomicU64>,
+    cpu: Counter<f64, AtomicU64>,
+}
+
+impl Process {
+    fn register(r: &mut Registry) -> Self {
+        let (seconds, start) = (|| Some(Unit::Seconds), "When the process began, since 1970");
+        Self {
+            resident: add(r, "process_resident_memory", Some(Unit::Bytes), "Resident memory", Gauge::default()),
+            descriptors: plain(r, "process_open_fds", "Open file descriptors"),
+            most_descriptors: plain(r, "process_max_fds", "File descriptors that may be open"),
+            threads: plain(r, "process_threads", "Threads"),
+            start: add(r, "process_start_time", seconds(), start, Gauge::default()),
+            cpu: add(r, "process_cpu", seconds(), "Time of all processors", Counter::default()),
+        }
+    }
+
+    fn look(&self) {
+        #[cfg(target_os = "linux")]
+        {
+            let now = metrics_process::collector::collect();
+            let whole = |number: Option<u64>| number.and_then(|n| i64::try_from(n).ok()).unwrap_or(0);
+            self.resident.set(whole(now.resident_memory_bytes));
+            self.descriptors.set(whole(now.open_fds));
+            self.most_descriptors.set(whole(now.max_fds));
+            self.threads.set(whole(now.threads));
+            self.start.set(now.start_time_seconds.map_or(0.0, |seconds| seconds as f64));
+            let cpu = now.cpu_seconds_total.unwrap_or(0.0);
+            self.cpu.inner().store(cpu.to_bits(), std::sync::atomic::Ordering::Relaxed);
+        }
+    }
+}

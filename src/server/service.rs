@@ -15,10 +15,8 @@ mod fault;
 mod handlers;
 mod health;
 mod methods;
-mod refusal;
 mod status;
 mod stream;
-mod tenant;
 
 use std::fmt;
 use std::future::Future;
@@ -41,11 +39,12 @@ pub(crate) use self::connections::Exchange;
 use self::connections::{Ground, Grpc, Spoken};
 pub use self::connections::{Tls, TlsError};
 pub(crate) use self::convert::job_id;
-pub(crate) use self::desk::{DESK_TIME, Desk, EmptyUpload, check_owned, create, follow, keep, timely, to_the_end};
+pub(crate) use self::desk::{
+    DESK_TIME, Desk, EmptyUpload, check_owned, create, follow, keep, tenant_of, timely, to_the_end,
+};
 pub(crate) use self::fault::{Detail, Fault, Kind as FaultKind};
 use self::health::Told;
 pub(crate) use self::stream::{Gate, Kind};
-pub(crate) use self::tenant::of_headers as tenant_of;
 use crate::config::Limits;
 use crate::lifecycle::{self, Step};
 use crate::metrics::Metrics;

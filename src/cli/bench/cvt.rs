@@ -11,9 +11,9 @@ use clap::Args;
 use serde_json::{Value, json};
 
 use super::args::{RunArgs, SeedsArgs, SurfaceArgs};
+use super::args::{head, ratio, report};
+use super::measure::Spread;
 use super::measure::{Load, Timed};
-use super::output::{head, ratio, report};
-use super::spread::Spread;
 use super::worker::Worker;
 use crate::remesh::DensityArg;
 use geometry::cvt::StepKind;

@@ -11,8 +11,8 @@ use clap::Args;
 use serde_json::{Value, json};
 
 use super::args::{RunArgs, SurfaceArgs};
+use super::args::{report, slopes};
 use super::measure::Load;
-use super::output::{report, slopes};
 use super::worker::Worker;
 use crate::shape::parse_facets;
 use geometry::cvt::density::DensityOptions;

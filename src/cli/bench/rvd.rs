@@ -13,9 +13,9 @@ use glam::DVec3;
 use serde_json::{Value, json};
 
 use super::args::{RunArgs, SeedsArgs, SurfaceArgs};
+use super::args::{head, report};
 use super::measure::Load;
-use super::output::{head, report};
-use super::spread::Spread;
+use super::measure::Spread;
 use super::worker::Worker;
 use geometry::rvd::{Accumulate, CellSums, DeviceWork, PassStats, Session, SessionOptions, Strategy, Surface, Tuning};
 use geometry::token::Token;

@@ -6,7 +6,7 @@
 use prost_types::{Duration, Timestamp};
 use serde_json::{Map, Value, json};
 
-use crate::plain::{plain, plain_json};
+use crate::say::{plain, plain_json};
 use geometry::mesh::io::Format;
 use wire::proto::{
     BackendChoice, EstimateJobResponse, Job, JobEvent, JobFailureKind, JobMesh, JobState, job_event, job_mesh,

@@ -17,12 +17,13 @@ use tokio::time::Instant;
 use tonic::{Response, Status, Streaming};
 use tonic_types::StatusExt;
 
+use super::amounts::Item;
 use super::amounts::Kind;
+use super::compare::{Call, Tally};
 use super::meshes::Surface;
-use super::plan::Item;
-use super::tally::{self, Call, Tally};
-use crate::plain::plain;
 use crate::remote::{Door, is_lost};
+use crate::say::plain;
+use server::metrics::status_name;
 use wire::proto::server_service_client::ServerServiceClient;
 use wire::proto::{BackendChoice, DiagramOptions, GetServerInfoRequest, RemeshOptions};
 
@@ -210,7 +211,7 @@ fn outcome(end: End) -> Outcome {
         End::Status(status) if is_lost(&status) => failed("CONNECTION_LOST", status.message()),
         End::Status(status) => match status.get_details_retry_info().and_then(|info| info.retry_delay) {
             Some(after) => Outcome::Refused { reason: reason(&status), after },
-            None => failed(tally::name(status.code()), status.message()),
+            None => failed(status_name(status.code() as usize), status.message()),
         },
     }
 }
@@ -227,7 +228,7 @@ fn reason(status: &Status) -> String {
             false => text.push(c),
         }
     }
-    format!("{}: {}", tally::name(status.code()), text.chars().take(MOST).collect::<String>())
+    format!("{}: {}", status_name(status.code() as usize), text.chars().take(MOST).collect::<String>())
 }
 
 struct Pace {

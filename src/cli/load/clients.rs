@@ -14,9 +14,9 @@ use tokio::task::JoinSet;
 use tokio::time::Instant;
 
 use super::amounts::Mix;
+use super::amounts::{Arrivals, Item, Items};
 use super::calls::{Asked, Caller, Outcome, Rubbish, sweep};
 use super::measure::{Measure, When};
-use super::plan::{Arrivals, Item, Items};
 use super::view::View;
 use crate::remote::Door;
 use jobs::lock;

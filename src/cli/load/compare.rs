@@ -1,15 +1,22 @@
 //! The server's counts beside this side's.
 //!
-//! Invariant: equal means equal: for each method and status as many calls as this side counted, and what the server counted
-//! more is no more than the calls whose status this side never heard. Must not know: how counts are had.
+//! Purpose: [`Tally`] counts the calls of this side, [`Comparison`] compares them with what the server counted.
+//! Invariant: every call that is begun is counted once: with the status that the server sent, or as unheard if none came. Equal
+//! means equal: for each method and status as many calls, and what the server counted more is no more than what was unheard.
+//! Must not know: what is asked, how the server's counts are had.
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::sync::{Arc, Mutex};
+use std::time::{Duration, Instant};
 
 use serde::Serialize;
 use serde_json::{Value, json};
+use tonic::{Code, Status};
 
 use super::scrape::Samples;
-use super::tally::{Calls, Methods};
+use crate::remote::is_lost;
+use jobs::lock;
+use server::metrics::status_name;
 
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub(super) struct Row {
@@ -136,6 +143,72 @@ impl Comparison {
     }
 }
 
+#[derive(Clone, Debug, Default, PartialEq)]
+pub(super) struct Calls {
+    /// Calls whose status came, by its name.
+    pub(super) heard: BTreeMap<&'static str, u64>,
+    pub(super) unheard: u64,
+    /// Time of the calls whose status came.
+    pub(super) time: Duration,
+}
+
+impl Calls {
+    pub(super) fn mean_s(&self) -> Option<f64> {
+        let heard: u64 = self.heard.values().sum();
+        (heard > 0).then(|| self.time.as_secs_f64() / heard as f64)
+    }
+}
+
+/// Calls by method, as "tessera.v1.JobService/CreateJob".
+pub(super) type Methods = BTreeMap<&'static str, Calls>;
+
+/// See the module's head. Clones share one state.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Tally(Arc<Mutex<Methods>>);
+
+impl Tally {
+    pub(super) fn begin(&self, method: &'static str) -> Call {
+        Call { tally: self.clone(), method, began: Instant::now(), heard: None }
+    }
+
+    pub(super) fn methods(&self) -> Methods {
+        lock(&self.0).clone()
+    }
+}
+
+/// A call under way; over when this is dropped.
+#[derive(Debug)]
+pub(super) struct Call {
+    tally: Tally,
+    method: &'static str,
+    began: Instant,
+    heard: Option<&'static str>,
+}
+
+impl Call {
+    pub(super) fn over<T>(mut self, answer: &Result<T, Status>) {
+        self.heard = match answer {
+            Ok(_) => Some(status_name(Code::Ok as usize)),
+            Err(status) => (!is_lost(status)).then(|| status_name(status.code() as usize)),
+        };
+    }
+}
+
+impl Drop for Call {
+    fn drop(&mut self) {
+        let time = self.began.elapsed();
+        let mut all = lock(&self.tally.0);
+        let calls = all.entry(self.method).or_default();
+        match self.heard {
+            Some(status) => {
+                *calls.heard.entry(status).or_default() += 1;
+                calls.time += time;
+            }
+            None => calls.unheard += 1,
+        }
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -169,5 +242,17 @@ mod tests {
         }
         assert_eq!(mismatches(&[("OK", 3)], 2, &[], &[("OK", 3), ("CANCELLED", 3)]), 1);
         assert_eq!(mismatches(&[("OK", 3)], 2, &[], &[("OK", 2), ("CANCELLED", 2)]), 1);
+    }
+
+    #[test]
+    fn every_call_is_counted_once() {
+        let tally = Tally::default();
+        tally.begin("a").over(&Ok(()));
+        tally.begin("a").over::<()>(&Err(Status::resource_exhausted("full")));
+        tally.begin("a").over::<()>(&Err(Status::from_error(Box::new(std::io::Error::other("broken wire")))));
+        drop(tally.begin("a"));
+        let all = tally.methods();
+        assert_eq!(all["a"].heard, BTreeMap::from([("OK", 1), ("RESOURCE_EXHAUSTED", 1)]));
+        assert_eq!(all["a"].unheard, 2);
     }
 }

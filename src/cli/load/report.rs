@@ -1,6 +1,6 @@
-//! What a load came to, for people and as JSON.
+//! What a load came to, for people, as JSON and as a picture.
 //!
-//! Invariant: every figure has its unit. Must not know: how anything is measured or written.
+//! Invariant: every figure has its unit. Must not know: how anything is measured, written or drawn.
 
 use std::collections::BTreeMap;
 
@@ -11,6 +11,8 @@ use super::amounts::Kind;
 use super::calls::Stages;
 use super::compare::Comparison;
 use super::measure::{Counts, Latencies};
+use crate::load::measure::{Measure, Second};
+use picture::chart::{Axis, Figure, Panel, Series};
 
 /// Quantiles of latencies, and their names.
 pub(super) const QUANTILES: [(&str, f64); 4] = [("p50", 0.5), ("p90", 0.9), ("p99", 0.99), ("p999", 0.999)];
@@ -189,4 +191,62 @@ fn counts(counts: &Counts) -> Value {
     let mut object = json!(counts);
     (object["refused"], object["errors"]) = (counts.refusals().into(), counts.errors().into());
     object
+}
+
+pub(super) fn figure(title: String, measure: &Measure) -> Figure {
+    let seconds = &measure.seconds;
+    let series = |name: &str, of: &dyn Fn(&Second) -> Option<f64>| Series {
+        name: name.to_owned(),
+        points: seconds.iter().filter_map(|second| Some((second.at as f64, of(second)?))).collect(),
+    };
+    let ms = |seconds: Option<f64>| seconds.map(|seconds| 1e3 * seconds);
+    let latency = vec![
+        series("p50", &|second| ms(second.p50)),
+        series("p99", &|second| ms(second.p99)),
+        series("max", &|second| ms(second.max)),
+    ];
+    let count = |name: &str, of: fn(&Second) -> u64| {
+        // A line of nothing says nothing, but for what is done.
+        let any = name == "done" || seconds.iter().any(|second| of(second) > 0);
+        any.then(|| series(name, &|second| Some(of(second) as f64)))
+    };
+    let outcomes = [
+        count("done", |second| second.done),
+        count("refused", |second| second.refused),
+        count("failed", |second| second.failed),
+        count("dropped", |second| second.dropped),
+    ];
+    let panel = |title: &str, y: Axis, series: Vec<Series>| Panel {
+        title: title.to_owned(),
+        x: Axis::linear("seconds since the begin"),
+        y,
+        series,
+        ..Panel::default()
+    };
+    Figure {
+        title,
+        panels: vec![
+            panel("Latency from the intended start", Axis::log("ms"), latency),
+            panel("Calls that ended", Axis::linear("a second"), outcomes.into_iter().flatten().collect()),
+        ],
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::time::Duration;
+
+    use super::*;
+    use picture::Size;
+
+    #[test]
+    fn a_run_without_calls_has_a_picture_too() {
+        let mut measure = Measure::new(Duration::ZERO..Duration::from_secs(5));
+        for seconds in [0, 1, 5] {
+            measure.turn(Duration::from_secs(seconds));
+            let figure = figure("load".to_owned(), &measure);
+            assert_eq!(figure.panels[1].series.len(), 1);
+            assert!(figure.draw(Size::new(800, 300).unwrap()).is_ok());
+        }
+    }
 }

@@ -181,7 +181,7 @@ pub(super) fn remesh(mesh: &TriMesh, curve_edges: &[[u32; 2]], done: &RemeshDone
 
 pub(super) fn report(value: serde_json::Value) -> Result<serde_json::Value> {
     match value.is_object() {
-        true => Ok(crate::plain::plain_json(value)),
+        true => Ok(crate::say::plain_json(value)),
         false => Err(wrong("its report is no report")),
     }
 }

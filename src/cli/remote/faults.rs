@@ -9,10 +9,10 @@ use std::fmt::Display;
 
 use tonic::{Code, Status};
 
-use crate::endpoint::ServerUrl;
 use crate::exit::{Absent, BadInput, NoResult, Unavailable};
-use crate::plain::plain;
 use crate::remesh::args::flag;
+use crate::say::plain;
+use crate::server::ServerUrl;
 use wire::names;
 
 /// How tonic begins what it says itself of an answer that it cannot read.

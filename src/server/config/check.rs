@@ -9,8 +9,8 @@ use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::time::Duration;
 
+use super::args::DeviceRules;
 use super::args::{BackendArgs, ServeArgs};
-use super::device::DeviceRules;
 use super::limits::Limits;
 use super::security::TlsFiles;
 use super::values::{ConfigError, addresses, mebibytes, seconds, within};

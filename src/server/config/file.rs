@@ -12,12 +12,14 @@ use std::ops::Range;
 use std::path::{Path, PathBuf};
 
 use clap::builder::OsStr;
-use clap::{Arg, Command};
+use clap::parser::ValueSource;
+use clap::{Arg, ArgMatches, Command};
 use toml::Spanned;
 use toml::de::{DeTable, DeValue};
 
+use super::args::Source;
 use super::options::{Kind, is_key, is_list, kind, options, takes};
-use super::sources::Source;
+use crate::config::args::Sources;
 
 /// No file of options is longer; a device that never ends is no such file.
 const LONGEST_BYTES: u64 = 1 << 20;
@@ -156,6 +158,21 @@ fn unknown(command: &Command, key: &str, value: &DeValue<'_>) -> String {
         _ => "; `tessera config print --defaults` lists all keys".to_owned(),
     };
     format!("{key}: there is no such option{hint}")
+}
+
+/// The sources of clap's values, with the keys of `file` as defaults.
+pub fn sources(found: &ArgMatches, file: Option<&ConfigFile>) -> Sources {
+    let of = |arg: &clap::Arg| {
+        let (id, long) = (arg.get_id().as_str(), arg.get_long()?);
+        Some(match found.try_contains_id(id).ok().and_then(|_| found.value_source(id))? {
+            ValueSource::EnvVariable => Source::Environment(arg.get_env()?.to_string_lossy().into_owned()),
+            ValueSource::CommandLine => Source::Line(format!("--{long}")),
+            _ => file.and_then(|file| file.source(id)).unwrap_or(Source::Default),
+        })
+    };
+    let command = options();
+    let keys = command.get_arguments().filter(|arg| is_key(arg));
+    Sources(keys.filter_map(|arg| Some((arg.get_id().to_string(), of(arg)?))).collect())
 }
 
 #[cfg(test)]

@@ -9,7 +9,7 @@ use std::time::Duration;
 
 use axum::body::{Body, Bytes, to_bytes};
 use axum::extract::{Extension, Path, Request, State};
-use axum::http::header::{CACHE_CONTROL, CONTENT_TYPE, LOCATION};
+use axum::http::header::{CACHE_CONTROL, CONTENT_LENGTH, CONTENT_TYPE, HeaderName, LOCATION};
 use axum::http::{HeaderMap, StatusCode};
 use axum::response::{IntoResponse, Response};
 use serde_json::{Value, json};
@@ -17,10 +17,10 @@ use tokio::sync::mpsc;
 
 use super::blobs::send;
 use super::guard::Client;
-use super::media;
-use super::options::Asked;
+use super::options::{Asked, format_names, media_type};
 use super::problem::{Answered, Problem, wrong};
-use crate::service::{self, Desk, Detail, Fault, FaultKind, Phase, RequestError, job_id, to_the_end};
+use crate::service;
+use crate::service::{Desk, Detail, Fault, FaultKind, Phase, RequestError, job_id, to_the_end};
 use jobs::record::event::{Event, Progress, What};
 use jobs::record::state::State as JobState;
 use jobs::record::{Cause, Failure, FailureKind, Job, JobId, Outcome, ResultFormat, Spec};
@@ -109,7 +109,7 @@ fn specification(bytes: &[u8], tenant: &str) -> Result<Spec, RequestError> {
         let mesh = asked.digest("mesh")?.ok_or_else(|| wrong("mesh", "is missing; it is the digest of a blob"))?;
         let format = asked.format("format")?;
         let format =
-            format.ok_or_else(|| wrong("format", format!("is missing; it must be one of {}", media::names())))?;
+            format.ok_or_else(|| wrong("format", format!("is missing; it must be one of {}", format_names())))?;
         let to = asked.format("to")?.unwrap_or(format);
         asked.remesh(mesh, format, to)?
     };
@@ -201,7 +201,7 @@ pub(super) async fn send_result(
         return Err(wrong("name", format!("is {name:?}; this job's results are {}", names.join(", "))).into());
     };
     let media_type = match (name, job.spec.task().result) {
-        (MESH, ResultFormat::File(format)) => media::media_type(format),
+        (MESH, ResultFormat::File(format)) => media_type(format),
         ("report", _) => "application/json",
         _ => "application/octet-stream",
     };
@@ -318,4 +318,58 @@ fn frame(event: &Event) -> Bytes {
         ),
     };
     format!("id: {}\nevent: {kind}\ndata: {data}\n\n", event.number).into()
+}
+
+/// How long a request waits for seeds.
+const WAIT: Duration = Duration::from_secs(20);
+
+/// Bytes that are handed to the connection at once.
+const PIECE: usize = 64 << 10;
+
+/// How many steps have been taken.
+const STEPS: HeaderName = HeaderName::from_static("tessera-steps");
+
+/// Whether the job has ended: there will be no more.
+const ENDED: HeaderName = HeaderName::from_static("tessera-ended");
+
+/// `GET /v1/jobs/{id}/seeds`.
+pub(super) async fn seeds(
+    State(desk): State<Desk>,
+    Extension(client): Extension<Client>,
+    Path(id): Path<String>,
+    request: Request,
+) -> Answered {
+    let mut asked = Asked::of_query(request.uri().query())?;
+    let after: u64 = asked.whole("after")?.unwrap_or(0);
+    asked.finish()?;
+    let mut receiver = desk.api.preview(&client.tenant, job_id(&id)?).await?;
+    let newer = receiver.wait_for(|shown| shown.as_ref().is_some_and(|shown| shown.steps > after));
+    let found = tokio::select! {
+        found = tokio::time::timeout(WAIT, newer) => found,
+        () = desk.gate.reached(Phase::Draining) => return Err(RequestError::Draining.into()),
+    };
+    let uncached = (CACHE_CONTROL, "no-store".to_owned());
+    let preview = match found {
+        Ok(Ok(shown)) => shown.clone(),
+        // The job has ended.
+        Ok(Err(_)) => {
+            return Ok((StatusCode::NO_CONTENT, [uncached, (ENDED, "true".to_owned())]).into_response());
+        }
+        Err(_) => return Ok((StatusCode::NO_CONTENT, [uncached]).into_response()),
+    };
+    let Some(preview) = preview else { return Ok((StatusCode::NO_CONTENT, [uncached]).into_response()) };
+    let bytes = preview.seeds;
+    let mut share = desk.budget.share();
+    share.grow(bytes.len() as u64)?;
+    let headers = [
+        uncached,
+        (CONTENT_TYPE, "application/octet-stream".to_owned()),
+        (CONTENT_LENGTH, bytes.len().to_string()),
+        (STEPS, preview.steps.to_string()),
+    ];
+    let pieces = futures_util::stream::unfold((bytes, share), |(mut rest, share)| async move {
+        let piece: Bytes = rest.split_to(rest.len().min(PIECE));
+        (!piece.is_empty()).then_some((Ok::<_, Infallible>(piece), (rest, share)))
+    });
+    Ok((headers, Body::from_stream(pieces)).into_response())
 }

@@ -13,7 +13,7 @@ use axum::http::{StatusCode, Uri};
 use axum::response::{IntoResponse, Response};
 use rust_embed::RustEmbed;
 
-use super::ranges::is_known;
+use super::blobs::is_known;
 
 /// Paths of files, of the page itself `/`.
 pub(super) const PATHS: [&str; 2] = ["/", "/ui/{file}"];

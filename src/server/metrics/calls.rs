@@ -15,6 +15,30 @@ const METHOD: &str = "rpc_method";
 /// The status of a call that was dropped before it had one.
 const DROPPED: &str = "CANCELLED";
 
+/// The name of a status of gRPC, by its number.
+pub fn status_name(number: usize) -> &'static str {
+    const CODES: [&str; 17] = [
+        "OK",
+        "CANCELLED",
+        "UNKNOWN",
+        "INVALID_ARGUMENT",
+        "DEADLINE_EXCEEDED",
+        "NOT_FOUND",
+        "ALREADY_EXISTS",
+        "PERMISSION_DENIED",
+        "RESOURCE_EXHAUSTED",
+        "FAILED_PRECONDITION",
+        "ABORTED",
+        "OUT_OF_RANGE",
+        "UNIMPLEMENTED",
+        "INTERNAL",
+        "UNAVAILABLE",
+        "DATA_LOSS",
+        "UNAUTHENTICATED",
+    ];
+    CODES.get(number).copied().unwrap_or("UNKNOWN")
+}
+
 pub struct Calls {
     metrics: Metrics,
     methods: HashSet<&'static str>,

@@ -6,7 +6,6 @@
 //! A key that is revoked or ends takes its open calls with it. Secrets are taken out of a request here, and go nowhere.
 //! Must not know: messages, connections, what a tenant has.
 
-mod held;
 mod hosts;
 mod methods;
 mod table;
@@ -24,8 +23,8 @@ use tonic::codegen::Service as _;
 use tonic::codegen::http::{HeaderMap, HeaderValue, Method, Request, Response, StatusCode, header};
 use tonic::service::Routes;
 
-use self::held::Held;
 use self::methods::Needs;
+use self::table::Held;
 pub(crate) use self::table::Pass;
 use self::table::Table;
 use super::RequestError;

@@ -7,11 +7,9 @@
 mod account;
 mod arriving;
 mod connection;
-mod descriptors;
 mod exchange;
 mod frames;
 mod handshake;
-mod line;
 mod places;
 mod socket;
 mod tls;
@@ -24,17 +22,16 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use axum::Router;
-use tokio::net::{TcpListener, TcpStream};
-use tokio::sync::watch;
-
 pub(crate) use exchange::Exchange;
 pub(crate) use places::Peer;
 pub use tls::{Tls, TlsError};
+use tokio::net::{TcpListener, TcpStream};
+use tokio::sync::watch;
 
 use self::connection::State;
 use self::handshake::Handshakes;
-use self::line::Line;
 use self::places::{Full, Places};
+use self::socket::Line;
 use super::Phase;
 use super::access::Guarded;
 use super::budget::Budget;
@@ -79,7 +76,7 @@ pub(super) struct Ground {
 
 impl Ground {
     pub(super) fn new(limits: Limits, budget: Budget, metrics: Metrics, tls: Option<Arc<Tls>>) -> Self {
-        let most = descriptors::connections(limits.max_connections);
+        let most = connections(limits.max_connections);
         if most < limits.max_connections {
             tracing::warn!(
                 connections = most,
@@ -172,7 +169,7 @@ impl Accepting {
                     if let Some(times) = self.failed.count() {
                         tracing::error!(%error, times, "connections cannot be accepted; trying again");
                     }
-                    if descriptors::exhausted(&error) {
+                    if exhausted(&error) {
                         self.places.make_room(Full::All, None, ROOM_TIME).await;
                     }
                     tokio::time::sleep(pause).await;
@@ -240,4 +237,63 @@ async fn establish(
 fn is_the_peer_s(error: &io::Error) -> bool {
     use io::ErrorKind::{ConnectionAborted, ConnectionRefused, ConnectionReset, Interrupted};
     matches!(error.kind(), ConnectionAborted | ConnectionRefused | ConnectionReset | Interrupted)
+}
+
+/// Descriptors that connections leave to everything else.
+const RESERVE: usize = 64;
+
+/// Descriptors taken as in use where they cannot be counted.
+const IN_USE_IF_UNKNOWN: usize = 64;
+
+/// Returns `wanted`, or fewer if the soft limit on open files is lower; at least 1.
+fn connections(wanted: usize) -> usize {
+    let Some(soft) = soft_limit() else { return wanted };
+    wanted.min(soft.saturating_sub(in_use() + RESERVE)).max(1)
+}
+
+/// Whether accepting failed since the process, or the system, has no descriptor left.
+fn exhausted(error: &io::Error) -> bool {
+    out_of_descriptors(error)
+}
+
+fn in_use() -> usize {
+    std::fs::read_dir("/dev/fd").map_or(IN_USE_IF_UNKNOWN, Iterator::count)
+}
+
+#[cfg(unix)]
+fn soft_limit() -> Option<usize> {
+    let limit = rustix::process::getrlimit(rustix::process::Resource::Nofile).current?;
+    Some(usize::try_from(limit).unwrap_or(usize::MAX))
+}
+
+#[cfg(not(unix))]
+fn soft_limit() -> Option<usize> {
+    None
+}
+
+#[cfg(unix)]
+fn out_of_descriptors(error: &io::Error) -> bool {
+    use rustix::io::Errno;
+    Errno::from_io_error(error).is_some_and(|errno| errno == Errno::MFILE || errno == Errno::NFILE)
+}
+
+#[cfg(not(unix))]
+fn out_of_descriptors(_error: &io::Error) -> bool {
+    false
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn connections_leave_a_reserve() {
+        assert_eq!(connections(1), 1);
+        if let Some(soft) = soft_limit() {
+            assert!(connections(usize::MAX) <= soft.saturating_sub(RESERVE).max(1));
+        }
+        #[cfg(unix)]
+        assert!(exhausted(&rustix::io::Errno::MFILE.into()));
+        assert!(!exhausted(&io::ErrorKind::ConnectionAborted.into()));
+    }
 }

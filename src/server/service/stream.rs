@@ -20,7 +20,8 @@ use tonic::{Extensions, Response, Status, Streaming};
 
 use super::budget::{Budget, Share};
 use super::connections::Exchange;
-use super::{Phase, RequestError, refusal};
+use super::fault::refusal;
+use super::{Phase, RequestError};
 use crate::config::Limits;
 use crate::metrics::Metrics;
 use telemetry::trace;
@@ -62,7 +63,7 @@ impl Gate {
     }
 
     fn note(&self, error: &RequestError) {
-        refusal::of(error).into_iter().for_each(|reason| self.metrics.refused(reason));
+        refusal(error).into_iter().for_each(|reason| self.metrics.refused(reason));
     }
 
     pub fn admit(&self, kind: Kind) -> Result<OwnedSemaphorePermit, RequestError> {

@@ -14,7 +14,7 @@ use tonic::{Code, Status};
 
 use super::{Answers, Asked, At, End, Ends, Pace, Why, counted, unary};
 use crate::load::amounts::Kind;
-use crate::load::tally::Tally;
+use crate::load::compare::Tally;
 use crate::remote::{Door, has_ended};
 use wire::pieces::{Incoming, PIECE_BYTES, piece};
 use wire::proto::blob_service_client::BlobServiceClient;

@@ -5,16 +5,25 @@
 //! for as one that is. Must not know: requests, files.
 
 use std::collections::{HashMap, HashSet};
+use std::future::Future;
 use std::num::NonZeroU32;
+use std::pin::Pin;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU32, Ordering};
+use std::task::{Context, Poll};
 
 use governor::clock::{Clock as _, DefaultClock};
 use governor::{DefaultDirectRateLimiter, Quota};
+use http_body::{Frame, SizeHint};
 use tokio::sync::watch;
+use tonic::Status;
+use tonic::body::Body;
+use tonic::codegen::Bytes;
+use tonic::codegen::http::HeaderMap;
 
 use super::Refusal;
 use crate::keys::{Hash, Key, KeySet, Secret};
+use crate::service::RequestError;
 
 #[derive(Default)]
 pub(super) struct Table {
@@ -144,6 +153,51 @@ impl Drop for Pass {
         if self.is_open {
             self.entry.open.fetch_sub(1, Ordering::AcqRel);
         }
+    }
+}
+
+pub(super) struct Held {
+    body: Body,
+    ended: Pin<Box<dyn Future<Output = ()> + Send>>,
+    _pass: Pass,
+    is_cut: bool,
+}
+
+impl Held {
+    pub(super) fn new(body: Body, pass: Pass) -> Self {
+        Self { body, ended: Box::pin(pass.ended()), _pass: pass, is_cut: false }
+    }
+}
+
+impl http_body::Body for Held {
+    type Data = Bytes;
+    type Error = Status;
+
+    fn poll_frame(
+        mut self: Pin<&mut Self>,
+        context: &mut Context<'_>,
+    ) -> Poll<Option<Result<Frame<Self::Data>, Self::Error>>> {
+        if self.is_cut {
+            return Poll::Ready(None);
+        }
+        if self.ended.as_mut().poll(context).is_ready() {
+            self.is_cut = true;
+            // The work for the answer sees that its client is gone.
+            self.body = Body::empty();
+            let mut trailers = HeaderMap::new();
+            // A status that is no header cannot be: its text is plain.
+            let _ = Status::from(RequestError::unauthenticated()).add_header(&mut trailers);
+            return Poll::Ready(Some(Ok(Frame::trailers(trailers))));
+        }
+        Pin::new(&mut self.body).poll_frame(context)
+    }
+
+    fn is_end_stream(&self) -> bool {
+        self.is_cut || self.body.is_end_stream()
+    }
+
+    fn size_hint(&self) -> SizeHint {
+        if self.is_cut { SizeHint::with_exact(0) } else { self.body.size_hint() }
     }
 }
 

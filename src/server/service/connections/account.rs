@@ -9,35 +9,14 @@ use tonic::codegen::http::{HeaderMap, Request, StatusCode};
 use tracing::{Span, field, info_span};
 
 use super::exchange::{Ending, Exchange};
-use crate::metrics::{Call, Calls};
+use crate::metrics::{Call, Calls, status_name};
 use telemetry::trace::{self, TraceContext};
 
 const STATUS: &str = "grpc-status";
 
-/// The names of the codes, by their numbers.
-const CODES: [&str; 17] = [
-    "OK",
-    "CANCELLED",
-    "UNKNOWN",
-    "INVALID_ARGUMENT",
-    "DEADLINE_EXCEEDED",
-    "NOT_FOUND",
-    "ALREADY_EXISTS",
-    "PERMISSION_DENIED",
-    "RESOURCE_EXHAUSTED",
-    "FAILED_PRECONDITION",
-    "ABORTED",
-    "OUT_OF_RANGE",
-    "UNIMPLEMENTED",
-    "INTERNAL",
-    "UNAVAILABLE",
-    "DATA_LOSS",
-    "UNAUTHENTICATED",
-];
-
 fn code(headers: &HeaderMap) -> Option<&'static str> {
     let number: usize = headers.get(STATUS)?.to_str().ok()?.parse().ok()?;
-    Some(CODES.get(number).copied().unwrap_or("UNKNOWN"))
+    Some(status_name(number))
 }
 
 pub(super) struct Account {

@@ -22,7 +22,7 @@ use super::super::Phase;
 use super::Common;
 use super::connection::{self, EndOnDrop, State};
 use super::exchange::{Answer, Exchange};
-use super::line::Line;
+use super::socket::Line;
 
 /// Smallest buffer that hyper allows for the head of an HTTP/1.1 request, bytes.
 const LEAST_HEAD: usize = 8 << 10;

@@ -3,8 +3,9 @@
 //! Invariant: it is answered whatever the condition of the server, from the values that health and metrics have.
 //! Must not know: how faults are found, how jobs are done.
 
-use tonic::{Request, Response, Status};
+use tonic::{Request, Response};
 
+use super::Reply;
 use crate::config::Limits;
 use crate::readiness::Readiness;
 use crate::service::about::About;
@@ -22,10 +23,7 @@ pub(in crate::service) struct Info {
 
 #[tonic::async_trait]
 impl proto::server_service_server::ServerService for Info {
-    async fn get_server_info(
-        &self,
-        _: Request<GetServerInfoRequest>,
-    ) -> Result<Response<GetServerInfoResponse>, Status> {
+    async fn get_server_info(&self, _: Request<GetServerInfoRequest>) -> Reply<GetServerInfoResponse> {
         let condition = self.readiness.condition();
         let readiness = proto::Readiness {
             ready: condition.is_ready(),
