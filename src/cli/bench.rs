@@ -12,7 +12,6 @@ mod fig4;
 mod measure;
 mod rvd;
 mod table1;
-mod worker;
 
 use anyhow::Result;
 use clap::{Args, Subcommand};

@@ -55,7 +55,7 @@ pub(crate) fn run(args: &BlobsArgs) -> Result<()> {
     match &args.command {
         BlobsCommand::Put { file } => {
             let source = Source::open(file)?;
-            let (digest, size) = (source.digest().to_owned(), source.size());
+            let (digest, size) = (source.digest.clone(), source.size);
             let progress = transfer(Some(file), server, "upload");
             let sent = session(server, async |session| session.upload(&[source], &progress).await);
             drop(progress);

@@ -8,7 +8,7 @@ use anyhow::{Context, Result};
 use clap::Args;
 use serde_json::{Value, json};
 
-use super::remote::status::info;
+use super::remote::info;
 use super::say;
 use super::server::ServerArgs;
 use wire::proto::{BackendState, GetServerInfoResponse, RequestLimits};

@@ -14,13 +14,10 @@ mod bench;
 mod blobs;
 mod completions;
 mod config;
-#[cfg(test)]
-mod defaults;
 mod exit;
 mod files;
 mod given;
 mod health;
-mod http_get;
 mod info;
 mod interrupt;
 mod jobs;
@@ -35,17 +32,17 @@ mod remote;
 mod rvd;
 mod serve;
 mod server;
-mod settings;
 pub(crate) mod shape;
-mod sizes;
 mod source;
 mod surroundings;
+#[cfg(test)]
+mod tests;
 
 use std::process::ExitCode;
 
 use clap::{ArgAction, Parser, Subcommand};
 
-use self::settings::Given;
+use self::config::Given;
 pub use ::server::config::ServeArgs;
 use ::telemetry::{self, LogFormat};
 
@@ -125,7 +122,7 @@ fn run() -> u8 {
 
 fn execute() -> anyhow::Result<()> {
     let line: Vec<_> = std::env::args_os().collect();
-    let Given { cli, options } = settings::parse(&line)?;
+    let Given { cli, options } = config::parse(&line)?;
     let (filter, traces) = match &cli.command {
         Command::Serve(args) => ("info", args.check().and_then(|_| args.watching.traces())?),
         _ => ("warn", None),
@@ -147,15 +144,7 @@ fn execute() -> anyhow::Result<()> {
         Command::Measure(args) => measure::run(args),
         Command::Shape(args) => shape::run(args),
         Command::Doctor(args) => backends::run(args),
-        Command::Completions(args) => completions::completions(args, settings::command()),
-        Command::Man(args) => completions::man(args, settings::command()),
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    #[test]
-    fn the_command_line_is_consistent() {
-        super::settings::command().debug_assert();
+        Command::Completions(args) => completions::completions(args, config::command()),
+        Command::Man(args) => completions::man(args, config::command()),
     }
 }

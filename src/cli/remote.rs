@@ -11,7 +11,6 @@ mod faults;
 mod jobs;
 mod link;
 mod session;
-pub(crate) mod status;
 
 use std::future::Future;
 use std::sync::atomic::Ordering;
@@ -24,7 +23,7 @@ use glam::DVec3;
 pub(crate) use link::{Door, Line, Windows};
 use link::{Link, Patience, Sent};
 use serde_json::Value;
-pub(crate) use session::{Session, session};
+pub(crate) use session::{Session, health, info, session, watch_health};
 
 use super::interrupt;
 use super::progress::Progress;

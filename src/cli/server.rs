@@ -75,7 +75,7 @@ impl EndpointArgs {
 }
 
 /// The server, and the credentials for it.
-#[derive(Args, Debug)]
+#[derive(Args, Clone, Debug)]
 #[command(next_help_heading = "Server")]
 pub(crate) struct CallArgs {
     /// The server, e.g. http://127.0.0.1:50051.

@@ -15,9 +15,10 @@ use wire::pieces::{Hash, PIECE_BYTES};
 
 #[derive(Debug)]
 pub(crate) struct Source {
-    path: PathBuf,
-    digest: String,
-    size: u64,
+    pub(crate) path: PathBuf,
+    /// The SHA-256 of its bytes, as blobs are named.
+    pub(crate) digest: String,
+    pub(crate) size: u64,
     kept: Option<NamedTempFile>,
 }
 
@@ -48,19 +49,6 @@ impl Source {
             }
         }
         Ok(Self { path: path.to_owned(), digest: hash.digest(), size: hash.bytes(), kept })
-    }
-
-    /// The SHA-256 of its bytes, as blobs are named.
-    pub(crate) fn digest(&self) -> &str {
-        &self.digest
-    }
-
-    pub(crate) fn size(&self) -> u64 {
-        self.size
-    }
-
-    pub(crate) fn path(&self) -> &Path {
-        &self.path
     }
 
     /// The pieces from byte `offset` on: where each begins, and its bytes. After an error there are no more.
@@ -112,7 +100,7 @@ mod tests {
         let bytes: Vec<u8> = (0..3 * PIECE_BYTES / 2).map(|i| (i % 251) as u8).collect();
         std::fs::write(&path, &bytes).unwrap();
         let source = Source::open(&path).unwrap();
-        assert_eq!(source.size(), bytes.len() as u64);
+        assert_eq!(source.size, bytes.len() as u64);
         for offset in [0, 5, PIECE_BYTES, bytes.len()] {
             let mut came = Vec::new();
             for piece in source.pieces(offset as u64).unwrap() {

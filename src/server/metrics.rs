@@ -6,19 +6,17 @@
 //! microsecond and never waits for a scrape. There is no global registry: code that counts is given the value.
 //! Must not know: messages, connections, how anything that is counted is done.
 
-mod calls;
 mod format;
 #[cfg(test)]
 mod tests;
 
+use std::collections::HashSet;
 use std::fmt;
 use std::hash::Hash;
 use std::sync::atomic::{AtomicI64, AtomicU64, Ordering};
-use std::sync::{Arc, OnceLock};
-use std::time::Duration;
+use std::sync::{Arc, Mutex, OnceLock};
+use std::time::{Duration, Instant};
 
-pub use calls::status_name;
-pub(crate) use calls::{Call, Calls};
 pub use format::Format;
 use prometheus_client::metrics::counter::Counter;
 use prometheus_client::metrics::family::Family;
@@ -31,6 +29,7 @@ use strum::IntoStaticStr;
 use crate::readiness::{Condition, Reason};
 use geometry::rvd::BackendKind;
 use jobs::admission::estimate::Kind;
+use jobs::lock;
 use jobs::observe::activity::{JobOutcome, Observer, Origin, Phase};
 
 /// Upper bounds for calls, seconds: those that OpenTelemetry advises, and more for work that takes minutes.
@@ -188,7 +187,7 @@ impl Metrics {
     }
 
     /// Counts calls of these methods by their names, and all others as one.
-    pub fn calls(&self, methods: impl IntoIterator<Item = String>) -> Calls {
+    pub(crate) fn calls(&self, methods: impl IntoIterator<Item = String>) -> Calls {
         Calls::new(self.clone(), methods)
     }
 
@@ -396,5 +395,87 @@ impl Process {
             let cpu = now.cpu_seconds_total.unwrap_or(0.0);
             self.cpu.inner().store(cpu.to_bits(), std::sync::atomic::Ordering::Relaxed);
         }
+    }
+}
+
+const METHOD: &str = "rpc_method";
+
+/// The status of a call that was dropped before it had one.
+const DROPPED: &str = "CANCELLED";
+
+/// The name of a status of gRPC, by its number.
+pub fn status_name(number: usize) -> &'static str {
+    const CODES: [&str; 17] = [
+        "OK",
+        "CANCELLED",
+        "UNKNOWN",
+        "INVALID_ARGUMENT",
+        "DEADLINE_EXCEEDED",
+        "NOT_FOUND",
+        "ALREADY_EXISTS",
+        "PERMISSION_DENIED",
+        "RESOURCE_EXHAUSTED",
+        "FAILED_PRECONDITION",
+        "ABORTED",
+        "OUT_OF_RANGE",
+        "UNIMPLEMENTED",
+        "INTERNAL",
+        "UNAVAILABLE",
+        "DATA_LOSS",
+        "UNAUTHENTICATED",
+    ];
+    CODES.get(number).copied().unwrap_or("UNKNOWN")
+}
+
+pub(crate) struct Calls {
+    metrics: Metrics,
+    methods: HashSet<&'static str>,
+}
+
+impl Calls {
+    fn new(metrics: Metrics, methods: impl IntoIterator<Item = String>) -> Self {
+        // Once in a server's life, so that labels need no copies.
+        Self { metrics, methods: methods.into_iter().map(|name| &*name.leak()).collect() }
+    }
+
+    /// A call of `method`, as "package.Service/Method", has come.
+    pub(crate) fn begin(&self, method: &str) -> Call {
+        let method = self.methods.get(method).copied().unwrap_or("_OTHER");
+        self.metrics.0.open_streams.get_or_create(&[(METHOD, method)]).inc();
+        Call { metrics: self.metrics.clone(), method, began: Instant::now(), status: Mutex::new(None) }
+    }
+}
+
+/// A call under way; over when this is dropped.
+pub(crate) struct Call {
+    metrics: Metrics,
+    method: &'static str,
+    began: Instant,
+    status: Mutex<Option<&'static str>>,
+}
+
+impl Call {
+    /// Its method, of the fixed list.
+    pub(crate) fn method(&self) -> &'static str {
+        self.method
+    }
+
+    /// Sets its status, unless it has one.
+    pub(crate) fn end(&self, status: &'static str) {
+        lock(&self.status).get_or_insert(status);
+    }
+
+    /// Its status, if it is over now.
+    pub(crate) fn status(&self) -> &'static str {
+        lock(&self.status).unwrap_or(DROPPED)
+    }
+}
+
+impl Drop for Call {
+    fn drop(&mut self) {
+        let inner = &self.metrics.0;
+        inner.open_streams.get_or_create(&[(METHOD, self.method)]).dec();
+        let labels = [(METHOD, self.method), ("rpc_response_status_code", self.status())];
+        inner.calls.get_or_create(&labels).observe(self.began.elapsed().as_secs_f64());
     }
 }

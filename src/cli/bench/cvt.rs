@@ -10,11 +10,11 @@ use anyhow::Result;
 use clap::Args;
 use serde_json::{Value, json};
 
+use super::args::Worker;
 use super::args::{RunArgs, SeedsArgs, SurfaceArgs};
 use super::args::{head, ratio, report};
 use super::measure::Spread;
 use super::measure::{Load, Timed};
-use super::worker::Worker;
 use crate::remesh::DensityArg;
 use geometry::cvt::StepKind;
 use geometry::cvt::density::DensityOptions;

@@ -10,10 +10,10 @@ use anyhow::Result;
 use clap::Args;
 use serde_json::{Value, json};
 
+use super::args::Worker;
 use super::args::{RunArgs, SurfaceArgs};
 use super::args::{report, slopes};
 use super::measure::Load;
-use super::worker::Worker;
 use crate::shape::parse_facets;
 use geometry::cvt::density::DensityOptions;
 use geometry::mesh::TriMesh;

@@ -14,7 +14,7 @@ use serde::Serialize;
 use serde_json::{Value, json};
 
 use super::args::RunArgs;
-use super::worker::Worker;
+use super::args::Worker;
 use geometry::cvt::density::DensityOptions;
 use geometry::cvt::{Cvt, CvtOptions, Iteration, StepKind};
 use geometry::mesh::TriMesh;

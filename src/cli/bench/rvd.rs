@@ -12,11 +12,11 @@ use clap::{Args, ValueEnum};
 use glam::DVec3;
 use serde_json::{Value, json};
 
+use super::args::Worker;
 use super::args::{RunArgs, SeedsArgs, SurfaceArgs};
 use super::args::{head, report};
 use super::measure::Load;
 use super::measure::Spread;
-use super::worker::Worker;
 use geometry::rvd::{Accumulate, CellSums, DeviceWork, PassStats, Session, SessionOptions, Strategy, Surface, Tuning};
 use geometry::token::Token;
 use gpu::diagram::{AccumulationMs, Gpu};

@@ -12,9 +12,9 @@ use clap::Args;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
+use super::args::Worker;
 use super::args::{RunArgs, mesh, ratio, report};
 use super::measure::{Load, Timed};
-use super::worker::Worker;
 use crate::exit::{BadInput, Usage};
 use crate::files;
 use geometry::cvt::density::DensityOptions;

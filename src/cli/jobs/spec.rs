@@ -15,7 +15,7 @@ use crate::given::{self, Given};
 use crate::remesh::args::{ShapeArgs, SizeArgs, StepArgs, usage};
 use crate::rvd::SeedArgs;
 use crate::source::Source;
-use crate::{files, remote, sizes};
+use crate::{files, remote};
 use geometry::mesh::io::Format;
 pub(super) use server::config::BackendArg;
 use wire::counts::Bounds;
@@ -91,7 +91,7 @@ impl InputArgs {
             Input::Blob(digest) => (digest.clone(), Vec::new(), None),
             Input::File(path) => {
                 let source = Source::open(path)?;
-                (source.digest().to_owned(), vec![source], Some((path.clone(), format)))
+                (source.digest.clone(), vec![source], Some((path.clone(), format)))
             }
         };
         let file = MeshFile { digest, format: format.number(), attributes };
@@ -140,7 +140,7 @@ impl RemeshWork {
             named
                 .iter()
                 .filter(|(file, _)| file.is_some())
-                .try_for_each(|(_, option)| sizes::check_format(&files::Surface::new(path, Some(format)), option))?;
+                .try_for_each(|(_, option)| files::check_numbered(&files::Surface::new(path, Some(format)), option))?;
         }
         let mut asked = input.begin(self.no_attributes.then_some(false))?;
         let mut text = |path: &Option<PathBuf>| path.as_deref().map(|path| text(path, &mut asked.sources)).transpose();
@@ -210,7 +210,7 @@ impl RvdWork {
 /// A file of text that an option names.
 fn text(path: &Path, sources: &mut Vec<Source>) -> Result<ArrayRef> {
     let source = Source::open(path)?;
-    let array = ArrayRef { digest: source.digest().to_owned(), form: ArrayForm::Text.into(), count: 0 };
+    let array = ArrayRef { digest: source.digest.clone(), form: ArrayForm::Text.into(), count: 0 };
     sources.push(source);
     Ok(array)
 }

@@ -17,15 +17,16 @@ use tokio::time::Instant;
 use tonic::{Response, Status, Streaming};
 use tonic_types::StatusExt;
 
+use super::LoadArgs;
 use super::amounts::Item;
 use super::amounts::Kind;
 use super::compare::{Call, Tally};
 use super::meshes::Surface;
-use crate::remote::{Door, is_lost};
+use crate::remote::{Door, choice, is_lost};
 use crate::say::plain;
 use server::metrics::status_name;
 use wire::proto::server_service_client::ServerServiceClient;
-use wire::proto::{BackendChoice, DiagramOptions, GetServerInfoRequest, RemeshOptions};
+use wire::proto::{DiagramOptions, GetServerInfoRequest, RemeshOptions};
 
 pub(super) use job::{Rubbish, delete_blob, put, sweep};
 
@@ -137,7 +138,7 @@ impl Ends {
 pub(super) struct Caller {
     pub(super) tally: Tally,
     pub(super) surfaces: Arc<Vec<Surface>>,
-    pub(super) settings: Settings,
+    pub(super) args: Arc<LoadArgs>,
     /// The name of the run, which its jobs have as a label.
     pub(super) run: String,
     /// True once the run is to end.
@@ -150,24 +151,12 @@ pub(super) struct Caller {
 /// What a call is taken to last before one has ended.
 const USUAL: Duration = Duration::from_millis(200);
 
-pub(super) struct Settings {
-    /// Lloyd steps of a remesh; the server's default if not given.
-    pub(super) lloyd: Option<u32>,
-    /// Quasi-Newton steps of a remesh; the server's default if not given.
-    pub(super) newton: Option<u32>,
-    pub(super) backend: BackendChoice,
-    /// The most that a call may take.
-    pub(super) limit: Duration,
-    /// Whether each job uploads a file of its own.
-    pub(super) uploads: bool,
-}
-
 impl Caller {
     /// Makes calls with `surfaces` until `stop` is true.
-    pub(super) fn new(settings: Settings, surfaces: Vec<Surface>, run: String, stop: watch::Receiver<bool>) -> Self {
+    pub(super) fn new(args: Arc<LoadArgs>, surfaces: Vec<Surface>, run: String, stop: watch::Receiver<bool>) -> Self {
         let usual_us = std::array::from_fn(|_| AtomicU64::new(USUAL.as_micros() as u64));
         let (tally, surfaces, uploaded) = (Tally::default(), Arc::new(surfaces), AtomicU64::new(0));
-        Self { tally, surfaces, settings, run, stop, usual_us, uploaded }
+        Self { tally, surfaces, args, run, stop, usual_us, uploaded }
     }
 
     /// Makes a call. With a `pace`, bytes a second, the answer is read slowly.
@@ -175,7 +164,7 @@ impl Caller {
         let begin = Instant::now();
         let usual = &self.usual_us[item.kind.place()];
         let cancel = item.cancel.map(|part| begin + Duration::from_micros(usual.load(Ordering::Relaxed)).mul_f64(part));
-        let ends = Ends { cancel, limit: begin + self.settings.limit, stop: self.stop.clone() };
+        let ends = Ends { cancel, limit: begin + self.args.timeout_s, stop: self.stop.clone() };
         let mut asked = Asked::default();
         let Some(surface) = self.surfaces.get(item.mesh) else { return asked };
         let mut pace = Pace { bytes_a_second: pace, due: None };
@@ -255,8 +244,12 @@ struct At<'a> {
 }
 
 impl At<'_> {
+    fn backend(&self) -> i32 {
+        choice(self.caller.args.backend).into()
+    }
+
     fn remesh_options(&self) -> RemeshOptions {
-        let Settings { lloyd, newton, .. } = self.caller.settings;
+        let &LoadArgs { lloyd, newton, .. } = &*self.caller.args;
         let (points, seed) = (self.surface.points(), Some(self.random_seed));
         RemeshOptions { points, seed, lloyd, newton, ..RemeshOptions::default() }
     }

@@ -10,7 +10,6 @@ use anyhow::Result;
 use super::args::{FileArgs, RemeshArgs};
 use crate::exit::{NotWritten, Usage};
 use crate::files::{self, Surface};
-use crate::sizes;
 
 #[derive(Debug)]
 pub(super) struct Task {
@@ -109,7 +108,7 @@ fn check_files(args: &RemeshArgs, tasks: &[Task]) -> Result<()> {
         }
         let numbers = [(size.sizes.is_some(), "--sizes"), (shape.creases.is_some(), "--creases")];
         for (_, option) in numbers.iter().filter(|(is_given, _)| *is_given) {
-            sizes::check_format(input, option)?;
+            files::check_numbered(input, option)?;
         }
     }
     let paths = |of: fn(&Task) -> &Surface| tasks.iter().map(of).filter(|one| !one.is_standard()).map(Surface::path);

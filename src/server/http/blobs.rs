@@ -19,7 +19,7 @@ use futures_util::{StreamExt as _, TryStreamExt as _};
 use serde_json::json;
 
 use super::body::{Arriving, Coding, coding, length, whole};
-use super::guard::Client;
+use super::guard::{Client, Whose};
 use super::options::Asked;
 use super::problem::{Answered, wrong};
 use crate::service::{Desk, EmptyUpload, RequestError, Share, check_owned, keep, timely};
@@ -33,11 +33,7 @@ fn digest(text: &str) -> Result<Digest, RequestError> {
 }
 
 /// `POST /v1/blobs`.
-pub(super) async fn upload(
-    State(desk): State<Desk>,
-    Extension(client): Extension<Client>,
-    request: Request,
-) -> Answered {
+pub(super) async fn upload(State(desk): State<Desk>, Extension(client): Whose, request: Request) -> Answered {
     let mut asked = Asked::of_query(request.uri().query())?;
     let named = asked.digest("digest")?;
     asked.finish()?;
@@ -120,7 +116,7 @@ async fn stream(
 /// `GET` and `HEAD /v1/blobs/{digest}`.
 pub(super) async fn read(
     State(desk): State<Desk>,
-    Extension(client): Extension<Client>,
+    Extension(client): Whose,
     Path(named): Path<String>,
     request: Request,
 ) -> Answered {
@@ -129,11 +125,7 @@ pub(super) async fn read(
 }
 
 /// `DELETE /v1/blobs/{digest}`.
-pub(super) async fn remove(
-    State(desk): State<Desk>,
-    Extension(client): Extension<Client>,
-    Path(named): Path<String>,
-) -> Answered {
+pub(super) async fn remove(State(desk): State<Desk>, Extension(client): Whose, Path(named): Path<String>) -> Answered {
     timely(desk.blobs.disown(Owner::of(&client.tenant), digest(&named)?)).await?;
     Ok(StatusCode::NO_CONTENT.into_response())
 }

@@ -11,7 +11,7 @@ use std::task::{Context, Poll};
 use std::time::Instant;
 
 use axum::body::{Body, Bytes};
-use axum::extract::{Request, State};
+use axum::extract::{Extension, Request, State};
 use axum::http::{HeaderMap, StatusCode};
 use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
@@ -42,6 +42,9 @@ pub(super) struct Client {
     /// What blobs the tenant may have, bytes.
     pub(super) bytes: Option<u64>,
 }
+
+/// The caller, as handlers get it.
+pub(super) type Whose = Extension<Client>;
 
 /// Counts a request when it is dropped.
 struct Counted {

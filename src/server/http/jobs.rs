@@ -16,7 +16,7 @@ use serde_json::{Value, json};
 use tokio::sync::mpsc;
 
 use super::blobs::send;
-use super::guard::Client;
+use super::guard::{Client, Whose};
 use super::options::{Asked, format_names, media_type};
 use super::problem::{Answered, Problem, wrong};
 use crate::service;
@@ -69,11 +69,7 @@ pub(super) fn told(job: &Job) -> Value {
 }
 
 /// `POST /v1/jobs`.
-pub(super) async fn create(
-    State(desk): State<Desk>,
-    Extension(client): Extension<Client>,
-    request: Request,
-) -> Answered {
+pub(super) async fn create(State(desk): State<Desk>, Extension(client): Whose, request: Request) -> Answered {
     Asked::of_query(request.uri().query())?.finish()?;
     let bytes = to_bytes(request.into_body(), SPEC_BYTES)
         .await
@@ -117,7 +113,7 @@ fn specification(bytes: &[u8], tenant: &str) -> Result<Spec, RequestError> {
 }
 
 /// `GET /v1/jobs`.
-pub(super) async fn list(State(desk): State<Desk>, Extension(client): Extension<Client>, request: Request) -> Answered {
+pub(super) async fn list(State(desk): State<Desk>, Extension(client): Whose, request: Request) -> Answered {
     let mut asked = Asked::of_query(request.uri().query())?;
     let states = asked.take("states", "states with commas between, as queued,running", |text| {
         let state = |word: &str| serde_json::from_value::<JobState>(json!(word)).ok();
@@ -140,31 +136,19 @@ pub(super) async fn list(State(desk): State<Desk>, Extension(client): Extension<
 }
 
 /// `GET /v1/jobs/{id}`.
-pub(super) async fn one(
-    State(desk): State<Desk>,
-    Extension(client): Extension<Client>,
-    Path(id): Path<String>,
-) -> Answered {
+pub(super) async fn one(State(desk): State<Desk>, Extension(client): Whose, Path(id): Path<String>) -> Answered {
     Ok(answer(StatusCode::OK, &told(&desk.api.get(&client.tenant, job_id(&id)?).await?)))
 }
 
 /// `POST /v1/jobs/{id}/cancel`.
-pub(super) async fn cancel(
-    State(desk): State<Desk>,
-    Extension(client): Extension<Client>,
-    Path(id): Path<String>,
-) -> Answered {
+pub(super) async fn cancel(State(desk): State<Desk>, Extension(client): Whose, Path(id): Path<String>) -> Answered {
     let id = job_id(&id)?;
     let job = to_the_end(async move { desk.api.cancel(&client.tenant, id).await }).await?;
     Ok(answer(StatusCode::OK, &told(&job)))
 }
 
 /// `DELETE /v1/jobs/{id}`.
-pub(super) async fn remove(
-    State(desk): State<Desk>,
-    Extension(client): Extension<Client>,
-    Path(id): Path<String>,
-) -> Answered {
+pub(super) async fn remove(State(desk): State<Desk>, Extension(client): Whose, Path(id): Path<String>) -> Answered {
     let id = job_id(&id)?;
     to_the_end(async move { desk.api.delete(&client.tenant, id).await }).await?;
     Ok(StatusCode::NO_CONTENT.into_response())
@@ -173,7 +157,7 @@ pub(super) async fn remove(
 /// `GET /v1/jobs/{id}/result`.
 pub(super) async fn result(
     State(desk): State<Desk>,
-    Extension(client): Extension<Client>,
+    Extension(client): Whose,
     Path(id): Path<String>,
     request: Request,
 ) -> Answered {
@@ -248,7 +232,7 @@ fn without_result(job: &Job) -> Fault {
 /// `GET /v1/jobs/{id}/events`.
 pub(super) async fn events(
     State(desk): State<Desk>,
-    Extension(client): Extension<Client>,
+    Extension(client): Whose,
     Path(id): Path<String>,
     request: Request,
 ) -> Answered {
@@ -335,7 +319,7 @@ const ENDED: HeaderName = HeaderName::from_static("tessera-ended");
 /// `GET /v1/jobs/{id}/seeds`.
 pub(super) async fn seeds(
     State(desk): State<Desk>,
-    Extension(client): Extension<Client>,
+    Extension(client): Whose,
     Path(id): Path<String>,
     request: Request,
 ) -> Answered {

@@ -14,7 +14,7 @@ use tokio::runtime::Handle;
 
 use super::blobs::store;
 use super::body::{coding, pass_over};
-use super::guard::Client;
+use super::guard::{Client, Whose};
 use super::jobs::{MESH, send_result};
 use super::options::{Asked, format_names, format_of_types};
 use super::problem::{Answered, wrong};
@@ -27,11 +27,7 @@ use jobs::record::{Job, JobId, Spec};
 use wire::proto::{self, JobSpec, job_mesh, result_format};
 
 /// `POST /v1/remesh`.
-pub(super) async fn remesh(
-    State(desk): State<Desk>,
-    Extension(client): Extension<Client>,
-    request: Request,
-) -> Answered {
+pub(super) async fn remesh(State(desk): State<Desk>, Extension(client): Whose, request: Request) -> Answered {
     let (parts, body) = request.into_parts();
     let wanted = match wanted(&parts, &client) {
         Ok(wanted) => wanted,

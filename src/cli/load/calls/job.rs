@@ -13,6 +13,7 @@ use tokio::time::Instant;
 use tonic::{Code, Status};
 
 use super::{Answers, Asked, At, End, Ends, Pace, Why, counted, unary};
+use crate::load::UploadArg;
 use crate::load::amounts::Kind;
 use crate::load::compare::Tally;
 use crate::remote::{Door, has_ended};
@@ -51,7 +52,7 @@ impl At<'_> {
     pub(super) async fn job(&self, kind: Kind, asked: &mut Asked, pace: &mut Pace) -> Result<(), End> {
         let (caller, tally) = (self.caller, &self.caller.tally);
         let mut rubbish = Rubbish { job: None, blobs: Vec::new() };
-        let digest = match caller.settings.uploads {
+        let digest = match caller.args.upload == UploadArg::Each {
             true => {
                 let (begin, file) = (Instant::now(), caller.uploaded.fetch_add(1, Ordering::Relaxed));
                 let (bytes, digest) = self.surface.file_with(&format!("{LABEL} {} {file}", caller.run));
@@ -107,7 +108,7 @@ impl At<'_> {
         JobSpec {
             mesh: Some(JobMesh { source: Some(job_mesh::Source::File(file)) }),
             work: Some(work),
-            backend: self.caller.settings.backend.into(),
+            backend: self.backend(),
             labels: HashMap::from([(LABEL.to_owned(), self.caller.run.clone())]),
             ..JobSpec::default()
         }

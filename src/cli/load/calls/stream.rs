@@ -83,7 +83,7 @@ impl At<'_> {
         let header = proto::RemeshHeader {
             mesh: Some(self.surface.header.clone()),
             seeds: 0,
-            backend: self.caller.settings.backend.into(),
+            backend: self.backend(),
             options: Some(self.remesh_options()),
         };
         let chunks = self.surface.chunks.iter().cloned().map(Ask::Chunk);
@@ -117,7 +117,7 @@ impl At<'_> {
         let header = proto::ComputeRvdHeader {
             mesh: Some(self.surface.header.clone()),
             seeds: 0,
-            backend: self.caller.settings.backend.into(),
+            backend: self.backend(),
             options: Some(proto::DiagramOptions {
                 outputs: vec![RvdOutput::Cells.into(), RvdOutput::Centroids.into()],
                 ..self.diagram_options()
@@ -159,7 +159,7 @@ impl At<'_> {
         let header = proto::CvtHeader {
             mesh: Some(self.surface.header.clone()),
             seeds: 0,
-            backend: self.caller.settings.backend.into(),
+            backend: self.backend(),
             options: Some(proto::CvtOptions {
                 points: self.surface.points(),
                 seed: Some(self.random_seed),
