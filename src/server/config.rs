@@ -14,7 +14,7 @@ mod security;
 mod values;
 pub use args::OnLoss;
 pub use args::{BackendArg, BackendArgs, ServeArgs};
-pub use check::{JobCeilings, ServeConfig, data_dir};
+pub use check::{ServeConfig, data_dir};
 pub use file::sources;
 pub use file::{ConfigFile, FileError};
 pub use limits::{Limits, Transport};

@@ -43,13 +43,6 @@ const WORK_SECONDS: [f64; 13] = [0.001, 0.003, 0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 1
 type Labels<const N: usize> = [(&'static str, &'static str); N];
 type Histograms<L> = Family<L, Histogram, fn() -> Histogram>;
 
-#[derive(Clone, Copy, Debug, Default)]
-pub struct BlobBytes {
-    /// Whole blobs and uploads under way.
-    pub kept: u64,
-    pub limit: u64,
-}
-
 /// See the module's head. Clones share one state.
 #[derive(Clone)]
 pub struct Metrics(Arc<Inner>);
@@ -178,7 +171,7 @@ impl Metrics {
             let _ = inner.device_bytes.get_or_create(&[("kind", kind)]);
         }
         self.condition(Condition::default());
-        self.blobs(BlobBytes::default());
+        self.blobs(0, 0);
         self.probed(true, 0);
         self.probed(false, 0);
         for reason in [Refused::Queue, Refused::Memory, Refused::Streams, Refused::Draining, Refused::Connections] {
@@ -212,8 +205,9 @@ impl Metrics {
         self.0.refusals.get_or_create(&[("reason", reason.name())]).inc_by(times);
     }
 
-    pub fn blobs(&self, bytes: BlobBytes) {
-        for (kind, bytes) in [("kept", bytes.kept), ("limit", bytes.limit)] {
+    /// Bytes of blobs now, uploads under way included, and how many may be kept.
+    pub fn blobs(&self, kept: u64, limit: u64) {
+        for (kind, bytes) in [("kept", kept), ("limit", limit)] {
             self.0.blob_bytes.get_or_create(&[("kind", kind)]).set(signed(bytes));
         }
     }

@@ -5,7 +5,6 @@
 //! a stream that ends in any way gives back its memory and its place. Must not know: how a diagram
 //! is computed, how messages look (`wire`), the command line.
 
-mod about;
 mod access;
 mod budget;
 mod connections;
@@ -14,11 +13,9 @@ mod desk;
 mod fault;
 mod handlers;
 mod health;
-mod methods;
 mod status;
 mod stream;
 
-use std::fmt;
 use std::future::Future;
 use std::sync::Arc;
 use std::thread::JoinHandle;
@@ -31,7 +28,6 @@ use tokio::task::JoinSet;
 use tonic::codec::CompressionEncoding::{Gzip, Zstd};
 use tonic::service::Routes;
 
-pub use self::about::About;
 use self::access::Guarded;
 pub(crate) use self::access::{Caller, Pass, Refusal};
 pub(crate) use self::budget::{Budget, Share};
@@ -43,6 +39,7 @@ pub(crate) use self::desk::{
     DESK_TIME, Desk, EmptyUpload, check_owned, create, follow, keep, tenant_of, timely, to_the_end,
 };
 pub(crate) use self::fault::{Detail, Fault, Kind as FaultKind};
+pub use self::handlers::info::About;
 use self::health::Told;
 pub(crate) use self::stream::{Gate, Kind};
 use crate::config::Limits;
@@ -66,7 +63,6 @@ pub const JOB_SERVICE_NAME: &str = "tessera.v1.JobService";
 pub const SERVER_SERVICE_NAME: &str = "tessera.v1.ServerService";
 
 /// What a server is made of.
-#[derive(Debug)]
 pub struct Parts {
     pub engine: Engine,
     /// The engine's thread, joined at the end.
@@ -98,23 +94,11 @@ impl Door {
     }
 }
 
-impl fmt::Debug for Door {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_struct("Door").field("listener", &self.listener).finish_non_exhaustive()
-    }
-}
-
 /// What the services of blobs and jobs are made of.
 #[derive(Clone)]
 pub struct Jobs {
     pub blobs: Arc<dyn BlobStore>,
     pub api: Arc<dyn JobApi>,
-}
-
-impl fmt::Debug for Jobs {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_struct("Jobs").field("blobs", &self.blobs).finish_non_exhaustive()
-    }
 }
 
 #[derive(Debug, thiserror::Error)]
@@ -264,7 +248,7 @@ pub async fn run(
     let routes = Guarded::new(access.of(&listener), routes.prepare());
     let closing = watch::Sender::new(CUT_TIME);
     let ground = Ground::new(limits, budget, metrics.clone(), tls);
-    let grpc = Spoken::Grpc(Arc::new(Grpc { routes, calls: metrics.calls(methods::all()) }));
+    let grpc = Spoken::Grpc(Arc::new(Grpc { routes, calls: metrics.calls(access::served()) }));
     let beside = async {
         if let Some((listener, router)) = door {
             let spoken = Spoken::Web(router);

@@ -13,6 +13,8 @@ use super::args::DeviceRules;
 use super::args::{BackendArgs, ServeArgs};
 use super::limits::Limits;
 use super::security::TlsFiles;
+use jobs::Ceilings;
+
 use super::values::{ConfigError, addresses, mebibytes, seconds, within};
 
 /// Indices have 31 bits, less a few that are labels.
@@ -30,7 +32,8 @@ pub struct ServeConfig {
     pub admin: Vec<SocketAddr>,
     pub queue_jobs: usize,
     pub limits: Limits,
-    pub ceilings: JobCeilings,
+    /// Without `memory_bytes`, as the machine allows.
+    pub ceilings: Ceilings,
     /// Where jobs are kept; in memory if none.
     pub data_dir: Option<PathBuf>,
     /// The bucket of the blobs; without one they are in the data folder.
@@ -49,18 +52,6 @@ pub struct ServeConfig {
     pub start: Duration,
     pub tls: Option<TlsFiles>,
     pub requires_keys: bool,
-}
-
-/// Limits of a job, and of the time to stop.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct JobCeilings {
-    pub time: Duration,
-    /// Bytes by which the process may grow; as the machine allows if not given.
-    pub memory_bytes: Option<u64>,
-    /// Time from the cancellation until work counts as stuck.
-    pub stuck: Duration,
-    /// From there to the end of the process.
-    pub lost: Duration,
 }
 
 impl ServeArgs {
@@ -142,8 +133,8 @@ impl ServeArgs {
                 probe: seconds("--probe-s", self.watching.probe_s)?,
                 transport: self.transport.check()?,
             },
-            ceilings: JobCeilings {
-                time: seconds("--job-seconds", self.job_seconds)?,
+            ceilings: Ceilings {
+                time: Some(seconds("--job-seconds", self.job_seconds)?),
                 memory_bytes: mebibytes("--job-memory-mib", self.job_memory_mib)?,
                 stuck: seconds("--stuck-s", self.stuck_s)?,
                 lost: seconds("--stuck-exit-s", self.stuck_exit_s)?,

@@ -6,6 +6,7 @@
 use std::time::Duration;
 
 use clap::Args;
+use wire::counts::Bounds;
 
 use crate::config::values::{ConfigError, seconds, whole, within};
 
@@ -38,6 +39,14 @@ pub struct Limits {
     /// Between two probes of an idle backend.
     pub probe: Duration,
     pub transport: Transport,
+}
+
+impl Limits {
+    /// What a request may ask for, as the checks of messages take it.
+    pub fn bounds(&self) -> Bounds {
+        let &Self { max_vertices, max_facets, max_seeds, max_iterations, .. } = self;
+        Bounds { max_vertices, max_facets, max_seeds, max_iterations }
+    }
 }
 
 impl Default for Limits {

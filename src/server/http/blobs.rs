@@ -19,10 +19,10 @@ use futures_util::{StreamExt as _, TryStreamExt as _};
 use serde_json::json;
 
 use super::body::{Arriving, Coding, coding, length, whole};
-use super::guard::{Client, Whose};
+use super::guard::Whose;
 use super::options::Asked;
 use super::problem::{Answered, wrong};
-use crate::service::{Desk, EmptyUpload, RequestError, Share, check_owned, keep, timely};
+use crate::service::{Caller, Desk, EmptyUpload, RequestError, Share, check_owned, keep, timely};
 use jobs::blob::{BlobError, BlobInfo, BlobStore, Chunk, Digest, Owner, UploadId};
 
 /// Bytes of an upload that are stored at once.
@@ -63,7 +63,7 @@ pub(super) async fn upload(State(desk): State<Desk>, Extension(client): Whose, r
 /// Keeps a body as a blob; gives its first bytes too.
 pub(super) async fn store(
     desk: &Desk,
-    client: &Client,
+    client: &Caller,
     headers: &HeaderMap,
     body: Body,
 ) -> Result<(BlobInfo, Bytes), RequestError> {
@@ -75,7 +75,7 @@ pub(super) async fn store(
 /// Stores a body as it comes. What is stored of one that is cut stays, and the same upload goes on from there.
 async fn stream(
     desk: &Desk,
-    client: &Client,
+    client: &Caller,
     upload: UploadId,
     mut arriving: Arriving<'_>,
 ) -> Result<BlobInfo, RequestError> {

@@ -36,15 +36,8 @@ pub(super) struct Guard {
     pub(super) route: Route,
 }
 
-#[derive(Clone, Debug)]
-pub(super) struct Client {
-    pub(super) tenant: String,
-    /// What blobs the tenant may have, bytes.
-    pub(super) bytes: Option<u64>,
-}
-
 /// The caller, as handlers get it.
-pub(super) type Whose = Extension<Client>;
+pub(super) type Whose = Extension<Caller>;
 
 /// Counts a request when it is dropped.
 struct Counted {
@@ -155,7 +148,7 @@ fn enter(desk: &Desk, route: Route, mut request: Request) -> Result<Entered, Req
     }
     let tenant = tenant_of(request.headers(), request.extensions())?;
     let bytes = request.extensions().get::<Caller>().and_then(|caller| caller.bytes);
-    request.extensions_mut().insert(Client { tenant, bytes });
+    request.extensions_mut().insert(Caller { tenant, bytes });
     Ok((request, permit, pass))
 }
 

@@ -16,11 +16,11 @@ use serde_json::{Value, json};
 use tokio::sync::mpsc;
 
 use super::blobs::send;
-use super::guard::{Client, Whose};
+use super::guard::Whose;
 use super::options::{Asked, format_names, media_type};
 use super::problem::{Answered, Problem, wrong};
 use crate::service;
-use crate::service::{Desk, Detail, Fault, FaultKind, Phase, RequestError, job_id, to_the_end};
+use crate::service::{Caller, Desk, Detail, Fault, FaultKind, Phase, RequestError, job_id, to_the_end};
 use jobs::record::event::{Event, Progress, What};
 use jobs::record::state::State as JobState;
 use jobs::record::{Cause, Failure, FailureKind, Job, JobId, Outcome, ResultFormat, Spec};
@@ -173,7 +173,7 @@ pub(super) const MESH: &str = "mesh";
 
 pub(super) async fn send_result(
     desk: &Desk,
-    client: &Client,
+    client: &Caller,
     job: &Job,
     name: &str,
     headers: &HeaderMap,

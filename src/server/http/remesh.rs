@@ -14,11 +14,11 @@ use tokio::runtime::Handle;
 
 use super::blobs::store;
 use super::body::{coding, pass_over};
-use super::guard::{Client, Whose};
+use super::guard::Whose;
 use super::jobs::{MESH, send_result};
 use super::options::{Asked, format_names, format_of_types};
 use super::problem::{Answered, wrong};
-use crate::service::{self, Desk, Phase, RequestError};
+use crate::service::{self, Caller, Desk, Phase, RequestError};
 use geometry::mesh::io::Format;
 use jobs::blob::Digest;
 use jobs::executor::api::JobApi;
@@ -58,7 +58,7 @@ struct Asking {
 }
 
 /// What a request asks for. What can be refused without its body is refused here.
-fn wanted(parts: &Parts, client: &Client) -> Result<Asking, RequestError> {
+fn wanted(parts: &Parts, client: &Caller) -> Result<Asking, RequestError> {
     let mut asked = Asked::of_query(parts.uri.query())?;
     coding(&parts.headers)?;
     let header = |name| parts.headers.get(name).and_then(|value| value.to_str().ok()).unwrap_or_default();

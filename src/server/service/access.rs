@@ -24,6 +24,7 @@ use tonic::codegen::http::{HeaderMap, HeaderValue, Method, Request, Response, St
 use tonic::service::Routes;
 
 use self::methods::Needs;
+pub(super) use self::methods::served;
 use self::table::Held;
 pub(crate) use self::table::Pass;
 use self::table::Table;

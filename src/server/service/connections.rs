@@ -14,7 +14,6 @@ mod places;
 mod socket;
 mod tls;
 mod unpacking;
-mod web;
 
 use std::io;
 use std::net::SocketAddr;
@@ -203,7 +202,7 @@ impl Accepting {
                     if let Some(line) = establish(stream, &state, &common, phase.clone()).await {
                         match spoken {
                             Spoken::Grpc(grpc) => connection::serve(line, state, common, grpc, phase).await,
-                            Spoken::Web(router) => web::serve(line, state, common, router, phase).await,
+                            Spoken::Web(router) => connection::serve_web(line, state, common, router, phase).await,
                         }
                     }
                     drop(place);

@@ -35,7 +35,6 @@ use geometry::remesh::{RemeshOptions, Seeds};
 use geometry::token::Token;
 use wire::assemble::Uploaded;
 use wire::chunks::{byte_chunks, point_chunks};
-use wire::counts::Bounds;
 use wire::options::{Diagram, Session, Start, fill};
 use wire::proto::{ArrayKind, Chunk, ComputeRvdHeader, CvtHeader, RemeshHeader};
 use wire::upload::{Checked, Header, Incoming, Upload};
@@ -120,12 +119,6 @@ struct Admitted<O> {
     request: AdmissionRequest,
 }
 
-/// What a request may ask for, as the checks of messages take it.
-fn bounds(limits: &Limits) -> Bounds {
-    let &Limits { max_vertices, max_facets, max_seeds, max_iterations, .. } = limits;
-    Bounds { max_vertices, max_facets, max_seeds, max_iterations }
-}
-
 /// Reads header, chunks and the end mark. What cannot be done now, or not here, is refused at the header.
 async fn upload<M: Into<Incoming<H>>, H: Needs>(
     shared: &Shared,
@@ -134,7 +127,7 @@ async fn upload<M: Into<Incoming<H>>, H: Needs>(
 ) -> Result<Admitted<H::Options>, RequestError> {
     let Limits { upload_idle, upload: limit, .. } = shared.limits;
     let deadline = tokio::time::Instant::now() + limit;
-    let mut upload = Upload::<H>::new(bounds(&shared.limits));
+    let mut upload = Upload::<H>::new(shared.limits.bounds());
     let mut share = shared.budget.share();
     let mut kept = None;
     loop {
@@ -160,7 +153,7 @@ async fn upload<M: Into<Incoming<H>>, H: Needs>(
 
 /// The upload of a recorded `Remesh` stream, as far as it needs no engine.
 pub(super) fn replay(recording: &mut &[u8], limits: &Limits) -> Result<Input, RequestError> {
-    let mut upload = Upload::<proto::RemeshHeader>::new(bounds(limits));
+    let mut upload = Upload::<proto::RemeshHeader>::new(limits.bounds());
     let mut share = Budget::new(limits.memory_bytes).share();
     loop {
         let message = match recording.is_empty() {

@@ -13,7 +13,7 @@ use tonic_health::ServingStatus;
 use tonic_health::server::HealthReporter;
 
 use super::{BLOB_SERVICE_NAME, JOB_SERVICE_NAME};
-use crate::metrics::{BlobBytes, Metrics};
+use crate::metrics::Metrics;
 use crate::readiness::{Condition, Readiness, Reason};
 use jobs::blob::{BlobError, BlobStore};
 use jobs::engine::probe::probe;
@@ -147,7 +147,7 @@ pub(super) async fn follow_blobs(
     loop {
         match blobs.usage().await {
             Ok(usage) => {
-                metrics.blobs(BlobBytes { kept: usage.blob_bytes + usage.uploading_bytes, limit: usage.limit_bytes });
+                metrics.blobs(usage.blob_bytes + usage.uploading_bytes, usage.limit_bytes);
             }
             Err(error) => tracing::warn!(%error, "what blobs take is not known"),
         }
