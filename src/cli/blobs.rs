@@ -51,7 +51,7 @@ enum BlobsCommand {
 pub(crate) fn run(args: &BlobsArgs) -> Result<()> {
     let server = &args.server;
     // Before a file is read.
-    server.url()?;
+    server.at.url()?;
     match &args.command {
         BlobsCommand::Put { file } => {
             let source = Source::open(file)?;

@@ -20,7 +20,8 @@ pub(crate) type Texts = BTreeMap<String, String>;
 #[derive(Debug)]
 pub(crate) struct Given<A> {
     options: A,
-    set: Texts,
+    /// Those that are set.
+    pub(crate) set: Texts,
 }
 
 /// The options of a remesh that are set. Files of lists are no options of the message.
@@ -40,10 +41,6 @@ impl<A> Given<A> {
     /// `value`, if the option `id` is set. Ids are the names of fields.
     pub(crate) fn given<T>(&self, id: &str, value: T) -> Option<T> {
         self.set.contains_key(id).then_some(value)
-    }
-
-    pub(crate) fn texts(&self) -> &Texts {
-        &self.set
     }
 }
 

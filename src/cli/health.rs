@@ -54,7 +54,7 @@ pub(crate) fn run(args: &HealthArgs) -> Result<()> {
             false => Err(Unavailable(format!("the server of {address} is {told}")).into()),
         };
     }
-    let server = args.server.server()?;
+    let server = args.server.at.server()?;
     let last = runtime.block_on(async {
         if !args.watch {
             let state = health(&server, &args.service, limit).await?;

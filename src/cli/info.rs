@@ -24,7 +24,7 @@ pub(crate) struct InfoArgs {
 }
 
 pub(crate) fn run(args: &InfoArgs) -> Result<()> {
-    let (server, limit) = (args.server.server()?, Duration::from_secs_f64(args.timeout_s));
+    let (server, limit) = (args.server.at.server()?, Duration::from_secs_f64(args.timeout_s));
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().context("no runtime")?;
     let told = runtime.block_on(info(&server, limit))?;
     match args.server.json {

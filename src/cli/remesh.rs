@@ -183,7 +183,8 @@ fn all(args: &RemeshArgs, tasks: &[Task], mut worker: Worker) -> Result<()> {
                 failed += 1;
                 progress.note(&format!("tessera: {}: {}", task.input, say::plain_lines(&format!("{error:#}"))));
                 if args.say.json {
-                    let line = json!({ "input": name(task), "error": format!("{error:#}"), "exit_code": code });
+                    let line =
+                        json!({ "input": task.input.to_string(), "error": format!("{error:#}"), "exit_code": code });
                     progress.aside(|| say::json_line(&line))?;
                 }
                 first.get_or_insert(error);
@@ -198,10 +199,6 @@ fn all(args: &RemeshArgs, tasks: &[Task], mut worker: Worker) -> Result<()> {
     first.map_or(Ok(()), |error| Err(error.context(format!("{failed} of {count} files failed, the first"))))
 }
 
-fn name(task: &Task) -> String {
-    task.input.to_string()
-}
-
 /// Bytes of an input, for the bar; a file that is not there has few.
 fn size(task: &Task) -> u64 {
     std::fs::metadata(task.input.path()).map_or(1, |meta| meta.len().max(1))
@@ -210,7 +207,7 @@ fn size(task: &Task) -> u64 {
 fn told(args: &RemeshArgs, task: &Task, done: &Remeshed, progress: &Progress) -> Result<(), NotWritten> {
     done.left_out.iter().for_each(|note| progress.note(note));
     if args.say.json {
-        let mut line = json!({ "input": name(task), "output": task.output.to_string() });
+        let mut line = json!({ "input": task.input.to_string(), "output": task.output.to_string() });
         line["report"] = done.report.clone();
         progress.aside(|| say::json_line(&line))?;
     }

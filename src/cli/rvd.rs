@@ -114,7 +114,7 @@ fn work(args: &RvdArgs) -> Result<()> {
     let read_ms = ms(start);
     let FileArgs { output, centroids, report } = &args.files;
     // Without any file the sums give the figures.
-    let pieces = output.is_some() || args.picture.wanted();
+    let pieces = output.is_some() || args.picture.picture.is_some();
     let wants = Wants { cells: pieces, centroids: centroids.is_some() || !pieces };
     let mut cells = output.as_deref().map(CellFile::create).transpose()?;
     let (count, given) = match &seeds {
@@ -169,7 +169,7 @@ fn check(args: &RvdArgs) -> Result<()> {
     args.backend.check()?;
     output.iter().try_for_each(|path| files::check_output(path, &["ply"]))?;
     centroids.iter().chain(report).try_for_each(|path| files::check_output(path, &[]))?;
-    let outputs = [output.as_deref(), centroids.as_deref(), report.as_deref(), args.picture.path()];
+    let outputs = [output.as_deref(), centroids.as_deref(), report.as_deref(), args.picture.picture.as_deref()];
     let inputs = [Some(args.input.as_path()), args.seeds.seeds.as_deref()];
     files::check_apart(inputs.into_iter().flatten(), outputs.into_iter().flatten())?;
     args.picture.check_for_cells()?;

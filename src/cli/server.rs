@@ -7,7 +7,6 @@
 use std::fmt;
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
-use std::time::Duration;
 
 use anyhow::Result;
 use clap::Args;
@@ -97,11 +96,11 @@ pub(crate) struct CallArgs {
 #[command(next_help_heading = "Server")]
 pub(crate) struct ServerArgs {
     #[command(flatten)]
-    at: CallArgs,
+    pub(crate) at: CallArgs,
     /// Seconds to try again after a lost connection, from the last that came; 0 not to. For uploads, downloads, submit with a
     /// request id, watch and wait.
     #[arg(long, value_name = "S", global = true, default_value_t = 60.0, env = "TESSERA_RETRY_S", value_parser = pause)]
-    retry_s: f64,
+    pub(crate) retry_s: f64,
     /// Print the answer on the standard output as JSON, and nothing else there.
     #[arg(long, global = true, help_heading = "Messages")]
     pub(crate) json: bool,
@@ -156,14 +155,6 @@ impl CallArgs {
 }
 
 impl ServerArgs {
-    pub(crate) fn server(&self) -> Result<Server> {
-        self.at.server()
-    }
-
-    pub(crate) fn url(&self) -> Result<&ServerUrl, Usage> {
-        self.at.url()
-    }
-
     /// Prints an answer: with --json as an object, else as lines.
     pub(crate) fn tell(&self, json: impl FnOnce() -> Value, lines: impl FnOnce() -> Vec<String>) -> Result<()> {
         match self.json {
@@ -171,10 +162,6 @@ impl ServerArgs {
             false => lines().iter().try_for_each(|line| outln!("{line}"))?,
         }
         Ok(())
-    }
-
-    pub(crate) fn retry(&self) -> Duration {
-        Duration::from_secs_f64(self.retry_s)
     }
 }
 

@@ -398,7 +398,7 @@ const METHOD: &str = "rpc_method";
 const DROPPED: &str = "CANCELLED";
 
 /// The name of a status of gRPC, by its number.
-pub fn status_name(number: usize) -> &'static str {
+pub(crate) fn status_name(number: usize) -> &'static str {
     const CODES: [&str; 17] = [
         "OK",
         "CANCELLED",

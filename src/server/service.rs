@@ -35,9 +35,7 @@ pub(crate) use self::connections::Exchange;
 use self::connections::{Ground, Grpc, Spoken};
 pub use self::connections::{Tls, TlsError};
 pub(crate) use self::convert::job_id;
-pub(crate) use self::desk::{
-    DESK_TIME, Desk, EmptyUpload, check_owned, create, follow, keep, tenant_of, timely, to_the_end,
-};
+pub(crate) use self::desk::{DESK_TIME, Desk, EmptyUpload, check_owned, create, follow, tenant_of, timely, to_the_end};
 pub(crate) use self::fault::{Detail, Fault, Kind as FaultKind};
 pub use self::handlers::info::About;
 use self::health::Told;

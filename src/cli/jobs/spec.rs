@@ -131,7 +131,7 @@ impl RemeshWork {
     /// Options that do not go together, or a file that cannot be read.
     pub(super) fn asked(&self) -> Result<Asked> {
         let Self { input, size, shape, steps, .. } = self;
-        let message = given::message([size.texts(), shape.texts(), steps.texts()])?;
+        let message = given::message([&size.set, &shape.set, &steps.set])?;
         let beside = Beside { edge_lengths: size.sizes.is_some(), ..Beside::default() };
         options::remesh(&message, beside, &Bounds::WIDEST).map_err(usage)?;
         if let Input::File(path) = &input.input {

@@ -36,10 +36,6 @@ impl Kind {
         self.into()
     }
 
-    pub(super) fn place(self) -> usize {
-        self as usize
-    }
-
     pub(super) fn is_job(self) -> bool {
         matches!(self, Self::RemeshJob | Self::RvdJob)
     }
@@ -281,7 +277,7 @@ mod tests {
         let mix: Mix = "remesh-job=4, remesh,rvd=1.0".parse().unwrap();
         let mut counts = [0; 6];
         for i in 0..6000 {
-            counts[mix.at((f64::from(i) + 0.5) / 6000.0).place()] += 1;
+            counts[mix.at((f64::from(i) + 0.5) / 6000.0) as usize] += 1;
         }
         assert_eq!(counts, [1000, 1000, 0, 4000, 0, 0]);
         assert_eq!(mix.to_string(), "remesh-job 67 %, remesh 17 %, rvd 17 %");
@@ -292,7 +288,7 @@ mod tests {
         let only = "info,rvd=3".parse::<Mix>().unwrap().only_those(Kind::is_work);
         assert_eq!(only, Some(Mix(vec![(Kind::Rvd, 3.0)])));
         assert_eq!("info".parse::<Mix>().unwrap().only_those(Kind::is_work), None);
-        assert!(Kind::ALL.iter().enumerate().all(|(place, kind)| kind.place() == place));
+        assert!(Kind::ALL.iter().enumerate().all(|(place, kind)| *kind as usize == place));
     }
 
     #[test]

@@ -20,11 +20,10 @@ use tonic_types::StatusExt;
 use super::LoadArgs;
 use super::amounts::Item;
 use super::amounts::Kind;
-use super::compare::{Call, Tally};
+use super::compare::{Call, Tally, status_name};
 use super::meshes::Surface;
 use crate::remote::{Door, choice, is_lost};
 use crate::say::plain;
-use server::metrics::status_name;
 use wire::proto::server_service_client::ServerServiceClient;
 use wire::proto::{DiagramOptions, GetServerInfoRequest, RemeshOptions};
 
@@ -162,7 +161,7 @@ impl Caller {
     /// Makes a call. With a `pace`, bytes a second, the answer is read slowly.
     pub(super) async fn ask(&self, door: &Door, item: Item, pace: Option<u64>) -> Asked {
         let begin = Instant::now();
-        let usual = &self.usual_us[item.kind.place()];
+        let usual = &self.usual_us[item.kind as usize];
         let cancel = item.cancel.map(|part| begin + Duration::from_micros(usual.load(Ordering::Relaxed)).mul_f64(part));
         let ends = Ends { cancel, limit: begin + self.args.timeout_s, stop: self.stop.clone() };
         let mut asked = Asked::default();
@@ -200,7 +199,7 @@ fn outcome(end: End) -> Outcome {
         End::Status(status) if is_lost(&status) => failed("CONNECTION_LOST", status.message()),
         End::Status(status) => match status.get_details_retry_info().and_then(|info| info.retry_delay) {
             Some(after) => Outcome::Refused { reason: reason(&status), after },
-            None => failed(status_name(status.code() as usize), status.message()),
+            None => failed(status_name(status.code()), status.message()),
         },
     }
 }
@@ -217,7 +216,7 @@ fn reason(status: &Status) -> String {
             false => text.push(c),
         }
     }
-    format!("{}: {}", status_name(status.code() as usize), text.chars().take(MOST).collect::<String>())
+    format!("{}: {}", status_name(status.code()), text.chars().take(MOST).collect::<String>())
 }
 
 struct Pace {

@@ -229,7 +229,7 @@ impl Measure {
             return;
         }
         self.latencies.add(latency);
-        if let Some(kind) = self.kinds.get_mut(when.kind.place()) {
+        if let Some(kind) = self.kinds.get_mut(when.kind as usize) {
             kind.add(latency);
         }
         for (stage, time) in self.stages.iter_mut().zip(asked.stages.all()) {
@@ -292,7 +292,7 @@ mod tests {
         measure.over(&when(4.0, 7.0, 7.5), &asked(Outcome::Done));
         let [max, p50] = [measure.latencies.max(), measure.latencies.quantile(0.5)].map(Option::unwrap);
         assert!((max - 3.5).abs() < 0.01 && (p50 - 3.5).abs() < 0.01, "{max} {p50}");
-        assert_eq!((measure.counts.late, measure.counts.done, measure.kinds[Kind::Rvd.place()].count()), (1, 1, 1));
+        assert_eq!((measure.counts.late, measure.counts.done, measure.kinds[Kind::Rvd as usize].count()), (1, 1, 1));
         assert_eq!(measure.stages[1].count(), 1);
         // Ends after the measured time: counted, but of no rate.
         measure.over(&when(9.0, 9.0, 12.0), &asked(Outcome::Done));

@@ -49,7 +49,7 @@ pub(super) struct Surface {
     pub(super) points: u64,
     pub(super) header: MeshHeader,
     pub(super) chunks: Vec<Chunk>,
-    file: Bytes,
+    pub(super) file: Bytes,
     pub(super) digest: String,
 }
 
@@ -70,10 +70,6 @@ impl Surface {
     /// How many points are asked for, as messages count.
     pub(super) fn points(&self) -> Option<u32> {
         Some(u32::try_from(self.points).unwrap_or(u32::MAX))
-    }
-
-    pub(super) fn file(&self) -> Bytes {
-        self.file.clone()
     }
 
     /// Its file with a comment, and the digest of that: no server has it yet.
@@ -110,7 +106,8 @@ mod tests {
         let surface = &surfaces[3];
         let (file, digest) = surface.file_with("load 7");
         assert!(digest != surface.digest && file.len() == surface.file.len() + "comment load 7\n".len());
-        let (with, without) = (decode(Format::Ply, &file).unwrap(), decode(Format::Ply, &surface.file()).unwrap());
+        let (with, without) =
+            (decode(Format::Ply, &file).unwrap(), decode(Format::Ply, &surface.file.clone()).unwrap());
         assert!(with.positions() == without.positions() && with.facets() == without.facets());
         let bytes = 24 * with.positions().len() + 12 * with.facets().len();
         assert_eq!(surface.chunk_bytes(), bytes as u64);

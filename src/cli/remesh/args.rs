@@ -252,7 +252,7 @@ impl RemeshArgs {
     /// # Errors
     /// What cannot be whatever the surface.
     pub(crate) fn asked(&self) -> Result<(proto::RemeshOptions, RemeshOptions)> {
-        let message = given::message([self.size.texts(), self.shape.texts(), self.steps.texts()])?;
+        let message = given::message([&self.size.set, &self.shape.set, &self.steps.set])?;
         let beside = Beside { edge_lengths: self.size.sizes.is_some(), ..Beside::default() };
         let options = options::remesh(&message, beside, &Bounds::of_library()).map_err(usage)?;
         Ok((message, options))

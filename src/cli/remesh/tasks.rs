@@ -47,7 +47,7 @@ fn check_together(args: &RemeshArgs) -> Result<()> {
         (several && report.is_some(), for_one("--report") + "; --json prints a report a line"),
         (several && args.size.sizes.is_some(), for_one("--sizes")),
         (several && args.shape.creases.is_some(), for_one("--creases")),
-        (several && args.picture.wanted(), for_one("--picture")),
+        (several && args.picture.picture.is_some(), for_one("--picture")),
         (several && reads_standard, "- is the standard input; it goes with no other input".to_owned()),
         (
             args.say.json && output.as_ref().is_some_and(is_standard),
@@ -117,7 +117,7 @@ fn check_files(args: &RemeshArgs, tasks: &[Task]) -> Result<()> {
     let inputs = paths(|task| &task.input);
     files::check_apart(named(), outputs())?;
     let kept: Vec<&Path> = inputs.chain(outputs()).chain(named()).collect();
-    files::check_apart(kept.into_iter(), [report.as_deref(), picture.path()].into_iter().flatten())?;
+    files::check_apart(kept.into_iter(), [report.as_deref(), picture.picture.as_deref()].into_iter().flatten())?;
     tasks.iter().try_for_each(|task| check_others(task, tasks))
 }
 

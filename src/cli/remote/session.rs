@@ -31,11 +31,12 @@ pub(crate) struct Session<'a> {
 
 /// Does `work` with a server, and tries again after a lost connection.
 pub(crate) fn session<R>(args: &ServerArgs, work: impl AsyncFnOnce(&mut Session<'_>) -> Result<R>) -> Result<R> {
-    let server = &args.server()?;
+    let server = &args.at.server()?;
     super::block_on(async {
         let patience = Patience::with(0);
         let link = Some(Link::open(server, patience).await?);
-        let mut session = Session { server, patience, link, again: Again::within(args.retry()) };
+        let mut session =
+            Session { server, patience, link, again: Again::within(Duration::from_secs_f64(args.retry_s)) };
         work(&mut session).await
     })
 }

@@ -22,8 +22,8 @@ use super::body::{Arriving, Coding, coding, length, whole};
 use super::guard::Whose;
 use super::options::Asked;
 use super::problem::{Answered, wrong};
-use crate::service::{Caller, Desk, EmptyUpload, RequestError, Share, check_owned, keep, timely};
-use jobs::blob::{BlobError, BlobInfo, BlobStore, Chunk, Digest, Owner, UploadId};
+use crate::service::{Caller, Desk, EmptyUpload, RequestError, Share, check_owned, timely};
+use jobs::blob::{BlobError, BlobInfo, BlobStore, Chunk, Digest, Owner, UploadId, put_of};
 
 /// Bytes of an upload that are stored at once.
 const PIECE: usize = 1 << 20;
@@ -68,7 +68,7 @@ pub(super) async fn store(
     body: Body,
 ) -> Result<(BlobInfo, Bytes), RequestError> {
     let (bytes, _share): (Bytes, Share) = whole(desk, headers, body).await?;
-    let info = keep(&*desk.blobs, &client.tenant, client.bytes, bytes.clone()).await?;
+    let info = put_of(&*desk.blobs, &client.tenant, client.bytes, bytes.clone()).await?;
     Ok((info, bytes))
 }
 

@@ -250,11 +250,6 @@ fn connections(wanted: usize) -> usize {
     wanted.min(soft.saturating_sub(in_use() + RESERVE)).max(1)
 }
 
-/// Whether accepting failed since the process, or the system, has no descriptor left.
-fn exhausted(error: &io::Error) -> bool {
-    out_of_descriptors(error)
-}
-
 fn in_use() -> usize {
     std::fs::read_dir("/dev/fd").map_or(IN_USE_IF_UNKNOWN, Iterator::count)
 }
@@ -271,13 +266,13 @@ fn soft_limit() -> Option<usize> {
 }
 
 #[cfg(unix)]
-fn out_of_descriptors(error: &io::Error) -> bool {
+fn exhausted(error: &io::Error) -> bool {
     use rustix::io::Errno;
     Errno::from_io_error(error).is_some_and(|errno| errno == Errno::MFILE || errno == Errno::NFILE)
 }
 
 #[cfg(not(unix))]
-fn out_of_descriptors(_error: &io::Error) -> bool {
+fn exhausted(_error: &io::Error) -> bool {
     false
 }
 

@@ -18,7 +18,7 @@ use super::stream::Gate;
 use crate::config::Limits;
 use crate::metrics::Metrics;
 use jobs::JobError;
-use jobs::blob::{BlobError, BlobInfo, BlobStore, Digest, Owner, UploadId, UploadStatus, put_of};
+use jobs::blob::{BlobError, BlobStore, Digest, Owner, UploadId, UploadStatus};
 use jobs::executor::api::{JobApi, JobApiError};
 use jobs::record::event::{Event, What};
 use jobs::record::{JobId, Spec};
@@ -122,16 +122,6 @@ pub(crate) async fn check_owned(store: &dyn BlobStore, owner: Owner, digest: Dig
         true => Ok(()),
         false => Err(BlobError::NotFound { digest }.into()),
     }
-}
-
-/// Keeps bytes as a blob of a tenant that may have `most` bytes.
-pub(crate) async fn keep(
-    store: &dyn BlobStore,
-    tenant: &str,
-    most: Option<u64>,
-    bytes: bytes::Bytes,
-) -> Result<BlobInfo, RequestError> {
-    Ok(put_of(store, tenant, most, bytes).await?)
 }
 
 /// Takes an upload away that has no bytes when its stream ends, however that ends: it would hold room for nothing.
