@@ -1,6 +1,6 @@
 //! `tessera load`: puts a server under load and measures how it answers.
 //!
-//! Purpose: options to a schedule, and what came of it to a table, JSON, a picture and an exit code.
+//! Purpose: the options of a load, and what came of it to a table, JSON, a picture and an exit code.
 //! Invariant: what cannot be written or asked for is refused before the first call. A report is given however the run ends.
 //! Must not know: what is in a call (`calls`), when it is made (`clients`).
 

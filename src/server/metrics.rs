@@ -354,6 +354,7 @@ impl Observer for Metrics {
     }
 }
 
+/// The usual `process_` metrics of Prometheus, read anew for each answer. A figure that the system does not give is 0.
 struct Process {
     resident: Gauge,
     descriptors: Gauge,
@@ -421,6 +422,8 @@ pub(crate) fn status_name(number: usize) -> &'static str {
     CODES.get(number).copied().unwrap_or("UNKNOWN")
 }
 
+/// Calls from their arrival to their end. Every call is counted once, with its last status; a method that is not served is
+/// `_OTHER`, as OpenTelemetry calls it.
 pub(crate) struct Calls {
     metrics: Metrics,
     methods: HashSet<&'static str>,

@@ -1,7 +1,7 @@
 //! The options of a server, as the command line has them.
 //!
 //! Purpose: [`ServeArgs`], the one struct that describes every option: its name, its variable, its default and its help. The
-//! file (`file`) and the printed form (`show`) follow from it.
+//! file (`file`) and the printed form (`options`) follow from it.
 //! Invariant: parsers here check single values; `check` checks their combinations.
 //! Must not know: the use of values.
 

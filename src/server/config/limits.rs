@@ -1,6 +1,6 @@
-//! Limits of a request, of a connection, and of all together.
+//! Limits of a request, of a connection, and of all together; and the options of connections.
 //!
-//! Invariant: the defaults equal those of the command line; a test compares them.
+//! Invariant: every limit of the transport that a stranger can meet is an option with a safe default. The defaults equal those of the command line; a test compares them.
 //! Must not know: how limits are enforced.
 
 use std::time::Duration;

@@ -1,9 +1,9 @@
-//! The options of a server as data: names and types of values.
+//! The options of a server as data: names, types of values, and the configuration as a file.
 //!
 //! Purpose: rules for all options (keys of the file, printing, tests) use this, so that an option is described once, in
-//! `args`.
-//! Invariant: nothing here names an option.
-//! Must not know: values.
+//! `args`. [`print`] writes a configuration that can be read back and gives the same; an option without a value is a comment.
+//! Invariant: nothing here names an option. No secret is printed, since secrets are given by file.
+//! Must not know: the use of values.
 
 use std::any::TypeId;
 use std::fmt::Write;

@@ -184,7 +184,8 @@ pub(super) async fn send(
     Ok((status, answer, Body::from_stream(bytes)).into_response())
 }
 
-/// The range that is wanted of `total` bytes.
+/// The range that is wanted of `total` bytes. Of several ranges, and of what is no range, all bytes are given, as the RFC
+/// allows (RFC 9110, sections 13 and 14).
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) enum Wanted {
     All,

@@ -316,7 +316,7 @@ const STEPS: HeaderName = HeaderName::from_static("tessera-steps");
 /// Whether the job has ended: there will be no more.
 const ENDED: HeaderName = HeaderName::from_static("tessera-ended");
 
-/// `GET /v1/jobs/{id}/seeds`.
+/// `GET /v1/jobs/{id}/seeds`: the newest seeds, after more steps than the caller has seen; steps between may be left out.
 pub(super) async fn seeds(
     State(desk): State<Desk>,
     Extension(client): Whose,

@@ -1,8 +1,7 @@
 //! Jobs between messages and records.
 //!
-//! Purpose: [`job`] has jobs, events and lists; here are their enums and times. A specification needs no conversion: records
-//! keep the message.
-//! Invariant: an unknown enum value is an error with the path of the field, never a default.
+//! Purpose: jobs, events and lists with their enums and times. A specification needs no conversion: records keep the message.
+//! Invariant: a job is answered with its specification as it was given, without tenant, holder and version. An unknown enum value is an error with the path of the field, never a default.
 //! Must not know: whether a specification makes sense (`jobs::record`), streams, status codes.
 
 #[cfg(test)]

@@ -156,6 +156,7 @@ impl Drop for Pass {
     }
 }
 
+/// The answer to a call with a key: keeps the call's place until it has left, and ends it, with a status, if the key does.
 pub(super) struct Held {
     body: Body,
     ended: Pin<Box<dyn Future<Output = ()> + Send>>,

@@ -3,7 +3,7 @@
 //! Purpose: [`Tls`] holds the configuration of new handshakes, and [`Tls::follow`] reloads its files.
 //! Invariant: the configuration in use is complete and consistent. If the files are invalid, incomplete or out of date, the
 //! old one stays in use, and the log says so once. Open connections keep their configuration.
-//! Must not know: connections.
+//! One provider of cryptography: ring. Must not know: connections.
 
 use std::io;
 use std::path::{Path, PathBuf};
