@@ -10,12 +10,8 @@ mod cvt;
 mod fig3;
 mod fig4;
 mod measure;
-mod output;
-mod published;
 mod rvd;
-mod spread;
 mod table1;
-mod worker;
 
 use anyhow::Result;
 use clap::{Args, Subcommand};
@@ -44,7 +40,6 @@ enum What {
     Fig4(fig4::Fig4Args),
 }
 
-/// Runs it.
 pub(crate) fn run(args: &BenchArgs) -> Result<()> {
     match &args.what {
         What::Rvd(args) => rvd::run(args),

@@ -48,15 +48,14 @@ enum BlobsCommand {
     },
 }
 
-/// Runs it.
 pub(crate) fn run(args: &BlobsArgs) -> Result<()> {
     let server = &args.server;
     // Before a file is read.
-    server.url()?;
+    server.at.url()?;
     match &args.command {
         BlobsCommand::Put { file } => {
             let source = Source::open(file)?;
-            let (digest, size) = (source.digest().to_owned(), source.size());
+            let (digest, size) = (source.digest.clone(), source.size);
             let progress = transfer(Some(file), server, "upload");
             let sent = session(server, async |session| session.upload(&[source], &progress).await);
             drop(progress);

@@ -29,14 +29,12 @@ pub(crate) struct ManArgs {
     out_dir: Option<PathBuf>,
 }
 
-/// Prints the script of a shell.
 pub(crate) fn completions(args: &CompletionsArgs, mut command: clap::Command) -> Result<()> {
     let mut script = Vec::new();
     clap_complete::generate(args.shell, &mut command, "tessera", &mut script);
     Ok(say::line(format_args!("{}", String::from_utf8_lossy(&script).trim_end()))?)
 }
 
-/// Prints or writes pages of the manual.
 pub(crate) fn man(args: &ManArgs, command: clap::Command) -> Result<()> {
     let Some(folder) = &args.out_dir else {
         let mut page = Vec::new();

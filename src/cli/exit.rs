@@ -99,9 +99,7 @@ kinds! {
 #[derive(Debug, thiserror::Error)]
 #[error("cannot read {}: {cause}", path.display())]
 pub(crate) struct NoInput {
-    /// The file.
     pub(crate) path: PathBuf,
-    /// Cause, as the system says it.
     pub(crate) cause: std::io::Error,
 }
 
@@ -109,9 +107,7 @@ pub(crate) struct NoInput {
 #[derive(Debug, thiserror::Error)]
 #[error("cannot write {}: there is no folder {}; make it first", path.display(), folder.display())]
 pub(crate) struct NoFolder {
-    /// The file.
     pub(crate) path: PathBuf,
-    /// The folder.
     pub(crate) folder: PathBuf,
 }
 

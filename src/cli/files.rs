@@ -1,7 +1,8 @@
-//! Files of the command line: surfaces, points, reports.
+//! Files of the command line: surfaces, points, lists that go by the vertices of the input (`--sizes`, `--creases`), reports.
 //!
 //! Invariant: numbers are written so that reading gives the same bits. A file appears under its name only when it is
 //! whole, and replaces only then what was there. `-` is the standard input or output, where a command takes it for a surface.
+//! Errors of a list name the file and the line. Must not know: what lists are for.
 
 use std::fmt;
 use std::fs::{File, OpenOptions};
@@ -15,6 +16,7 @@ use tempfile::{NamedTempFile, TempPath};
 
 use super::exit::{BadInput, NoFolder, NoInput, NotWritten, Usage};
 use geometry::mesh::attributes::Attributes;
+use geometry::mesh::io::lists::{FileVertices, NO_NUMBERS};
 use geometry::mesh::io::{DataError, FileError, Format};
 use geometry::mesh::{TriMesh, io};
 use geometry::token::Token;
@@ -32,7 +34,6 @@ impl Surface {
         Self { path: path.to_owned(), format }
     }
 
-    /// Whether it is the standard input or output.
     pub(crate) fn is_standard(&self) -> bool {
         self.path.as_os_str() == "-"
     }
@@ -53,7 +54,6 @@ impl Surface {
         }
     }
 
-    /// All bytes of a file or of the standard input.
     pub(crate) fn bytes(&self) -> Result<Vec<u8>> {
         let mut bytes = Vec::new();
         let read = match self.is_standard() {
@@ -63,14 +63,12 @@ impl Surface {
         Ok(read.map_err(|cause| NoInput { path: self.path.clone(), cause })?)
     }
 
-    /// Reads the surface alone.
     pub(crate) fn read_mesh(&self) -> Result<TriMesh> {
         let format = self.format(INPUT_FORMAT)?;
         let bytes = self.bytes()?;
         Ok(io::decode(format, &bytes).map_err(|cause| self.refused(&cause))?)
     }
 
-    /// Reads the surface and what it carries.
     pub(crate) fn read_loaded(&self) -> Result<Loaded> {
         let format = self.format(INPUT_FORMAT)?;
         let bytes = self.bytes()?;
@@ -136,7 +134,6 @@ pub(crate) fn format() -> impl TypedValueParser<Value = Format> {
         .try_map(|name| Format::from_extension(&name).ok_or("is no format"))
 }
 
-/// Reads a surface from a file.
 pub(crate) fn read_mesh(path: &Path) -> Result<TriMesh> {
     io::read(path).map_err(unread)
 }
@@ -155,7 +152,6 @@ fn unread(error: FileError) -> anyhow::Error {
     }
 }
 
-/// Reads a file of text.
 pub(crate) fn read_text(path: &Path) -> Result<String> {
     let bytes = std::fs::read(path).map_err(|cause| NoInput { path: path.to_owned(), cause })?;
     Ok(String::from_utf8(bytes).map_err(|_| BadInput(format!("{}: this is no text in UTF-8", path.display())))?)
@@ -191,7 +187,6 @@ fn is_stream(path: &Path) -> bool {
     path.starts_with("/dev") || path.starts_with("/proc") || std::fs::metadata(path).is_ok_and(|meta| !meta.is_file())
 }
 
-/// Where a file is.
 fn folder_of(path: &Path) -> &Path {
     path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."))
 }
@@ -212,7 +207,6 @@ pub(crate) fn check_apart<'a>(
     Ok(())
 }
 
-/// Whether two names are of one file.
 pub(crate) fn same(a: &Path, b: &Path) -> bool {
     place(a).is_some_and(|a| Some(a) == place(b))
 }
@@ -239,7 +233,6 @@ pub(crate) fn write_points(path: &Path, points: &[DVec3]) -> Result<()> {
     })
 }
 
-/// Writes a report.
 pub(crate) fn write_json(path: &Path, report: &impl serde::Serialize) -> Result<()> {
     write(path, |out| {
         serde_json::to_writer_pretty(&mut *out, report)?;
@@ -263,7 +256,6 @@ pub(crate) struct Output {
 }
 
 impl Output {
-    /// What will be `path`.
     pub(crate) fn begin(path: &Path) -> Result<Self> {
         let open = || match is_stream(path) {
             true => Ok((OpenOptions::new().write(true).open(path)?, None)),
@@ -273,12 +265,10 @@ impl Output {
         Ok(Self { path: path.to_owned(), body: BufWriter::new(file), temporary })
     }
 
-    /// The next bytes.
     pub(crate) fn add(&mut self, bytes: &[u8]) -> Result<()> {
         Ok(self.body.write_all(bytes).map_err(|error| unwritten(&self.path, &error))?)
     }
 
-    /// It is whole.
     pub(crate) fn finish(self) -> Result<()> {
         let Self { path, mut body, temporary } = self;
         let end = || {
@@ -313,9 +303,52 @@ pub(crate) fn keep(temporary: TempPath, path: &Path) -> std::io::Result<()> {
     Ok(temporary.persist(path.canonicalize().unwrap_or_else(|_| path.to_owned()))?)
 }
 
+/// Refuses a file whose vertices have no numbers, for which `option` has a list.
+pub(crate) fn check_numbered(input: &Surface, option: &str) -> Result<()> {
+    if input.is_standard() {
+        return Err(Usage(format!("{option}: needs a file; the standard input can be read only once")).into());
+    }
+    match FileVertices::are_numbered(input.format(INPUT_FORMAT)?) {
+        true => Ok(()),
+        false => Err(Usage(format!("{option}: {input}: {NO_NUMBERS}")).into()),
+    }
+}
+
+/// Reads one number a line from `path`, for the vertices of the file `input`, which was read as `mesh`. Empty
+/// lines and lines that begin with `#` are left out.
+pub(crate) fn read_lengths(path: &Path, input: &Surface, mesh: &TriMesh) -> Result<Vec<f64>> {
+    list(path, input, mesh, |vertices, text| vertices.lengths(text, &Token::default()))
+}
+
+/// Reads two vertices of the file `input` a line from `path`, numbered from 0: edges of `mesh`, which was read from it.
+/// Empty lines and lines that begin with `#` are left out.
+pub(crate) fn read_edges(path: &Path, input: &Surface, mesh: &TriMesh) -> Result<Vec<[u32; 2]>> {
+    list(path, input, mesh, |vertices, text| vertices.edges(text, mesh.facets().len(), &Token::default()))
+}
+
+fn list<T>(
+    path: &Path,
+    input: &Surface,
+    mesh: &TriMesh,
+    read: impl FnOnce(&FileVertices, &str) -> Result<T, DataError>,
+) -> Result<T> {
+    let text = read_text(path)?;
+    let format = input.format(INPUT_FORMAT)?;
+    let bytes = match FileVertices::needs_bytes(format) {
+        true => input.bytes()?,
+        false => Vec::new(),
+    };
+    let vertices = FileVertices::of(format, &bytes, mesh);
+    let vertices = vertices.map_err(|error| BadInput(format!("{input}: {error}")))?;
+    Ok(read(&vertices, &text).map_err(|error| BadInput(format!("{}: {error}", path.display())))?)
+}
+
 #[cfg(test)]
 mod tests {
+    use glam::DVec3;
+
     use super::*;
+    use geometry::mesh::io;
 
     #[test]
     fn points_come_back_bit_for_bit() {
@@ -332,5 +365,69 @@ mod tests {
         let path = folder.path().join("points.xyz");
         std::fs::write(&path, "0 0 0\n# fine\n1 2 nan\n").unwrap();
         assert!(read_points(&path).unwrap_err().to_string().contains("line 3"));
+    }
+
+    #[test]
+    fn lengths_follow_the_vertices_of_an_obj() {
+        let folder = tempfile::tempdir().unwrap();
+        let (input, path) = (folder.path().join("a.obj"), folder.path().join("sizes.txt"));
+        let obj = "v 9 9 9\nv 0 0 0 # first\nv 1 0 0\nv 1 1 0\nv 0 1 0\nvt 0 0\nf 4/1 \\\n 5/1 2/1\nf -4 -3 -2/1\n";
+        std::fs::write(&input, obj).unwrap();
+        std::fs::write(&path, "# a length each\n0.9\n0.1\n\n0.2\n0.3\n0.4\n").unwrap();
+        let mesh = io::read(&input).unwrap();
+        let sizes = read_lengths(&path, &Surface::new(&input, None), &mesh).unwrap();
+        let want = |p: &DVec3| 0.1 + 0.1 * if p.y == 0.0 { p.x } else { 3.0 - p.x };
+        assert_eq!(sizes.len(), 4, "the vertex that no face uses is left out");
+        for (p, h) in mesh.positions().iter().zip(&sizes) {
+            assert!((h - want(p)).abs() < 1e-12, "{p}: {h}");
+        }
+        // A homogeneous coordinate moves vertices, and changes no number.
+        std::fs::write(&input, obj.replace("v 1 1 0", "v 2 2 0 2")).unwrap();
+        let divided = io::read(&input).unwrap();
+        assert_eq!(divided.positions(), mesh.positions());
+        assert_eq!(read_lengths(&path, &Surface::new(&input, None), &divided).unwrap(), sizes);
+    }
+
+    #[test]
+    fn a_bad_line_and_a_wrong_count_are_named() {
+        let folder = tempfile::tempdir().unwrap();
+        let (input, path) = (folder.path().join("a.off"), folder.path().join("sizes.txt"));
+        std::fs::write(&input, "OFF 3 1 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n").unwrap();
+        let mesh = io::read(&input).unwrap();
+        std::fs::write(&path, "1\n2\n3\n").unwrap();
+        assert_eq!(read_lengths(&path, &Surface::new(&input, None), &mesh).unwrap(), [1.0, 2.0, 3.0]);
+        std::fs::write(&path, "1\n2\n-3\n").unwrap();
+        assert!(read_lengths(&path, &Surface::new(&input, None), &mesh).unwrap_err().to_string().contains("line 3"));
+        std::fs::write(&path, "1\n2\n").unwrap();
+        assert!(
+            read_lengths(&path, &Surface::new(&input, None), &mesh).unwrap_err().to_string().contains("3 vertices")
+        );
+        assert!(check_numbered(&Surface::new(Path::new("a.stl"), None), "--sizes").is_err());
+    }
+
+    #[test]
+    fn edges_follow_the_vertices_of_a_file() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("creases.txt");
+        std::fs::write(&path, "# from 0\n1 2\n\n 4 1\n").unwrap();
+        let files = [
+            ("a.obj", "v 9 9 9\nv 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nf 4 5 2\nf 2 3 4\n"),
+            ("a.off", "OFF 5 2 0\n9 9 9\n0 0 0\n1 0 0\n1 1 0\n0 1 0\n3 3 4 1\n3 1 2 3\n"),
+        ];
+        for (name, text) in files {
+            let input = folder.path().join(name);
+            std::fs::write(&input, text).unwrap();
+            let mesh = io::read(&input).unwrap();
+            let at = |v: u32| mesh.positions()[v as usize];
+            let edges = read_edges(&path, &Surface::new(&input, None), &mesh).unwrap();
+            let ends: Vec<[DVec3; 2]> = edges.iter().map(|e| e.map(at)).collect();
+            assert_eq!(ends, [[DVec3::ZERO, DVec3::X], [DVec3::Y, DVec3::ZERO]], "{name}");
+            for bad in ["1 2\n1\n", "1 2\n1 2 3\n", "1 2\n-1 2\n", "1 2\n1 5\n", "1 2\n1 x\n"] {
+                let path = folder.path().join("bad.txt");
+                std::fs::write(&path, bad).unwrap();
+                let error = read_edges(&path, &Surface::new(&input, None), &mesh).unwrap_err().to_string();
+                assert!(error.contains("line 2"), "{name}, {bad:?}: {error}");
+            }
+        }
     }
 }

@@ -15,13 +15,13 @@ use crate::exit::Usage;
 use wire::fields::Fields;
 use wire::proto;
 
-/// Texts of options, by their ids.
 pub(crate) type Texts = BTreeMap<String, String>;
 
 #[derive(Debug)]
 pub(crate) struct Given<A> {
     options: A,
-    set: Texts,
+    /// Those that are set.
+    pub(crate) set: Texts,
 }
 
 /// The options of a remesh that are set. Files of lists are no options of the message.
@@ -41,11 +41,6 @@ impl<A> Given<A> {
     /// `value`, if the option `id` is set. Ids are the names of fields.
     pub(crate) fn given<T>(&self, id: &str, value: T) -> Option<T> {
         self.set.contains_key(id).then_some(value)
-    }
-
-    /// All that are set.
-    pub(crate) fn texts(&self) -> &Texts {
-        &self.set
     }
 }
 

@@ -8,7 +8,7 @@ use anyhow::{Context, Result};
 use clap::Args;
 use serde_json::{Value, json};
 
-use super::remote::status::info;
+use super::remote::info;
 use super::say;
 use super::server::ServerArgs;
 use wire::proto::{BackendState, GetServerInfoResponse, RequestLimits};
@@ -23,9 +23,8 @@ pub(crate) struct InfoArgs {
     server: ServerArgs,
 }
 
-/// Runs it.
 pub(crate) fn run(args: &InfoArgs) -> Result<()> {
-    let (server, limit) = (args.server.server()?, Duration::from_secs_f64(args.timeout_s));
+    let (server, limit) = (args.server.at.server()?, Duration::from_secs_f64(args.timeout_s));
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().context("no runtime")?;
     let told = runtime.block_on(info(&server, limit))?;
     match args.server.json {
@@ -83,7 +82,6 @@ fn seconds(time: Option<prost_types::Duration>) -> Option<f64> {
     time.map(|time| time.seconds as f64 + f64::from(time.nanos) * 1e-9)
 }
 
-/// All of it, under the names of the interface.
 pub(crate) fn as_json(told: &GetServerInfoResponse) -> Value {
     let backend = |state: &BackendState| {
         json!({

@@ -206,11 +206,10 @@ fn labels(all: &[(String, String)]) -> Result<std::collections::HashMap<String, 
     }
 }
 
-/// Runs it.
 pub(crate) fn run(args: &JobsArgs) -> Result<()> {
     let server = &args.server;
     // Before a file is read.
-    server.url()?;
+    server.at.url()?;
     match &args.command {
         JobsCommand::Submit { work: SubmitWork::Remesh { work, how } } => submit(|| work.asked(), how, server),
         JobsCommand::Submit { work: SubmitWork::Rvd { work, how } } => submit(|| work.asked(), how, server),

@@ -36,7 +36,6 @@ enum JournalCommand {
     Repair,
 }
 
-/// Runs it.
 pub(crate) fn run(args: &JournalArgs) -> Result<()> {
     let folder = data_dir(args.data_dir.as_ref())?;
     // The database's code may panic on a page of noise. It is caught and reported as a fault, without its trace.

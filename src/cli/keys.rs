@@ -83,7 +83,6 @@ fn weight(text: &str) -> Result<f64, String> {
     weight.ok_or_else(|| "a number from 0.01 to 100 is needed".to_owned())
 }
 
-/// Runs it.
 pub(crate) fn run(args: &KeysArgs) -> Result<()> {
     let file = KeyFile::in_folder(data_dir(args.data_dir.as_ref())?);
     match &args.command {

@@ -12,19 +12,12 @@ mod say;
 pub(crate) mod backends;
 mod bench;
 mod blobs;
-mod cell_file;
 mod completions;
 mod config;
-#[cfg(test)]
-mod defaults;
-mod diagram;
-pub(crate) mod doctor;
-mod endpoint;
 mod exit;
 mod files;
 mod given;
 mod health;
-mod http_get;
 mod info;
 mod interrupt;
 mod jobs;
@@ -33,25 +26,23 @@ mod keys;
 mod load;
 mod measure;
 mod picture;
-mod plain;
 mod progress;
 mod remesh;
 mod remote;
 mod rvd;
 mod serve;
 mod server;
-mod settings;
 pub(crate) mod shape;
-mod sizes;
 mod source;
 mod surroundings;
-mod trust;
+#[cfg(test)]
+mod tests;
 
 use std::process::ExitCode;
 
 use clap::{ArgAction, Parser, Subcommand};
 
-use self::settings::Given;
+use self::config::Given;
 pub use ::server::config::ServeArgs;
 use ::telemetry::{self, LogFormat};
 
@@ -107,7 +98,7 @@ enum Command {
     /// Write a procedural surface.
     Shape(shape::ShapeArgs),
     /// Say what this machine has and what would be used.
-    Doctor(doctor::DoctorArgs),
+    Doctor(backends::DoctorArgs),
     /// Print a script that completes words of this program in a shell.
     Completions(completions::CompletionsArgs),
     /// Print the page of the manual, or write those of all commands.
@@ -122,7 +113,7 @@ pub fn main() -> ExitCode {
 fn run() -> u8 {
     execute().map_or_else(
         |error| {
-            errln!("tessera: {}", plain::lines(&format!("{error:#}")));
+            errln!("tessera: {}", say::plain_lines(&format!("{error:#}")));
             exit::code(&error)
         },
         |()| 0,
@@ -131,7 +122,7 @@ fn run() -> u8 {
 
 fn execute() -> anyhow::Result<()> {
     let line: Vec<_> = std::env::args_os().collect();
-    let Given { cli, options } = settings::parse(&line)?;
+    let Given { cli, options } = config::parse(&line)?;
     let (filter, traces) = match &cli.command {
         Command::Serve(args) => ("info", args.check().and_then(|_| args.watching.traces())?),
         _ => ("warn", None),
@@ -152,16 +143,8 @@ fn execute() -> anyhow::Result<()> {
         Command::Bench(args) => bench::run(args),
         Command::Measure(args) => measure::run(args),
         Command::Shape(args) => shape::run(args),
-        Command::Doctor(args) => doctor::run(args),
-        Command::Completions(args) => completions::completions(args, settings::command()),
-        Command::Man(args) => completions::man(args, settings::command()),
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    #[test]
-    fn the_command_line_is_consistent() {
-        super::settings::command().debug_assert();
+        Command::Doctor(args) => backends::run(args),
+        Command::Completions(args) => completions::completions(args, config::command()),
+        Command::Man(args) => completions::man(args, config::command()),
     }
 }

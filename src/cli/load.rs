@@ -1,6 +1,6 @@
 //! `tessera load`: puts a server under load and measures how it answers.
 //!
-//! Purpose: options to a schedule, and what came of it to a table, JSON, a picture and an exit code.
+//! Purpose: the options of a load, and what came of it to a table, JSON, a picture and an exit code.
 //! Invariant: what cannot be written or asked for is refused before the first call. A report is given however the run ends.
 //! Must not know: what is in a call (`calls`), when it is made (`clients`).
 
@@ -10,13 +10,8 @@ mod clients;
 mod compare;
 mod measure;
 mod meshes;
-mod plan;
-mod plot;
 mod report;
-mod scrape;
-mod tally;
 mod thresholds;
-mod view;
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -29,17 +24,15 @@ use serde_json::{Value, json};
 use tokio::sync::watch;
 
 use self::amounts::{Kind, Mix, Points, Sizes};
-use self::calls::{Caller, Settings, delete_blob, put};
-use self::clients::{Doors, Looping, Ran, Schedule};
-use self::compare::Comparison;
+use self::calls::{Caller, delete_blob, put};
+use self::clients::{Doors, Ran};
+use self::compare::{Comparison, Samples};
 use self::measure::Measure;
 use self::meshes::{Source, Surface};
-use self::report::QUANTILES;
-use self::scrape::Samples;
+use self::report::{QUANTILES, View};
 use self::thresholds::Threshold;
-use self::view::View;
 use super::exit::{self, Crossed, Unavailable, Usage};
-use super::remote::{Door, Line, Windows, choice, status};
+use super::remote::{self, Door, Line, Windows};
 use super::server::{CallArgs, Server, Tenant};
 use super::{files, info, interrupt};
 use geometry::mesh::shapes::Shape;
@@ -50,7 +43,7 @@ pub(crate) use server::config::{BackendArg, count};
 use wire::proto::GetServerInfoResponse;
 
 /// `tessera load`'s options.
-#[derive(Args, Debug)]
+#[derive(Args, Clone, Debug)]
 #[command(group(ArgGroup::new("loop").required(true).args(["clients", "rate"])))]
 pub(crate) struct LoadArgs {
     /// Closed loop: number of clients, each of which calls again once it has its answer.
@@ -126,7 +119,7 @@ pub(crate) struct LoadArgs {
     keep: bool,
 
     /// The server's metrics, e.g. http://127.0.0.1:9090/metrics: its counts are compared with those here.
-    #[arg(long, value_name = "URL", value_parser = scrape::metrics_url, help_heading = "Results")]
+    #[arg(long, value_name = "URL", value_parser = compare::metrics_url, help_heading = "Results")]
     metrics: Option<Uri>,
     /// Exit code 79 if this holds, e.g. p99>2s, errors>0, refused>1%, rate<5, dropped>0; may be given several times.
     #[arg(long = "fail-if", value_name = "EXPR", value_delimiter = ',', help_heading = "Results")]
@@ -189,7 +182,6 @@ fn length(text: &str) -> Result<Duration, String> {
     span(text).ok().filter(|length| *length >= Duration::from_millis(100)).ok_or_else(wrong)
 }
 
-/// Runs it.
 pub(crate) fn run(args: &LoadArgs) -> Result<()> {
     args.check()?;
     let server = args.at.server()?;
@@ -219,22 +211,10 @@ impl LoadArgs {
         files::check_apart(self.mesh.iter().map(PathBuf::as_path), outputs)
     }
 
-    fn schedule(&self) -> Schedule {
-        let looping = match (self.clients, self.rate) {
-            (_, Some(rate)) => Looping::Open { rate, max_in_flight: self.max_in_flight },
-            (clients, None) => Looping::Closed { clients: clients.unwrap_or(1) },
-        };
-        Schedule {
-            looping,
-            mix: self.mix.clone(),
-            cancel: self.cancel / 100.0,
-            ramp: self.ramp_s,
-            warm_up: self.warm_up_s,
-            duration: self.duration_s,
-            seed: self.seed,
-            slow_readers: self.slow_readers,
-            slow_rate: self.slow_rate.into(),
-        }
+    /// When measuring begins and ends, since the run began.
+    fn window(&self) -> std::ops::Range<Duration> {
+        let begin = self.ramp_s + self.warm_up_s;
+        begin..begin + self.duration_s
     }
 
     /// The tenants that calls are of; one that the server takes us for is none.
@@ -274,37 +254,29 @@ impl LoadArgs {
     async fn load(&self, server: &Server, surfaces: Vec<Surface>) -> Result<Done> {
         let signals = interrupt::signals().context("cannot listen for signals")?;
         let doors = self.doors(server).await?;
-        let info = match status::info(server, Duration::from_secs(10)).await {
+        let info = match remote::info(server, Duration::from_secs(10)).await {
             Ok(info) => Some(info),
             // An older server, or one whose key may not ask.
             Err(error) if exit::code(&error) != exit::code(&Unavailable(String::new()).into()) => None,
             Err(error) => return Err(error),
         };
         let before = match &self.metrics {
-            Some(url) => Some(scrape::settled(url).await?),
+            Some(url) => Some(compare::settled(url).await?),
             None => None,
         };
         let (stop, stopped) = watch::channel(false);
-        let settings = Settings {
-            lloyd: self.lloyd,
-            newton: self.newton,
-            backend: choice(self.backend),
-            limit: self.timeout_s,
-            uploads: self.upload == UploadArg::Each,
-        };
+        let args = Arc::new(self.clone());
         let facets: Vec<u64> = surfaces.iter().map(|surface| surface.facets).collect();
-        let caller = Arc::new(Caller::new(settings, surfaces, name(), stopped));
-        let schedule = self.schedule();
-        let uploaded = self.upload(&caller, &doors, &schedule.mix).await?;
-        let view = View::new(schedule.window().end, self.quiet);
+        let caller = Arc::new(Caller::new(Arc::clone(&args), surfaces, name(), stopped));
+        let uploaded = self.upload(&caller, &doors).await?;
+        let view = View::new(self.window().end, self.quiet);
         // Kept until the end: without the sender a run cannot be stopped.
         let stopper = tokio::spawn(async move {
             let _ = signals.await;
             let _ = stop.send(true);
             std::future::pending::<()>().await;
         });
-        let Ran { measure, mut left, stopped } =
-            clients::run(Arc::clone(&caller), doors, schedule, self.keep, view).await;
+        let Ran { measure, mut left, stopped } = clients::run(Arc::clone(&caller), doors, args, view).await;
         for (door, digest) in uploaded.iter().filter(|_| !self.keep) {
             left += u64::from(!delete_blob(&caller.tally, door, digest).await);
         }
@@ -317,16 +289,16 @@ impl LoadArgs {
     }
 
     /// Uploads the files of jobs, if all jobs share them; those that were not there.
-    async fn upload(&self, caller: &Caller, doors: &Doors, mix: &Mix) -> Result<Vec<(Door, String)>> {
+    async fn upload(&self, caller: &Caller, doors: &Doors) -> Result<Vec<(Door, String)>> {
         let mut uploaded = Vec::new();
-        if self.upload == UploadArg::Each || !mix.parts().any(|(kind, _)| kind.is_job()) {
+        if self.upload == UploadArg::Each || !self.mix.parts().any(|(kind, _)| kind.is_job()) {
             return Ok(uploaded);
         }
         for door in doors.usual.iter().take(self.tenants as usize) {
             for surface in caller.surfaces.iter() {
-                let stored = put(&caller.tally, door, &surface.digest, surface.file(), self.timeout_s).await;
+                let stored = put(&caller.tally, door, &surface.digest, surface.file.clone(), self.timeout_s).await;
                 let is_new = stored.map_err(|status| {
-                    let said = super::plain::plain(status.message());
+                    let said = super::say::plain(status.message());
                     Unavailable(format!("the surfaces cannot be uploaded; the server says: {said}"))
                 })?;
                 if is_new {
@@ -361,7 +333,6 @@ impl LoadArgs {
     }
 }
 
-/// What is known once a load is over.
 struct Done {
     measure: Measure,
     comparison: Option<Comparison>,
@@ -389,7 +360,7 @@ impl Done {
             files::write_json(path, &all)?;
         }
         if let Some(path) = &args.plot {
-            let figure = plot::figure(args.title(), &self.measure);
+            let figure = report::figure(args.title(), &self.measure);
             figure.write(Size::new(1600, 600)?, path).with_context(|| format!("cannot draw {}", path.display()))?;
         }
         if !args.quiet {
@@ -410,7 +381,6 @@ impl Done {
         }
     }
 
-    /// A figure of a threshold.
     fn figure(&self, name: &str) -> Option<f64> {
         let (measure, counts) = (&self.measure, &self.measure.counts);
         let count = match name {
@@ -435,7 +405,7 @@ impl Done {
         let Some(info) = &self.info else { return server.url.to_string() };
         let usual = info.backends.iter().find(|backend| backend.is_default);
         let backend = usual.map(|b| format!(", {}, {} threads", b.name, b.threads)).unwrap_or_default();
-        super::plain::plain(&format!("{}, version {}{backend}", server.url, info.version))
+        super::say::plain(&format!("{}, version {}{backend}", server.url, info.version))
     }
 
     fn surfaces(&self, args: &LoadArgs) -> String {
@@ -458,7 +428,7 @@ async fn compare(url: &Uri, before: &Samples, caller: &Caller) -> Result<Compari
     let methods = caller.tally.methods();
     let mut looks = 0;
     loop {
-        let comparison = Comparison::of(&methods, before, &scrape::read(url).await?);
+        let comparison = Comparison::of(&methods, before, &compare::read(url).await?);
         let (equal, whole) = (comparison.mismatches() == 0, comparison.is_whole());
         looks += 1;
         if (equal && (whole || looks >= LOOKS.1)) || looks >= LOOKS.0 {

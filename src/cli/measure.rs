@@ -35,7 +35,6 @@ pub(crate) struct MeasureArgs {
     pub(crate) say: SayArgs,
 }
 
-/// What is printed as JSON.
 #[derive(Serialize)]
 struct Measured {
     original: Surface,
@@ -65,7 +64,6 @@ impl Surface {
         }
     }
 
-    /// A line or two for people.
     fn tell(&self, what: &str) -> Result<(), NotWritten> {
         let Self { file, vertices, facets, topology, .. } = self;
         let Topology { euler, components, boundary_loops, non_manifold_edges, non_manifold_vertices, .. } = topology;
@@ -79,7 +77,6 @@ impl Surface {
     }
 }
 
-/// Measures and prints.
 pub(crate) fn run(args: &MeasureArgs) -> Result<()> {
     let token = Token::default();
     interrupt::cancel_on_signal(&token).context("cannot listen for signals")?;

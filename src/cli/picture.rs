@@ -3,7 +3,7 @@
 //! Purpose: options to a view, a remesh or pieces to faces and lines. Invariant: a wrong option is
 //! refused before any work. Must not know: how a picture is drawn.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use anyhow::{Context, Result};
 use clap::{Args, ValueEnum};
@@ -15,7 +15,7 @@ use geometry::mesh::TriMesh;
 use geometry::mesh::closest_point::ClosestPoint;
 use geometry::rvd::PieceBatch;
 use geometry::rvd::cells::facet_edge;
-use picture::{Canvas, Face, Image, PLAIN, Paint, Pens, Size, View, ViewDirection};
+use picture::{Canvas, Face, PLAIN, Paint, Pens, Size, View, ViewDirection};
 use picture::{distinct, draw_mesh, shading_normals, spacing};
 
 /// The options of a picture.
@@ -23,7 +23,7 @@ use picture::{distinct, draw_mesh, shading_normals, spacing};
 pub(crate) struct PictureArgs {
     /// Draw the result there, as a PNG; needs no display.
     #[arg(long, value_name = "FILE.png")]
-    picture: Option<PathBuf>,
+    pub(crate) picture: Option<PathBuf>,
     /// Pixels of the picture.
     #[arg(long, value_name = "WIDTHxHEIGHT", default_value = "1600x1200", value_parser = size, requires = "picture")]
     picture_size: Size,
@@ -65,16 +65,6 @@ fn direction(text: &str) -> Result<DVec3, String> {
 }
 
 impl PictureArgs {
-    /// Where it goes.
-    pub(crate) fn path(&self) -> Option<&Path> {
-        self.picture.as_deref()
-    }
-
-    /// Whether one is wanted.
-    pub(crate) fn wanted(&self) -> bool {
-        self.picture.is_some()
-    }
-
     /// Refuses a name that does not end in .png and a folder that is not there.
     pub(crate) fn check(&self) -> Result<()> {
         self.picture.iter().try_for_each(|path| files::check_output(path, &["png"]))
@@ -98,7 +88,7 @@ impl PictureArgs {
             Some(Colour::Cell) => Paint::Cell,
         };
         let lines: Vec<[DVec3; 2]> = curves.iter().map(|e| e.map(|v| mesh.positions()[v as usize])).collect();
-        write(path, &draw_mesh(mesh, self.view_of(mesh)?, paint, &lines))
+        Ok(draw_mesh(mesh, self.view_of(mesh)?, paint, &lines).write(path)?)
     }
 
     /// Begins the picture of a diagram of `seeds` seeds, if that is wanted.
@@ -158,12 +148,8 @@ impl CellPicture {
         if let Some(surface) = &self.dots {
             seeds.iter().for_each(|&seed| self.canvas.dot(surface.project(seed).position));
         }
-        write(&self.path, &self.canvas.finish(&self.pens))
+        Ok(self.canvas.finish(&self.pens).write(&self.path)?)
     }
-}
-
-fn write(path: &Path, image: &Image) -> Result<()> {
-    Ok(image.write(path)?)
 }
 
 #[cfg(test)]

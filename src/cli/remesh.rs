@@ -1,7 +1,9 @@
-//! `tessera remesh`.
+//! `tessera remesh`: of one file, or of many in one run.
+//!
+//! Invariant: of many files, one that fails stops no other. Each has one line, on the standard output if it was remeshed, else on
+//! the standard error stream; the exit code is that of the first failure. Must not know: how a remesh is made.
 
 pub(super) mod args;
-mod batch;
 mod summary;
 mod tasks;
 
@@ -9,15 +11,17 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use anyhow::{Context, Result};
-use serde_json::Value;
+pub(crate) use args::{DensityArg, RemeshArgs};
+use serde_json::{Value, json};
+use summary::Told;
+use tasks::Task;
 
-use super::endpoint::ServerUrl;
+use super::exit::{self, NotWritten};
 use super::files::Loaded;
 use super::progress::{Plan, Progress};
 use super::remote::RemeshDone;
-use super::server::Server;
+use super::server::{Server, ServerUrl};
 use super::{backends, files, interrupt, remote, say};
-pub(crate) use args::{DensityArg, RemeshArgs};
 use geometry::cvt::density::{DensityOptions, DensitySource};
 use geometry::mesh::TriMesh;
 use geometry::remesh::report::to_json;
@@ -25,25 +29,19 @@ use geometry::remesh::{RemeshOptions, Seeds, remesh};
 use geometry::rvd::Backend;
 use geometry::token::Token;
 use jobs::memory;
-use summary::Told;
-use tasks::Task;
 use wire::proto;
 
-/// Runs it.
 pub(crate) fn run(args: &RemeshArgs) -> Result<()> {
     let tasks = tasks::of(args)?;
     let worker = Worker::new(args)?;
     backends::on_threads(&args.backend, || match tasks.as_slice() {
         [task] => alone(args, task, worker),
-        tasks => batch::run(args, tasks, worker),
+        tasks => all(args, tasks, worker),
     })
 }
 
-/// Where the work is done.
 struct Worker {
-    /// The server that does it.
     server: Option<Server>,
-    /// Cancels the work that is done here.
     token: Token,
     /// Opened once it is needed, and kept for the files that follow.
     backend: Option<Arc<dyn Backend>>,
@@ -80,7 +78,6 @@ impl Worker {
     }
 }
 
-/// A file that was remeshed.
 struct Remeshed {
     report: Value,
     /// What the format of the output cannot hold.
@@ -88,7 +85,6 @@ struct Remeshed {
     total_ms: f64,
 }
 
-/// Remeshes one file.
 fn alone(args: &RemeshArgs, task: &Task, mut worker: Worker) -> Result<()> {
     let mut progress = Progress::begin(task.input.path(), args.say.quiet);
     let done = one(args, task, &mut worker, &mut progress, true)?;
@@ -160,4 +156,82 @@ fn points(mesh: &TriMesh, options: &RemeshOptions) -> usize {
 
 fn ms(since: Instant) -> f64 {
     since.elapsed().as_secs_f64() * 1e3
+}
+
+/// Remeshes them, one after the other: each has all threads.
+///
+/// # Errors
+/// The first failure, after all were tried; a signal or an output that cannot be written, at once.
+fn all(args: &RemeshArgs, tasks: &[Task], mut worker: Worker) -> Result<()> {
+    worker.listen()?;
+    let sizes: Vec<u64> = tasks.iter().map(size).collect();
+    let total = sizes.iter().sum::<u64>() as f64;
+    let mut progress = Progress::begin(std::path::Path::new("batch"), args.say.quiet);
+    let (mut failed, mut first, mut before) = (0, None, 0);
+    for (k, (task, bytes)) in tasks.iter().zip(sizes).enumerate() {
+        let span = (before as f64 / total, (before + bytes) as f64 / total);
+        progress.next(&format!("{} of {}, {}", k + 1, tasks.len(), task.input), span);
+        before += bytes;
+        worker.token.check()?;
+        match one(args, task, &mut worker, &mut progress, false) {
+            Ok(done) => told(args, task, &done, &progress)?,
+            Err(error) => {
+                let code = exit::code(&error);
+                if code == interrupt::CODE {
+                    return Err(error);
+                }
+                failed += 1;
+                progress.note(&format!("tessera: {}: {}", task.input, say::plain_lines(&format!("{error:#}"))));
+                if args.say.json {
+                    let line =
+                        json!({ "input": task.input.to_string(), "error": format!("{error:#}"), "exit_code": code });
+                    progress.aside(|| say::json_line(&line))?;
+                }
+                first.get_or_insert(error);
+            }
+        }
+    }
+    drop(progress);
+    let count = tasks.len();
+    if args.say.summary() {
+        outln!("{} of {count} files remeshed", count - failed)?;
+    }
+    first.map_or(Ok(()), |error| Err(error.context(format!("{failed} of {count} files failed, the first"))))
+}
+
+/// Bytes of an input, for the bar; a file that is not there has few.
+fn size(task: &Task) -> u64 {
+    std::fs::metadata(task.input.path()).map_or(1, |meta| meta.len().max(1))
+}
+
+fn told(args: &RemeshArgs, task: &Task, done: &Remeshed, progress: &Progress) -> Result<(), NotWritten> {
+    done.left_out.iter().for_each(|note| progress.note(note));
+    if args.say.json {
+        let mut line = json!({ "input": task.input.to_string(), "output": task.output.to_string() });
+        line["report"] = done.report.clone();
+        progress.aside(|| say::json_line(&line))?;
+    }
+    if args.say.summary() {
+        progress.aside(|| outln!("{}", summary(task, done)))?;
+    }
+    Ok(())
+}
+
+fn summary(task: &Task, done: &Remeshed) -> String {
+    let at = |pointer: &str| done.report.pointer(pointer).unwrap_or(&Value::Null);
+    let count = |pointer: &str| at(pointer).as_u64().unwrap_or(0);
+    let mut line = format!(
+        "{} -> {}: {} vertices, {} facets",
+        task.input,
+        task.output,
+        count("/result/vertices"),
+        count("/result/facets")
+    );
+    if let Some(angle) = at("/result/theta_min_deg").as_f64() {
+        line += &format!(", angle min {angle:.2}°");
+    }
+    if let Some(distance) = at("/result/hausdorff_percent").as_f64() {
+        line += &format!(", Hausdorff {distance:.4} %");
+    }
+    line + &format!(", {:.0} ms", done.total_ms)
 }

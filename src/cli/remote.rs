@@ -5,73 +5,63 @@
 //! Invariant: what is received is checked (`wire::arrays`), then against the request and against itself (`checks`), before
 //! it is used. Must not know: the server (`service`).
 
-mod again;
 mod blobs;
 mod checks;
 mod faults;
 mod jobs;
 mod link;
 mod session;
-pub(crate) mod status;
-mod tls;
 
 use std::future::Future;
 use std::sync::atomic::Ordering;
 
 use anyhow::{Context, Result};
-
-use super::diagram::{RvdResult, Sink, Wants};
-use super::interrupt;
-use super::plain::plain;
-use super::progress::Progress;
-use super::server::Server;
 use checks::{Expected, Pieces};
 pub(crate) use faults::is_lost;
 use faults::wrong;
+use glam::DVec3;
+pub(crate) use link::{Door, Line, Windows};
+use link::{Link, Patience, Sent};
+use serde_json::Value;
+pub(crate) use session::{Session, health, info, session, watch_health};
+
+use super::interrupt;
+use super::progress::Progress;
+use super::say::plain;
+use super::server::Server;
 use geometry::cvt::density::DensitySource;
 use geometry::mesh::TriMesh;
 use geometry::mesh::attributes::Attributes;
 use geometry::remesh::{RemeshOptions, Seeds};
-use geometry::rvd::RvdError;
+use geometry::rvd::{PieceBatch, RvdError};
 use geometry::token::Stopped;
 pub(crate) use jobs::{has_ended, is_id};
-pub(crate) use link::{Door, Line, Windows};
-use link::{Link, Patience, Sent};
 pub(crate) use server::config::BackendArg;
-pub(crate) use session::{Session, session};
 use wire::arrays::Arrays;
-use wire::attributes;
 use wire::cells::batch;
 use wire::chunks::{facet_chunks, index_chunks, number_chunks, point_chunks};
 use wire::counts::{MeshCounts, mesh_header};
 use wire::proto::remesh_service_client::RemeshServiceClient;
-use wire::proto::{self, ArrayKind, Chunk};
+use wire::proto::{ArrayKind, Chunk};
+use wire::{attributes, proto};
 
-/// A remesh to ask for.
 pub(crate) struct RemeshJob<'a> {
-    /// The surface.
     pub(crate) mesh: &'a TriMesh,
     /// What to do, as the server is asked.
     pub(crate) message: &'a proto::RemeshOptions,
     /// The same with the arrays.
     pub(crate) options: &'a RemeshOptions,
-    /// The backend to use.
     pub(crate) backend: BackendArg,
 }
 
-/// What came back.
 pub(crate) struct RemeshDone {
-    /// The remesh.
     pub(crate) mesh: TriMesh,
     /// Its edges on creases and boundaries that were kept.
     pub(crate) curve_edges: Vec<[u32; 2]>,
-    /// The server's report.
     pub(crate) report: serde_json::Value,
-    /// What the remesh carries.
     pub(crate) attributes: Option<Attributes>,
 }
 
-/// Has `job` done at `server`.
 pub(crate) fn remesh(server: &Server, job: &RemeshJob<'_>, progress: &Progress) -> Result<RemeshDone> {
     use proto::remesh_request::Message as Ask;
     use proto::remesh_response::Message as Answer;
@@ -131,7 +121,6 @@ pub(crate) fn remesh(server: &Server, job: &RemeshJob<'_>, progress: &Progress) 
     })
 }
 
-/// The remesh that was sent.
 fn result(arrays: &Arrays, expected: &Expected, done: &proto::RemeshDone) -> Result<RemeshDone> {
     let positions = arrays.points(ArrayKind::Positions).map_err(wrong)?;
     let facets = arrays.facets(ArrayKind::Facets).map_err(wrong)?;
@@ -144,15 +133,10 @@ fn result(arrays: &Arrays, expected: &Expected, done: &proto::RemeshDone) -> Res
     Ok(RemeshDone { mesh, curve_edges, report, attributes })
 }
 
-/// A diagram to ask for.
 pub(crate) struct RvdJob<'a> {
-    /// The surface.
     pub(crate) mesh: &'a TriMesh,
-    /// The seeds.
     pub(crate) seeds: Seeds,
-    /// What is to come back.
     pub(crate) wants: Wants,
-    /// The backend to use.
     pub(crate) backend: BackendArg,
 }
 
@@ -242,7 +226,6 @@ fn block_on<R>(work: impl Future<Output = Result<R>>) -> Result<R> {
     })
 }
 
-/// Messages, counted as they leave.
 fn counted<T: Send + 'static>(
     messages: Vec<T>,
     progress: &Progress,
@@ -255,12 +238,10 @@ fn counted<T: Send + 'static>(
     })
 }
 
-/// A stage's name, as it is shown.
 fn stage(name: &str) -> String {
     plain(name).chars().take(32).collect()
 }
 
-/// The job was taken in.
 fn waiting(progress: &Progress, accepted: &proto::Accepted) {
     progress.stage("queued", 0, 0);
     if accepted.queue_position > 0 {
@@ -307,4 +288,21 @@ fn attributes_of(arrays: &Arrays, mesh: &TriMesh, headers: &[proto::AttributeHea
     let all = announced.into_iter().zip(0u32..).map(|(counts, place)| arrays.attribute(counts, place));
     let all = all.collect::<Result<Vec<_>, _>>()?;
     Ok(Some(attributes::collect(mesh, all).context(broken)?))
+}
+
+/// Takes each batch of pieces as it comes, caller's coordinates.
+pub(crate) type Sink<'a> = &'a mut dyn FnMut(&PieceBatch) -> Result<()>;
+
+/// What is to be computed.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Wants {
+    pub(crate) cells: bool,
+    pub(crate) centroids: bool,
+}
+
+/// What came out, wherever it was computed.
+pub(crate) struct RvdResult {
+    /// One a seed; empty if not wanted.
+    pub(crate) centroids: Vec<DVec3>,
+    pub(crate) report: Value,
 }

@@ -1,6 +1,9 @@
 //! `tessera rvd`.
 
-use std::path::PathBuf;
+use std::fs::File;
+use std::io;
+use std::io::BufWriter;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Instant;
 
@@ -8,26 +11,26 @@ use anyhow::{Context, Result};
 use clap::{ArgGroup, Args};
 use glam::DVec3;
 use serde_json::Value;
+use tempfile::NamedTempFile;
 
-use super::cell_file::CellFile;
-use super::diagram::{RvdResult, Sink, Wants};
 use super::exit::{NotWritten, Usage};
 use super::picture::PictureArgs;
 use super::progress::{Plan, Progress};
-use super::say::{self, SayArgs};
+use super::remote::{RvdResult, Sink, Wants};
+use super::say::SayArgs;
 use super::server::EndpointArgs;
-use super::{backends, files, interrupt, remote};
+use super::{backends, files, interrupt, remote, say};
 use geometry::cvt::density::DensityOptions;
 use geometry::mesh::TriMesh;
 use geometry::mesh::io::Format;
 use geometry::remesh::Seeds;
 use geometry::remesh::report::to_json;
 use geometry::rvd::PieceBatch;
+use geometry::rvd::cells::CellWriter;
 use geometry::token::Token;
-use jobs::BackendInfo;
 use jobs::executor::diagram::Diagram;
 use jobs::executor::prepared::{Input, Prepared};
-use jobs::memory;
+use jobs::{BackendInfo, memory};
 use server::config::{BackendArgs, count, whole};
 
 /// `tessera rvd`'s options.
@@ -88,7 +91,6 @@ struct FileArgs {
 }
 
 impl RvdArgs {
-    /// The seeds that the arguments name.
     pub(super) fn seeds(&self) -> Result<Seeds> {
         let SeedArgs { seeds, points, seed } = &self.seeds;
         Ok(match seeds {
@@ -98,7 +100,6 @@ impl RvdArgs {
     }
 }
 
-/// Runs it.
 pub(crate) fn run(args: &RvdArgs) -> Result<()> {
     check(args)?;
     backends::on_threads(&args.backend, || work(args))
@@ -113,7 +114,7 @@ fn work(args: &RvdArgs) -> Result<()> {
     let read_ms = ms(start);
     let FileArgs { output, centroids, report } = &args.files;
     // Without any file the sums give the figures.
-    let pieces = output.is_some() || args.picture.wanted();
+    let pieces = output.is_some() || args.picture.picture.is_some();
     let wants = Wants { cells: pieces, centroids: centroids.is_some() || !pieces };
     let mut cells = output.as_deref().map(CellFile::create).transpose()?;
     let (count, given) = match &seeds {
@@ -163,13 +164,12 @@ fn work(args: &RvdArgs) -> Result<()> {
     Ok(())
 }
 
-/// Refuses what cannot be, before any work.
 fn check(args: &RvdArgs) -> Result<()> {
     let FileArgs { output, centroids, report } = &args.files;
     args.backend.check()?;
     output.iter().try_for_each(|path| files::check_output(path, &["ply"]))?;
     centroids.iter().chain(report).try_for_each(|path| files::check_output(path, &[]))?;
-    let outputs = [output.as_deref(), centroids.as_deref(), report.as_deref(), args.picture.path()];
+    let outputs = [output.as_deref(), centroids.as_deref(), report.as_deref(), args.picture.picture.as_deref()];
     let inputs = [Some(args.input.as_path()), args.seeds.seeds.as_deref()];
     files::check_apart(inputs.into_iter().flatten(), outputs.into_iter().flatten())?;
     args.picture.check_for_cells()?;
@@ -180,7 +180,6 @@ fn check(args: &RvdArgs) -> Result<()> {
     Ok(())
 }
 
-/// What a person wants to know at the end.
 fn summary(args: &RvdArgs, report: &Value, total_ms: f64) -> Result<(), NotWritten> {
     let rvd = &report["rvd"];
     let at = args.at.endpoint.as_ref().map(|url| format!(" at {url}")).unwrap_or_default();
@@ -204,7 +203,6 @@ fn ms(since: Instant) -> f64 {
     since.elapsed().as_secs_f64() * 1e3
 }
 
-/// The diagram, and its seeds.
 fn here(
     args: &RvdArgs,
     mesh: TriMesh,
@@ -234,4 +232,62 @@ fn here(
     }
     let report = to_json(&diagram.report(&prepared, &BackendInfo::of(backend.as_ref())))?;
     Ok((RvdResult { centroids, report }, Arc::clone(&prepared.seeds)))
+}
+
+pub(crate) struct CellFile {
+    path: PathBuf,
+    writer: CellWriter<BufWriter<NamedTempFile>, File>,
+}
+
+impl CellFile {
+    /// Begins a file that will be `path`.
+    pub(crate) fn create(path: &Path) -> Result<Self> {
+        let begin = || {
+            let vertices = BufWriter::new(files::begin(path)?);
+            let folder = vertices.get_ref().path().parent().unwrap_or(Path::new("."));
+            let polygons = tempfile::tempfile_in(folder)?;
+            CellWriter::new(vertices, polygons)
+        };
+        let writer = begin().map_err(|e| unwritten(path, &e))?;
+        Ok(Self { path: path.to_owned(), writer })
+    }
+
+    pub(crate) fn append(&mut self, cells: &PieceBatch) -> Result<()> {
+        Ok(self.writer.append(cells).map_err(|e| unwritten(&self.path, &e))?)
+    }
+
+    /// Gives the file its name.
+    pub(crate) fn finish(self) -> Result<()> {
+        let Self { path, writer } = self;
+        let finish = || {
+            let file = writer.finish()?.into_inner().map_err(io::IntoInnerError::into_error)?;
+            files::keep(file.into_temp_path(), &path)
+        };
+        Ok(finish().map_err(|e| unwritten(&path, &e))?)
+    }
+}
+
+fn unwritten(path: &Path, error: &io::Error) -> NotWritten {
+    NotWritten(format!("cannot write {}: {error}", path.display()))
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::DVec3;
+
+    use super::*;
+
+    #[test]
+    fn a_file_has_its_name_once_it_is_whole() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("cells.ply");
+        let mut file = CellFile::create(&path).unwrap();
+        let mut batch = PieceBatch::default();
+        batch.push(7, 3, [DVec3::X, DVec3::Y, DVec3::Z].map(|p| (p, 1.0, 0)));
+        file.append(&batch).unwrap();
+        assert!(!path.exists(), "not before it is whole");
+        file.finish().unwrap();
+        let bytes = std::fs::read(&path).unwrap();
+        assert!(bytes.starts_with(b"ply\n") && bytes.len() == 512 + 3 * 24 + 24, "{}", bytes.len());
+    }
 }

@@ -25,15 +25,13 @@ use jobs::memory;
 use jobs::store::StoreError;
 use jobs::{Backends, Ceilings, Engine, EngineOptions, Executor, ExecutorOptions, JobError, LossPolicy, Stores};
 use server::admin::{self, Admin};
-pub(crate) use server::config::{JobCeilings, Limits, OnLoss, SecurityArgs, ServeArgs, ServeConfig};
+pub(crate) use server::config::{OnLoss, SecurityArgs, ServeArgs, ServeConfig};
 use server::http;
 use server::lifecycle::{self, LifeCycle, Step, TooLong};
 use server::metrics::Metrics;
 use server::readiness::{Readiness, Reason};
 use server::service::{self, About, Access, AccessOptions, Door, Jobs, Parts, ServeError, Tls};
-use wire::counts::Bounds;
 
-/// Opens what is kept, and says where that is.
 async fn stores(config: &ServeConfig) -> Result<Stores> {
     let (quota_bytes, reserve_bytes) = (config.blob_bytes, config.disk_reserve_bytes);
     let room = BlobOptions { quota_bytes, reserve_bytes, ..BlobOptions::default() };
@@ -69,7 +67,6 @@ fn access(args: &ServeArgs, config: &ServeConfig) -> Result<Access> {
     }
 }
 
-/// What is kept cannot be used.
 fn unusable(config: &ServeConfig, error: &JobApiError) -> Unavailable {
     match (&config.data_dir, error) {
         // It names the folder, and what to do.
@@ -97,7 +94,6 @@ fn prepare(args: &ServeArgs) -> Result<(ServeConfig, Option<Arc<Tls>>)> {
     Ok((config, tls.map(Arc::new)))
 }
 
-/// Runs it.
 pub(crate) fn run(args: &ServeArgs) -> Result<()> {
     let begin = Instant::now();
     let (config, tls) = prepare(args)?;
@@ -133,10 +129,9 @@ async fn serve(args: &ServeArgs, config: ServeConfig, tls: Option<Arc<Tls>>, met
         warm_up(&backends)?;
         Ok(backends)
     };
-    let JobCeilings { time, memory_bytes, stuck, lost } = config.ceilings;
     // What is left is for everything else, and for what the last look did not see.
     let machine = || memory::machine_memory_bytes().map(|bytes| bytes / 4 * 3);
-    let ceilings = Ceilings { time: Some(time), memory_bytes: memory_bytes.or_else(machine), stuck, lost };
+    let ceilings = Ceilings { memory_bytes: config.ceilings.memory_bytes.or_else(machine), ..config.ceilings };
     let usual = EngineOptions::default();
     let jobs_at_once = config.jobs_at_once.unwrap_or(usual.jobs_at_once);
     let queue_jobs = config.queue_jobs;
@@ -159,14 +154,12 @@ async fn serve(args: &ServeArgs, config: ServeConfig, tls: Option<Arc<Tls>>, met
         _ = &mut signals => return Ok(()),
     };
     let by = engine.backend(BackendChoice::Auto)?;
-    let Limits { max_vertices, max_facets, max_seeds, max_iterations, .. } = config.limits;
-    let bounds = Bounds { max_vertices, max_facets, max_seeds, max_iterations };
     let options = ExecutorOptions {
         waiting_jobs: config.waiting_jobs,
         keep_results: config.keep.0,
         keep_records: config.keep.1,
         max_crashes: config.max_crashes,
-        ..ExecutorOptions::new(bounds)
+        ..ExecutorOptions::new(config.limits.bounds())
     };
     let blobs = Arc::clone(&stores.blobs);
     let executor = life.step(Step::Jobs, Executor::start(engine.clone(), stores, options)).await.map_err(late)?;
@@ -212,7 +205,6 @@ async fn serve(args: &ServeArgs, config: ServeConfig, tls: Option<Arc<Tls>>, met
     served.context("serving")
 }
 
-/// Opens the HTTP listener, if there is one.
 async fn open_door(config: &ServeConfig) -> Result<Option<Door>> {
     if config.http.is_empty() {
         return Ok(None);
@@ -231,7 +223,6 @@ async fn open_door(config: &ServeConfig) -> Result<Option<Door>> {
     Ok(Some(http::door(listener)))
 }
 
-/// Listens to operators, if they are to be.
 async fn open_admin(
     config: &ServeConfig,
     engine: &Engine,

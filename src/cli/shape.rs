@@ -25,7 +25,6 @@ pub(crate) struct ShapeArgs {
     pub format: Option<Format>,
 }
 
-/// Builds the surface and writes it.
 pub(crate) fn run(args: &ShapeArgs) -> anyhow::Result<()> {
     let output = files::Surface::new(&args.output, args.format);
     output.check_output()?;
@@ -37,7 +36,6 @@ pub(crate) fn run(args: &ShapeArgs) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// A number of facets that can be built.
 pub(crate) fn parse_facets(text: &str) -> Result<usize, String> {
     match whole(text) {
         Ok(facets) if (1..=MAX_FACETS).contains(&facets) => Ok(facets),

@@ -15,11 +15,10 @@ use wire::pieces::{Hash, PIECE_BYTES};
 
 #[derive(Debug)]
 pub(crate) struct Source {
-    /// As it was named.
-    path: PathBuf,
-    digest: String,
-    size: u64,
-    /// What a pipe brought.
+    pub(crate) path: PathBuf,
+    /// The SHA-256 of its bytes, as blobs are named.
+    pub(crate) digest: String,
+    pub(crate) size: u64,
     kept: Option<NamedTempFile>,
 }
 
@@ -52,21 +51,6 @@ impl Source {
         Ok(Self { path: path.to_owned(), digest: hash.digest(), size: hash.bytes(), kept })
     }
 
-    /// The SHA-256 of its bytes, as blobs are named.
-    pub(crate) fn digest(&self) -> &str {
-        &self.digest
-    }
-
-    /// How many bytes there are.
-    pub(crate) fn size(&self) -> u64 {
-        self.size
-    }
-
-    /// As it was named.
-    pub(crate) fn path(&self) -> &Path {
-        &self.path
-    }
-
     /// The pieces from byte `offset` on: where each begins, and its bytes. After an error there are no more.
     pub(crate) fn pieces(&self, offset: u64) -> io::Result<Pieces> {
         let mut file = File::open(self.kept.as_ref().map_or(self.path.as_path(), |kept| kept.path()))?;
@@ -75,7 +59,6 @@ impl Source {
     }
 }
 
-/// What is left to be sent.
 #[derive(Debug)]
 pub(crate) struct Pieces {
     file: File,
@@ -117,7 +100,7 @@ mod tests {
         let bytes: Vec<u8> = (0..3 * PIECE_BYTES / 2).map(|i| (i % 251) as u8).collect();
         std::fs::write(&path, &bytes).unwrap();
         let source = Source::open(&path).unwrap();
-        assert_eq!(source.size(), bytes.len() as u64);
+        assert_eq!(source.size, bytes.len() as u64);
         for offset in [0, 5, PIECE_BYTES, bytes.len()] {
             let mut came = Vec::new();
             for piece in source.pieces(offset as u64).unwrap() {

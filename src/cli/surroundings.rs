@@ -19,7 +19,6 @@ pub(crate) fn within(run: impl FnOnce() -> u8) -> std::process::ExitCode {
     }
 }
 
-/// The variable that is missing.
 fn addition(variable: impl Fn(&str) -> Option<OsString>) -> Option<(&'static str, &'static str)> {
     let absolute = |name| variable(name).is_some_and(|path| Path::new(&path).is_absolute());
     let desktop = absolute("XDG_RUNTIME_DIR") || absolute("WAYLAND_DISPLAY") || variable("WAYLAND_SOCKET").is_some();

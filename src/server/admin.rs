@@ -42,20 +42,15 @@ const HEAD_BYTES: usize = 16 << 10;
 /// Between two tries to accept after one failed.
 const PAUSE: Duration = Duration::from_millis(100);
 
-/// Sources of the answers.
 #[derive(Clone)]
 pub struct Admin {
-    /// The counters.
     pub metrics: Metrics,
-    /// Whether the server is ready.
     pub readiness: Readiness,
-    /// Revision of the sources.
     pub revision: Option<&'static str>,
     /// Updates gauges that are read on demand, before each scrape.
     pub look: Arc<dyn Fn() + Send + Sync>,
 }
 
-/// Serves until this is dropped.
 pub async fn serve(listener: TcpListener, admin: Admin) -> Infallible {
     let routes = routes(admin);
     let mut open = JoinSet::new();

@@ -7,26 +7,20 @@
 //! Must not know: the use of a value, any other room.
 mod args;
 mod check;
-mod device;
 mod file;
 mod limits;
 mod options;
-mod origin;
 mod security;
-mod show;
-pub mod sources;
-mod transport;
 mod values;
-mod watching;
+pub use args::OnLoss;
 pub use args::{BackendArg, BackendArgs, ServeArgs};
-pub use check::{JobCeilings, ServeConfig, data_dir};
-pub use device::OnLoss;
+pub use check::{ServeConfig, data_dir};
+pub use file::sources;
 pub use file::{ConfigFile, FileError};
 pub use limits::{Limits, Transport};
+pub use options::print;
 pub use options::{defaults, with_switches};
-pub use origin::sources;
 pub use security::{SecurityArgs, TlsFiles};
-pub use show::print;
 pub use values::{ConfigError, count, period, whole};
 #[cfg(test)]
 mod tests {

@@ -9,14 +9,11 @@ mod blobs;
 mod body;
 mod guard;
 mod jobs;
-mod media;
 mod options;
 #[cfg(feature = "ui")]
 mod page;
 mod problem;
-mod ranges;
 mod remesh;
-mod seeds;
 
 use std::sync::LazyLock;
 
@@ -40,7 +37,7 @@ use geometry::mesh::io::Format;
 /// the schema of messages.
 pub static OPENAPI: LazyLock<String> = LazyLock::new(|| {
     let formats = Format::ALL.map(|format| format!("\"{}\"", format.extension())).join(", ");
-    let types = Format::ALL.map(|format| format!("\"{}\": {{}}", media::media_type(format))).join(", ");
+    let types = Format::ALL.map(|format| format!("\"{}\": {{}}", options::media_type(format))).join(", ");
     let text = include_str!("http/openapi.json").replace("\"$formats\"", &formats);
     let text = text.replace("\"$media_types\": {}", &types);
     // Tests read the file, so that it is JSON.
@@ -80,7 +77,6 @@ const fn route(
     Route { method, path, role, kind, handler }
 }
 
-/// All of them.
 pub const ROUTES: &[Route] = &[
     route("POST", "/v1/remesh", Role::Submit, Kind::Stream, || post(remesh::remesh)),
     route("POST", "/v1/blobs", Role::Submit, Kind::Stream, || post(blobs::upload)),
@@ -93,12 +89,11 @@ pub const ROUTES: &[Route] = &[
     route("DELETE", "/v1/jobs/{id}", Role::Submit, Kind::Call, || delete(jobs::remove)),
     route("POST", "/v1/jobs/{id}/cancel", Role::Submit, Kind::Call, || post(jobs::cancel)),
     route("GET", "/v1/jobs/{id}/events", Role::Read, Kind::Watch, || get(jobs::events)),
-    route("GET", "/v1/jobs/{id}/seeds", Role::Read, Kind::Watch, || get(seeds::seeds)),
+    route("GET", "/v1/jobs/{id}/seeds", Role::Read, Kind::Watch, || get(jobs::seeds)),
     route("GET", "/v1/jobs/{id}/result", Role::Read, Kind::Stream, || get(jobs::result)),
     route("GET", "/v1/openapi.json", Role::Read, Kind::Call, || get(openapi)),
 ];
 
-/// A listener at this address.
 pub fn door(listener: TcpListener) -> Door {
     Door::new(listener, routes)
 }

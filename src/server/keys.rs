@@ -71,10 +71,8 @@ pub struct KeyLimits {
     /// Calls a second, and the size of a burst.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub rate: Option<u32>,
-    /// Calls that are open at once.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub in_flight: Option<u32>,
-    /// Bytes of blobs.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub bytes: Option<u64>,
     /// Its tenant's share of the work beside others; 1 if not given.
@@ -99,13 +97,12 @@ pub struct Key {
     pub id: String,
     /// Name of the owner, and so the tenant.
     pub name: String,
-    /// Role of the key.
     pub role: Role,
     /// Of the secret.
     pub sha256: Hash,
     /// When it was made, seconds since 1970.
     pub created: u64,
-    /// When it ends, seconds since 1970.
+    /// Seconds since 1970.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub expires: Option<u64>,
     /// How much it may have.
@@ -125,12 +122,9 @@ pub fn now() -> u64 {
     SystemTime::UNIX_EPOCH.elapsed().map_or(0, |time| time.as_secs())
 }
 
-/// A key to be made.
 #[derive(Clone, Debug)]
 pub struct NewKey {
-    /// Name of the owner.
     pub name: String,
-    /// Role of the key.
     pub role: Role,
     /// After how long it ends.
     pub lasts: Option<Duration>,
@@ -140,13 +134,11 @@ pub struct NewKey {
     pub is_second: bool,
 }
 
-/// The keys of one server.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct KeySet {
     keys: Vec<Key>,
 }
 
-/// The set as it lies in a file.
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Stored {
@@ -157,54 +149,27 @@ struct Stored {
 /// The version of the file that this program writes and reads.
 const VERSION: u32 = 1;
 
-/// Why keys could not be read or changed.
 #[derive(Debug, thiserror::Error)]
 pub enum KeysError {
-    /// The file has invalid content.
     #[error("{} is damaged: {reason}; put a copy of it in its place, or remove it and make new keys", .path.display())]
-    Damaged {
-        /// Which file.
-        path: std::path::PathBuf,
-        /// The defect.
-        reason: String,
-    },
-    /// The file could not be read or written.
+    Damaged { path: std::path::PathBuf, reason: String },
     #[error("cannot {action} {}: {source}", .path.display())]
-    Io {
-        /// The failed action.
-        action: &'static str,
-        /// Which file.
-        path: std::path::PathBuf,
-        /// Error of the system.
-        source: std::io::Error,
-    },
-    /// The name has a key.
+    Io { action: &'static str, path: std::path::PathBuf, source: std::io::Error },
     #[error("{name} has a key already; revoke it first, or make a second one with --rotate")]
-    Exists {
-        /// Name of the owner.
-        name: String,
-    },
-    /// There is no such key.
+    Exists { name: String },
     #[error("there is no key of {name}; `tessera keys list` shows all")]
     Absent {
         /// The name, or the id.
         name: String,
     },
-    /// It cannot be a name.
     #[error(
         "{name:?} is no name for a key: take a letter and then at most 63 letters, digits, dots, hyphens and underscores"
     )]
-    Name {
-        /// As given.
-        name: String,
-    },
-    /// A limit that nothing could keep.
+    Name { name: String },
     #[error("limits of a key are above 0")]
     Limits,
-    /// There are too many.
     #[error("there are {MOST} keys, as many as may be; revoke unused ones")]
     TooMany,
-    /// The system gives no random numbers.
     #[error("the operating system gives no random numbers: {0}")]
     Random(String),
 }
@@ -216,7 +181,6 @@ pub fn is_name(text: &str) -> bool {
 }
 
 impl KeySet {
-    /// All keys.
     pub fn keys(&self) -> &[Key] {
         &self.keys
     }

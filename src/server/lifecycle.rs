@@ -39,7 +39,6 @@ impl Step {
     }
 }
 
-/// A step did not end in time.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 #[error(
     "the step \"{step}\" of the start did not end within {} s; mend what it waits for, or give it more time with --start-s",
@@ -50,7 +49,6 @@ pub struct TooLong {
     limit: Duration,
 }
 
-/// See the module's head.
 #[derive(Clone, Debug)]
 pub struct LifeCycle {
     metrics: Metrics,

@@ -6,32 +6,31 @@
 //! microsecond and never waits for a scrape. There is no global registry: code that counts is given the value.
 //! Must not know: messages, connections, how anything that is counted is done.
 
-mod calls;
 mod format;
-mod process;
+#[cfg(test)]
+mod tests;
 
+use std::collections::HashSet;
 use std::fmt;
 use std::hash::Hash;
 use std::sync::atomic::{AtomicI64, AtomicU64, Ordering};
-use std::sync::{Arc, OnceLock};
-use std::time::Duration;
+use std::sync::{Arc, Mutex, OnceLock};
+use std::time::{Duration, Instant};
 
+pub use format::Format;
 use prometheus_client::metrics::counter::Counter;
 use prometheus_client::metrics::family::Family;
 use prometheus_client::metrics::gauge::Gauge;
 use prometheus_client::metrics::histogram::Histogram;
 use prometheus_client::metrics::info::Info;
 use prometheus_client::registry::{Metric, Registry, Unit};
-
 use strum::IntoStaticStr;
 
 use crate::readiness::{Condition, Reason};
 use geometry::rvd::BackendKind;
 use jobs::admission::estimate::Kind;
+use jobs::lock;
 use jobs::observe::activity::{JobOutcome, Observer, Origin, Phase};
-
-pub(crate) use calls::{Call, Calls};
-pub use format::Format;
 
 /// Upper bounds for calls, seconds: those that OpenTelemetry advises, and more for work that takes minutes.
 const CALL_SECONDS: [f64; 18] =
@@ -43,15 +42,6 @@ const WORK_SECONDS: [f64; 13] = [0.001, 0.003, 0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 1
 /// Names and values of labels, of fixed lists.
 type Labels<const N: usize> = [(&'static str, &'static str); N];
 type Histograms<L> = Family<L, Histogram, fn() -> Histogram>;
-
-/// Bytes of blobs.
-#[derive(Clone, Copy, Debug, Default)]
-pub struct BlobBytes {
-    /// Whole blobs and uploads under way.
-    pub kept: u64,
-    /// What may be kept.
-    pub limit: u64,
-}
 
 /// See the module's head. Clones share one state.
 #[derive(Clone)]
@@ -82,7 +72,7 @@ struct Inner {
     degraded: Family<Labels<1>, Gauge>,
     probes: Family<Labels<1>, Counter>,
     steps: Family<Labels<1>, Gauge<f64, AtomicU64>>,
-    process: process::Process,
+    process: Process,
 }
 
 impl fmt::Debug for Metrics {
@@ -124,7 +114,7 @@ impl Metrics {
     pub fn new(version: &str, revision: Option<&str>) -> Self {
         let mut registry = Registry::default();
         let (r, s, b) = (&mut registry, || Some(Unit::Seconds), || Some(Unit::Bytes));
-        let process = process::Process::register(r);
+        let process = Process::register(r);
         let build = vec![("version", version.to_owned()), ("revision", revision.unwrap_or("unknown").to_owned())];
         r.register("tessera_build", "The version of this server", Info::new(build));
         let (calls, requests) = (
@@ -181,7 +171,7 @@ impl Metrics {
             let _ = inner.device_bytes.get_or_create(&[("kind", kind)]);
         }
         self.condition(Condition::default());
-        self.blobs(BlobBytes::default());
+        self.blobs(0, 0);
         self.probed(true, 0);
         self.probed(false, 0);
         for reason in [Refused::Queue, Refused::Memory, Refused::Streams, Refused::Draining, Refused::Connections] {
@@ -190,7 +180,7 @@ impl Metrics {
     }
 
     /// Counts calls of these methods by their names, and all others as one.
-    pub fn calls(&self, methods: impl IntoIterator<Item = String>) -> Calls {
+    pub(crate) fn calls(&self, methods: impl IntoIterator<Item = String>) -> Calls {
         Calls::new(self.clone(), methods)
     }
 
@@ -207,7 +197,6 @@ impl Metrics {
         Open(self.0.open_connections.clone())
     }
 
-    /// A call or a connection was refused.
     pub fn refused(&self, reason: Refused) {
         self.refusals(reason, 1);
     }
@@ -216,9 +205,9 @@ impl Metrics {
         self.0.refusals.get_or_create(&[("reason", reason.name())]).inc_by(times);
     }
 
-    /// Bytes of blobs now.
-    pub fn blobs(&self, bytes: BlobBytes) {
-        for (kind, bytes) in [("kept", bytes.kept), ("limit", bytes.limit)] {
+    /// Bytes of blobs now, uploads under way included, and how many may be kept.
+    pub fn blobs(&self, kept: u64, limit: u64) {
+        for (kind, bytes) in [("kept", kept), ("limit", limit)] {
             self.0.blob_bytes.get_or_create(&[("kind", kind)]).set(signed(bytes));
         }
     }
@@ -248,7 +237,6 @@ impl Metrics {
         self.0.steps.get_or_create(&[("step", step)]).set(took.as_secs_f64());
     }
 
-    /// Probes came out well, or not.
     pub fn probed(&self, is_good: bool, times: u64) {
         let outcome = if is_good { "passed" } else { "failed" };
         self.0.probes.get_or_create(&[("outcome", outcome)]).inc_by(times);
@@ -278,17 +266,13 @@ impl Drop for Open {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, IntoStaticStr)]
 #[strum(serialize_all = "snake_case")]
 pub enum Refused {
-    /// The queue is full.
     Queue,
     /// There is no memory for it now, on the host or on the device.
     Memory,
     /// Too many streams, sessions or watches are open.
     Streams,
-    /// The server is shutting down.
     Draining,
-    /// Too many connections are open.
     Connections,
-    /// A message is longer than any may be.
     MessageSize,
     /// It could never be done here.
     TooLarge,
@@ -370,5 +354,125 @@ impl Observer for Metrics {
     }
 }
 
-#[cfg(test)]
-mod tests;
+/// The usual `process_` metrics of Prometheus, read anew for each answer. A figure that the system does not give is 0.
+struct Process {
+    resident: Gauge,
+    descriptors: Gauge,
+    most_descriptors: Gauge,
+    threads: Gauge,
+    start: Gauge<f64, AtomicU64>,
+    cpu: Counter<f64, AtomicU64>,
+}
+
+impl Process {
+    fn register(r: &mut Registry) -> Self {
+        let (seconds, start) = (|| Some(Unit::Seconds), "When the process began, since 1970");
+        Self {
+            resident: add(r, "process_resident_memory", Some(Unit::Bytes), "Resident memory", Gauge::default()),
+            descriptors: plain(r, "process_open_fds", "Open file descriptors"),
+            most_descriptors: plain(r, "process_max_fds", "File descriptors that may be open"),
+            threads: plain(r, "process_threads", "Threads"),
+            start: add(r, "process_start_time", seconds(), start, Gauge::default()),
+            cpu: add(r, "process_cpu", seconds(), "Time of all processors", Counter::default()),
+        }
+    }
+
+    fn look(&self) {
+        #[cfg(target_os = "linux")]
+        {
+            let now = metrics_process::collector::collect();
+            let whole = |number: Option<u64>| number.and_then(|n| i64::try_from(n).ok()).unwrap_or(0);
+            self.resident.set(whole(now.resident_memory_bytes));
+            self.descriptors.set(whole(now.open_fds));
+            self.most_descriptors.set(whole(now.max_fds));
+            self.threads.set(whole(now.threads));
+            self.start.set(now.start_time_seconds.map_or(0.0, |seconds| seconds as f64));
+            let cpu = now.cpu_seconds_total.unwrap_or(0.0);
+            self.cpu.inner().store(cpu.to_bits(), std::sync::atomic::Ordering::Relaxed);
+        }
+    }
+}
+
+const METHOD: &str = "rpc_method";
+
+/// The status of a call that was dropped before it had one.
+const DROPPED: &str = "CANCELLED";
+
+/// The name of a status of gRPC, by its number.
+pub(crate) fn status_name(number: usize) -> &'static str {
+    const CODES: [&str; 17] = [
+        "OK",
+        "CANCELLED",
+        "UNKNOWN",
+        "INVALID_ARGUMENT",
+        "DEADLINE_EXCEEDED",
+        "NOT_FOUND",
+        "ALREADY_EXISTS",
+        "PERMISSION_DENIED",
+        "RESOURCE_EXHAUSTED",
+        "FAILED_PRECONDITION",
+        "ABORTED",
+        "OUT_OF_RANGE",
+        "UNIMPLEMENTED",
+        "INTERNAL",
+        "UNAVAILABLE",
+        "DATA_LOSS",
+        "UNAUTHENTICATED",
+    ];
+    CODES.get(number).copied().unwrap_or("UNKNOWN")
+}
+
+/// Calls from their arrival to their end. Every call is counted once, with its last status; a method that is not served is
+/// `_OTHER`, as OpenTelemetry calls it.
+pub(crate) struct Calls {
+    metrics: Metrics,
+    methods: HashSet<&'static str>,
+}
+
+impl Calls {
+    fn new(metrics: Metrics, methods: impl IntoIterator<Item = String>) -> Self {
+        // Once in a server's life, so that labels need no copies.
+        Self { metrics, methods: methods.into_iter().map(|name| &*name.leak()).collect() }
+    }
+
+    /// A call of `method`, as "package.Service/Method", has come.
+    pub(crate) fn begin(&self, method: &str) -> Call {
+        let method = self.methods.get(method).copied().unwrap_or("_OTHER");
+        self.metrics.0.open_streams.get_or_create(&[(METHOD, method)]).inc();
+        Call { metrics: self.metrics.clone(), method, began: Instant::now(), status: Mutex::new(None) }
+    }
+}
+
+/// A call under way; over when this is dropped.
+pub(crate) struct Call {
+    metrics: Metrics,
+    method: &'static str,
+    began: Instant,
+    status: Mutex<Option<&'static str>>,
+}
+
+impl Call {
+    /// Its method, of the fixed list.
+    pub(crate) fn method(&self) -> &'static str {
+        self.method
+    }
+
+    /// Sets its status, unless it has one.
+    pub(crate) fn end(&self, status: &'static str) {
+        lock(&self.status).get_or_insert(status);
+    }
+
+    /// Its status, if it is over now.
+    pub(crate) fn status(&self) -> &'static str {
+        lock(&self.status).unwrap_or(DROPPED)
+    }
+}
+
+impl Drop for Call {
+    fn drop(&mut self) {
+        let inner = &self.metrics.0;
+        inner.open_streams.get_or_create(&[(METHOD, self.method)]).dec();
+        let labels = [(METHOD, self.method), ("rpc_response_status_code", self.status())];
+        inner.calls.get_or_create(&labels).observe(self.began.elapsed().as_secs_f64());
+    }
+}

@@ -17,7 +17,6 @@ use tokio::sync::watch;
 pub enum Reason {
     /// The first probe has not passed yet.
     Starting,
-    /// The server is shutting down.
     Draining,
     /// The device was lost and is not back.
     DeviceLost,
@@ -25,18 +24,15 @@ pub enum Reason {
     ProbeFailed,
     /// Work goes on although it was asked to stop.
     WorkStuck,
-    /// The journal of jobs can no longer be written.
     JournalBroken,
     /// There is no room for blobs or for the journal.
     DiskFull,
-    /// The store of blobs does not answer.
     StoreAway,
     /// The GPU did not come back after a loss, and the CPU does its work.
     OnCpu,
 }
 
 impl Reason {
-    /// All of them.
     pub const ALL: &[Self] = Self::VARIANTS;
 
     /// Its name in answers and labels.
@@ -69,12 +65,10 @@ impl Condition {
         self.reasons().next().is_none()
     }
 
-    /// Whether this reason is set.
     pub fn has(self, reason: Reason) -> bool {
         self.0 & reason.bit() != 0
     }
 
-    /// Why the server is not ready.
     pub fn reasons(self) -> impl Iterator<Item = Reason> {
         self.all().filter(|reason| !reason.only_degrades())
     }
@@ -109,12 +103,10 @@ impl fmt::Display for Condition {
 pub struct Readiness(Arc<watch::Sender<Condition>>);
 
 impl Readiness {
-    /// With no reason set.
     pub fn new() -> Self {
         Self::default()
     }
 
-    /// Sets a reason, or takes it back.
     pub fn set(&self, reason: Reason, is_set: bool) {
         self.0.send_if_modified(|condition| {
             let next = if is_set { condition.0 | reason.bit() } else { condition.0 & !reason.bit() };
@@ -122,12 +114,10 @@ impl Readiness {
         });
     }
 
-    /// How it is now.
     pub fn condition(&self) -> Condition {
         *self.0.borrow()
     }
 
-    /// Follows it.
     pub fn watch(&self) -> watch::Receiver<Condition> {
         self.0.subscribe()
     }

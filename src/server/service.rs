@@ -5,7 +5,6 @@
 //! a stream that ends in any way gives back its memory and its place. Must not know: how a diagram
 //! is computed, how messages look (`wire`), the command line.
 
-mod about;
 mod access;
 mod budget;
 mod connections;
@@ -14,13 +13,9 @@ mod desk;
 mod fault;
 mod handlers;
 mod health;
-mod methods;
-mod refusal;
 mod status;
 mod stream;
-mod tenant;
 
-use std::fmt;
 use std::future::Future;
 use std::sync::Arc;
 use std::thread::JoinHandle;
@@ -33,7 +28,6 @@ use tokio::task::JoinSet;
 use tonic::codec::CompressionEncoding::{Gzip, Zstd};
 use tonic::service::Routes;
 
-pub use self::about::About;
 use self::access::Guarded;
 pub(crate) use self::access::{Caller, Pass, Refusal};
 pub(crate) use self::budget::{Budget, Share};
@@ -41,11 +35,11 @@ pub(crate) use self::connections::Exchange;
 use self::connections::{Ground, Grpc, Spoken};
 pub use self::connections::{Tls, TlsError};
 pub(crate) use self::convert::job_id;
-pub(crate) use self::desk::{DESK_TIME, Desk, EmptyUpload, check_owned, create, follow, keep, timely, to_the_end};
+pub(crate) use self::desk::{DESK_TIME, Desk, EmptyUpload, check_owned, create, follow, tenant_of, timely, to_the_end};
 pub(crate) use self::fault::{Detail, Fault, Kind as FaultKind};
+pub use self::handlers::info::About;
 use self::health::Told;
 pub(crate) use self::stream::{Gate, Kind};
-pub(crate) use self::tenant::of_headers as tenant_of;
 use crate::config::Limits;
 use crate::lifecycle::{self, Step};
 use crate::metrics::Metrics;
@@ -58,22 +52,16 @@ use wire::{WireError, proto};
 
 pub use self::access::{Access, AccessOptions};
 
-/// Health service name of `RemeshService`.
 pub const SERVICE_NAME: &str = "tessera.v1.RemeshService";
 
-/// Health service name of `BlobService`.
 pub const BLOB_SERVICE_NAME: &str = "tessera.v1.BlobService";
 
-/// Health service name of `JobService`.
 pub const JOB_SERVICE_NAME: &str = "tessera.v1.JobService";
 
-/// Health service name of `ServerService`.
 pub const SERVER_SERVICE_NAME: &str = "tessera.v1.ServerService";
 
 /// What a server is made of.
-#[derive(Debug)]
 pub struct Parts {
-    /// Does the work.
     pub engine: Engine,
     /// The engine's thread, joined at the end.
     pub worker: JoinHandle<()>,
@@ -81,15 +69,12 @@ pub struct Parts {
     pub limits: Limits,
     /// Jobs that outlive their stream; without, neither they nor blobs are served.
     pub jobs: Option<Jobs>,
-    /// The certificates, if TLS is spoken.
     pub tls: Option<Arc<Tls>>,
     /// Keys and roles of callers.
     pub access: Access,
     /// Counts. Give the engine the same.
     pub metrics: Metrics,
-    /// Whether the server can do what it is asked.
     pub readiness: Readiness,
-    /// What it knows of itself.
     pub about: About,
     /// A way in beside gRPC, to the same jobs and blobs.
     pub door: Option<Door>,
@@ -107,51 +92,27 @@ impl Door {
     }
 }
 
-impl fmt::Debug for Door {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_struct("Door").field("listener", &self.listener).finish_non_exhaustive()
-    }
-}
-
 /// What the services of blobs and jobs are made of.
 #[derive(Clone)]
 pub struct Jobs {
-    /// Keeps blobs.
     pub blobs: Arc<dyn BlobStore>,
-    /// Keeps jobs and has them done.
     pub api: Arc<dyn JobApi>,
 }
 
-impl fmt::Debug for Jobs {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_struct("Jobs").field("blobs", &self.blobs).finish_non_exhaustive()
-    }
-}
-
-/// Why a server ended badly.
 #[derive(Debug, thiserror::Error)]
 pub enum ServeError {
-    /// The descriptors are not readable; a fault of the build.
     #[error("the descriptors for reflection are broken: {0}")]
     Reflection(#[from] tonic_reflection::server::Error),
-    /// The engine ended by itself.
     #[error("the engine ended while it was needed; the log may say why")]
     WorkerDied,
-    /// The engine did not end in time.
     #[error("the engine did not end within {} s of the shutdown", .0.as_secs_f64())]
     WorkerStuck(Duration),
-    /// The journal of jobs can no longer be written.
     #[error("the journal of jobs can no longer be written; see that its disk has room and is sound, then start again")]
     Journal,
-    /// The device was lost and could not be opened again.
     #[error("the device was lost and could not be opened again; see to its driver, or give --on-device-loss cpu")]
     DeviceMissing,
-    /// Work went on long after it was told to stop.
     #[error("work in the stage {stage:?} went on long after it was told to stop; only a new process can go on")]
-    WorkStuck {
-        /// What it was at.
-        stage: &'static str,
-    },
+    WorkStuck { stage: &'static str },
 }
 
 /// Why a request is refused or ends badly. `status` makes a status code of it.
@@ -285,7 +246,7 @@ pub async fn run(
     let routes = Guarded::new(access.of(&listener), routes.prepare());
     let closing = watch::Sender::new(CUT_TIME);
     let ground = Ground::new(limits, budget, metrics.clone(), tls);
-    let grpc = Spoken::Grpc(Arc::new(Grpc { routes, calls: metrics.calls(methods::all()) }));
+    let grpc = Spoken::Grpc(Arc::new(Grpc { routes, calls: metrics.calls(access::served()) }));
     let beside = async {
         if let Some((listener, router)) = door {
             let spoken = Spoken::Web(router);
@@ -381,7 +342,6 @@ async fn join(worker: JoinHandle<()>) -> Result<(), ServeError> {
     Ok(())
 }
 
-/// Serves blobs and jobs too.
 fn with_jobs(routes: Routes, Jobs { blobs, api }: Jobs, limits: Limits, budget: &Budget, gate: &Gate) -> Routes {
     let jobs = handlers::jobs::Jobs::new(api, Arc::clone(&blobs), budget.clone(), gate.clone());
     let blobs = handlers::blobs::Blobs::new(blobs, limits, budget.clone(), gate.clone());
@@ -400,7 +360,6 @@ fn with_jobs(routes: Routes, Jobs { blobs, api }: Jobs, limits: Limits, budget: 
     routes.add_service(blobs).add_service(jobs)
 }
 
-/// The services that are served.
 fn names(jobs: bool) -> &'static [&'static str] {
     const NAMES: &[&str] = &[SERVICE_NAME, SERVER_SERVICE_NAME, BLOB_SERVICE_NAME, JOB_SERVICE_NAME];
     if jobs { NAMES } else { &[SERVICE_NAME, SERVER_SERVICE_NAME] }

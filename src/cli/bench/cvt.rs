@@ -10,11 +10,11 @@ use anyhow::Result;
 use clap::Args;
 use serde_json::{Value, json};
 
+use super::args::Worker;
 use super::args::{RunArgs, SeedsArgs, SurfaceArgs};
+use super::args::{head, ratio, report};
+use super::measure::Spread;
 use super::measure::{Load, Timed};
-use super::output::{head, ratio, report};
-use super::spread::Spread;
-use super::worker::Worker;
 use crate::remesh::DensityArg;
 use geometry::cvt::StepKind;
 use geometry::cvt::density::DensityOptions;
@@ -52,10 +52,8 @@ struct Measured {
     all: [Timed; 2],
 }
 
-/// Nothing limits the steps that were asked for.
 const UNLIMITED: Duration = Duration::MAX;
 
-/// Runs it.
 pub(super) fn run(args: &CvtBenchArgs) -> Result<()> {
     let token = args.run.begin()?;
     let mesh = args.surface.mesh()?;
@@ -193,7 +191,6 @@ fn middle(ratios: impl Iterator<Item = Option<f64>>) -> Option<f64> {
     all.filter(|all| !all.is_empty()).map(|all| Spread::of(all.into_iter()).median)
 }
 
-/// The steps of the last round.
 fn figure(measured: &[Measured], worker: &Worker) -> Figure {
     let line = |density: &str, timed: &Timed| Series {
         name: format!("{}, {density}", if timed.kind == StepKind::Lloyd { "Lloyd" } else { "L-BFGS" }),

@@ -10,10 +10,10 @@ use anyhow::Result;
 use clap::Args;
 use serde_json::{Value, json};
 
+use super::args::Worker;
 use super::args::{RunArgs, SurfaceArgs};
+use super::args::{report, slopes};
 use super::measure::Load;
-use super::output::{report, slopes};
-use super::worker::Worker;
 use crate::shape::parse_facets;
 use geometry::cvt::density::DensityOptions;
 use geometry::mesh::TriMesh;
@@ -63,7 +63,6 @@ struct Sweep {
     left_out: Vec<Value>,
 }
 
-/// Runs it.
 pub(super) fn run(args: &Fig3Args) -> Result<()> {
     let token = args.run.begin()?;
     let fixed = args.surface.mesh()?;

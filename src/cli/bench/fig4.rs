@@ -8,9 +8,9 @@ use std::time::Duration;
 use anyhow::Result;
 use clap::Args;
 
+use super::args::report;
 use super::args::{RunArgs, SurfaceArgs};
 use super::measure::Load;
-use super::output::report;
 use geometry::cvt::density::DensityOptions;
 use picture::chart::{Axis, Figure, Panel, Series};
 use server::config::count;
@@ -29,7 +29,6 @@ pub(super) struct Fig4Args {
     run: RunArgs,
 }
 
-/// Runs it.
 pub(super) fn run(args: &Fig4Args) -> Result<()> {
     let token = args.run.begin()?;
     let mesh = args.surface.mesh()?;

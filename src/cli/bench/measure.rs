@@ -10,11 +10,11 @@ use std::time::{Duration, Instant};
 
 use anyhow::Result;
 use glam::DVec3;
+use serde::Serialize;
 use serde_json::{Value, json};
 
 use super::args::RunArgs;
-use super::spread::Spread;
-use super::worker::Worker;
+use super::args::Worker;
 use geometry::cvt::density::DensityOptions;
 use geometry::cvt::{Cvt, CvtOptions, Iteration, StepKind};
 use geometry::mesh::TriMesh;
@@ -29,7 +29,6 @@ const WARM_UP: usize = 2;
 /// Steps that are timed whatever a limit says.
 const FEWEST: usize = 3;
 
-/// A surface and seeds on it.
 pub(super) struct Load {
     pub(super) name: String,
     pub(super) surface: Arc<Surface>,
@@ -140,7 +139,6 @@ impl Load {
     }
 }
 
-/// Steps that were timed.
 pub(super) struct Timed {
     /// As was asked for; a step that failed as such is one of Lloyd's.
     pub(super) kind: StepKind,
@@ -168,7 +166,6 @@ impl Timed {
         })
     }
 
-    /// Times of the steps.
     pub(super) fn step_ms(&self) -> Spread {
         Spread::of(self.steps.iter().map(|s| s.ms))
     }
@@ -178,7 +175,6 @@ impl Timed {
         Spread::of(self.steps.iter().map(|s| s.ms / s.evaluations.max(1) as f64))
     }
 
-    /// Passes of all steps.
     pub(super) fn evaluations(&self) -> usize {
         self.steps.iter().map(|s| s.evaluations).sum()
     }
@@ -202,7 +198,6 @@ impl Timed {
         self.steps.iter().fold(DeviceWork::default(), |most, s| most.with(&s.stats.device, u64::max))
     }
 
-    /// As a case of a report.
     pub(super) fn json(&self, load: &Load, by: &Worker) -> Value {
         let mut case = by.json();
         let phases = self.phases();
@@ -237,5 +232,42 @@ impl Timed {
             case[name] = value;
         }
         case
+    }
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub(super) struct Spread {
+    pub(super) min: f64,
+    pub(super) median: f64,
+    pub(super) max: f64,
+    /// What a step costs, where some make what several use.
+    pub(super) mean: f64,
+}
+
+impl Spread {
+    /// Of these; 0 of none.
+    pub(super) fn of(values: impl Iterator<Item = f64>) -> Self {
+        let mut sorted: Vec<f64> = values.collect();
+        sorted.sort_unstable_by(f64::total_cmp);
+        let at = |k: usize| sorted.get(k).copied().unwrap_or(0.0);
+        let mean = sorted.iter().sum::<f64>() / sorted.len().max(1) as f64;
+        Self { min: at(0), median: at(sorted.len() / 2), max: at(sorted.len().saturating_sub(1)), mean }
+    }
+
+    pub(super) fn row(&self, name: &str) -> String {
+        format!("{name:<22}{:>10.3}{:>10.3}{:>10.3}{:>10.3}", self.min, self.median, self.max, self.mean)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_spread_is_least_middle_and_most() {
+        let of = |values: &[f64]| Spread::of(values.iter().copied());
+        assert_eq!(of(&[3.0, 1.0, 2.0]), Spread { min: 1.0, median: 2.0, max: 3.0, mean: 2.0 });
+        assert_eq!(of(&[5.0]), Spread { min: 5.0, median: 5.0, max: 5.0, mean: 5.0 });
+        assert_eq!(of(&[]), Spread { min: 0.0, median: 0.0, max: 0.0, mean: 0.0 });
     }
 }

@@ -12,11 +12,11 @@ use clap::{Args, ValueEnum};
 use glam::DVec3;
 use serde_json::{Value, json};
 
+use super::args::Worker;
 use super::args::{RunArgs, SeedsArgs, SurfaceArgs};
+use super::args::{head, report};
 use super::measure::Load;
-use super::output::{head, report};
-use super::spread::Spread;
-use super::worker::Worker;
+use super::measure::Spread;
 use geometry::rvd::{Accumulate, CellSums, DeviceWork, PassStats, Session, SessionOptions, Strategy, Surface, Tuning};
 use geometry::token::Token;
 use gpu::diagram::{AccumulationMs, Gpu};
@@ -61,7 +61,6 @@ enum AccumulateArg {
     Auto,
 }
 
-/// Runs it.
 pub(super) fn run(args: &RvdBenchArgs) -> Result<()> {
     let token = args.run.begin()?;
     let mesh = args.surface.mesh()?;

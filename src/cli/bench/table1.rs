@@ -1,21 +1,21 @@
 //! `tessera bench table1`: several models, all backends.
 //!
-//! Purpose: Table 1 of \[HYWZ17\] laid out the same way, beside what was published.
-//! Invariant: all backends of a row begin at the same seeds. Must not know: how a step is taken.
+//! Purpose: Table 1 of \[HYWZ17\] laid out the same way, beside what was published: the file of `--published`.
+//! Invariant: all backends of a row begin at the same seeds; no published figure that is not in the file. Must not know: how a
+//! step is taken.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use anyhow::Result;
 use clap::Args;
+use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
-use super::args::{RunArgs, mesh};
+use super::args::Worker;
+use super::args::{RunArgs, mesh, ratio, report};
 use super::measure::{Load, Timed};
-use super::output::{ratio, report};
-use super::published::Published;
-use super::worker::Worker;
-use crate::exit::Usage;
+use crate::exit::{BadInput, Usage};
 use crate::files;
 use geometry::cvt::density::DensityOptions;
 use geometry::mesh::shapes::Shape;
@@ -57,7 +57,6 @@ const POINTS: u32 = 10_000;
 const COLUMNS: [(&str, &str); 3] = [("gpu", "GPU"), ("serial", "CPU"), ("parallel", "multi-core")];
 const NOT_AT_HAND: &str = "not at hand";
 
-/// A model that is to be measured.
 struct Model<'a> {
     file: Option<&'a PathBuf>,
     shape: Shape,
@@ -65,14 +64,12 @@ struct Model<'a> {
     points: u32,
 }
 
-/// One line of the table.
 struct Row {
     load: Load,
     /// In the order of the workers.
     times: Vec<(&'static str, Timed)>,
 }
 
-/// Runs it.
 pub(super) fn run(args: &Table1Args) -> Result<()> {
     let token = args.run.begin()?;
     let models = models(args)?;
@@ -102,7 +99,6 @@ pub(super) fn run(args: &Table1Args) -> Result<()> {
     args.run.output.write(&report, &figure(&rows, &published))
 }
 
-/// What the options name.
 fn models(args: &Table1Args) -> Result<Vec<Model<'_>>> {
     let pick = |name: &str, given: &[u32], k: usize, models: usize, default: u32| match given.len() {
         0 => Ok(default),
@@ -183,7 +179,7 @@ fn speedups([gpu, serial, parallel]: [Option<f64>; 3]) -> [Option<f64>; 2] {
 }
 
 /// A row of the publication.
-fn said(row: &super::published::Row) -> String {
+fn said(row: &PublishedRow) -> String {
     let [gpu, serial, parallel] = row.times().map(|ms| number(ms, 3));
     let [one, all] = speedups(row.times()).map(|ratio| number(ratio, 2));
     format!("{gpu}, {serial}, {parallel}, {one}, {all}")
@@ -226,4 +222,53 @@ fn figure(rows: &[Row], published: &Published) -> Figure {
         ..Panel::default()
     };
     Figure { title: "Lloyd steps by model and backend".to_owned(), panels: vec![panel] }
+}
+
+/// One row of the table, milliseconds.
+#[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
+struct PublishedRow {
+    /// The model: a file's name without ending, in any case.
+    mesh: String,
+    facets: Option<u64>,
+    points: Option<u64>,
+    gpu_ms: Option<f64>,
+    serial_ms: Option<f64>,
+    parallel_ms: Option<f64>,
+}
+
+impl PublishedRow {
+    /// Times of the GPU, one core and all cores.
+    fn times(&self) -> [Option<f64>; 3] {
+        [self.gpu_ms, self.serial_ms, self.parallel_ms]
+    }
+}
+
+#[derive(Clone, Debug, Default, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Published {
+    #[serde(default)]
+    source: String,
+    rows: Vec<PublishedRow>,
+}
+
+impl Published {
+    fn read(path: &Path) -> Result<Self> {
+        let bad = |text: String| BadInput(format!("{}: {text}", path.display()));
+        let text = files::read_text(path)?;
+        let published: Self = serde_json::from_str(&text).map_err(|e| {
+            bad(format!(
+                "{e}; it should be {{\"source\": \"...\", \"rows\": [{{\"mesh\": \"bunny\", \"gpu_ms\": 1.5, ...}}]}}"
+            ))
+        })?;
+        let times = published.rows.iter().flat_map(PublishedRow::times).flatten();
+        match times.into_iter().find(|ms| !(ms.is_finite() && *ms > 0.0)) {
+            Some(ms) => Err(bad(format!("{ms} is no time; milliseconds are above 0")).into()),
+            None => Ok(published),
+        }
+    }
+
+    fn row(&self, mesh: &str) -> Option<&PublishedRow> {
+        self.rows.iter().find(|row| row.mesh.eq_ignore_ascii_case(mesh))
+    }
 }

@@ -11,9 +11,9 @@ use serde_json::json;
 use super::{id, show};
 use crate::exit::{Absent, NoResult, Unavailable, Usage};
 use crate::files;
-use crate::plain::{plain, plain_json};
 use crate::progress::Progress;
 use crate::remote::{Session, has_ended, session};
+use crate::say::{plain, plain_json};
 use crate::server::ServerArgs;
 use geometry::mesh::io::Format;
 use wire::proto::{Job, job_spec};
@@ -38,7 +38,6 @@ pub(super) struct FetchArgs {
     report: Option<PathBuf>,
 }
 
-/// Runs it.
 pub(super) fn run(args: &FetchArgs, server: &ServerArgs) -> Result<()> {
     let FetchArgs { id, output, name, report } = args;
     output.iter().chain(report).try_for_each(|path| files::check_output(path, &[]))?;
@@ -70,7 +69,6 @@ pub(super) fn run(args: &FetchArgs, server: &ServerArgs) -> Result<()> {
     server.tell(|| told, Vec::new)
 }
 
-/// Refuses a job that has no result.
 fn check(job: &Job) -> Result<()> {
     let id = &job.id;
     if let Some(why) = show::why(job) {
@@ -94,7 +92,6 @@ fn usual(job: &Job) -> &'static str {
     }
 }
 
-/// The digest of a blob of the result.
 fn digest<'a>(job: &'a Job, name: &str) -> Result<&'a str> {
     match job.results.iter().find(|blob| blob.name == name) {
         Some(blob) => match super::spec::digest(&blob.digest) {

@@ -6,7 +6,7 @@
 use prost_types::{Duration, Timestamp};
 use serde_json::{Map, Value, json};
 
-use crate::plain::{plain, plain_json};
+use crate::say::{plain, plain_json};
 use geometry::mesh::io::Format;
 use wire::proto::{
     BackendChoice, EstimateJobResponse, Job, JobEvent, JobFailureKind, JobMesh, JobState, job_event, job_mesh,
@@ -26,7 +26,6 @@ pub(super) fn state(value: i32) -> String {
     word(JobState::try_from(value).ok().map(|state| state.as_str_name()), "JOB_STATE_")
 }
 
-/// What kind of work a job is.
 pub(super) fn kind(job: &Job) -> &'static str {
     match job.spec.as_ref().and_then(|spec| spec.work.as_ref()) {
         Some(job_spec::Work::Remesh(_)) => "remesh",
@@ -84,7 +83,6 @@ fn labels(job: &Job) -> Vec<(&str, &str)> {
     all
 }
 
-/// A job as JSON.
 pub(super) fn json_of(job: &Job) -> Value {
     let spec = job.spec.as_ref();
     let labels: Map<String, Value> = labels(job).into_iter().map(|(k, v)| (k.to_owned(), v.into())).collect();
@@ -139,7 +137,6 @@ pub(super) fn why(job: &Job) -> Option<String> {
     }
 }
 
-/// A job's summary, a line each.
 pub(super) fn lines(job: &Job) -> Vec<String> {
     let mut lines = vec![format!("id        {}", job.id), format!("kind      {}", kind(job))];
     lines.push(match why(job) {
@@ -162,7 +159,6 @@ pub(super) fn lines(job: &Job) -> Vec<String> {
     lines
 }
 
-/// Jobs as a table.
 pub(super) fn table(jobs: &[Job]) -> Vec<String> {
     let head = format!("{:32}  {:9}  {:6}  {:24}  LABELS", "ID", "STATE", "KIND", "CREATED");
     let rows = jobs.iter().map(|job| {
@@ -174,7 +170,6 @@ pub(super) fn table(jobs: &[Job]) -> Vec<String> {
     std::iter::once(head).chain(rows).collect()
 }
 
-/// An event as JSON.
 pub(super) fn json_of_event(event: &JobEvent) -> Value {
     let mut value = json!({ "number": event.number, "at": moment(event.at.as_ref()) });
     let (key, what) = match &event.what {
@@ -199,7 +194,6 @@ pub(super) fn json_of_event(event: &JobEvent) -> Value {
     plain_json(value)
 }
 
-/// An event as a line.
 pub(super) fn line_of_event(event: &JobEvent) -> String {
     let what = match &event.what {
         Some(job_event::What::State(change)) if change.attempt > 1 => {
@@ -221,7 +215,6 @@ pub(super) fn line_of_event(event: &JobEvent) -> String {
     format!("{at:24}  {:>6}  {what}", event.number)
 }
 
-/// An estimate as JSON.
 pub(super) fn json_of_estimate(estimate: &EstimateJobResponse) -> Value {
     json!({
         "fits": estimate.fits,
@@ -233,7 +226,6 @@ pub(super) fn json_of_estimate(estimate: &EstimateJobResponse) -> Value {
     })
 }
 
-/// An estimate, a line each.
 pub(super) fn lines_of_estimate(estimate: &EstimateJobResponse) -> Vec<String> {
     let mib = |bytes: u64| bytes.div_ceil(1 << 20);
     let of = |limit: u64| if limit > 0 { format!(" of {} MiB", mib(limit)) } else { String::new() };

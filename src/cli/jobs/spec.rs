@@ -15,7 +15,7 @@ use crate::given::{self, Given};
 use crate::remesh::args::{ShapeArgs, SizeArgs, StepArgs, usage};
 use crate::rvd::SeedArgs;
 use crate::source::Source;
-use crate::{files, remote, sizes};
+use crate::{files, remote};
 use geometry::mesh::io::Format;
 pub(super) use server::config::BackendArg;
 use wire::counts::Bounds;
@@ -28,7 +28,6 @@ use wire::proto::{
 /// A job that can be sent once its files are uploaded.
 #[derive(Debug)]
 pub(super) struct Asked {
-    /// The message.
     pub(super) spec: JobSpec,
     /// The files that it names by their digests.
     pub(super) sources: Vec<Source>,
@@ -86,14 +85,13 @@ impl InputArgs {
         }
     }
 
-    /// The job without its work.
     fn begin(&self, attributes: Option<bool>) -> Result<Asked> {
         let format = self.format()?;
         let (digest, sources, input) = match &self.input {
             Input::Blob(digest) => (digest.clone(), Vec::new(), None),
             Input::File(path) => {
                 let source = Source::open(path)?;
-                (source.digest().to_owned(), vec![source], Some((path.clone(), format)))
+                (source.digest.clone(), vec![source], Some((path.clone(), format)))
             }
         };
         let file = MeshFile { digest, format: format.number(), attributes };
@@ -133,7 +131,7 @@ impl RemeshWork {
     /// Options that do not go together, or a file that cannot be read.
     pub(super) fn asked(&self) -> Result<Asked> {
         let Self { input, size, shape, steps, .. } = self;
-        let message = given::message([size.texts(), shape.texts(), steps.texts()])?;
+        let message = given::message([&size.set, &shape.set, &steps.set])?;
         let beside = Beside { edge_lengths: size.sizes.is_some(), ..Beside::default() };
         options::remesh(&message, beside, &Bounds::WIDEST).map_err(usage)?;
         if let Input::File(path) = &input.input {
@@ -142,7 +140,7 @@ impl RemeshWork {
             named
                 .iter()
                 .filter(|(file, _)| file.is_some())
-                .try_for_each(|(_, option)| sizes::check_format(&files::Surface::new(path, Some(format)), option))?;
+                .try_for_each(|(_, option)| files::check_numbered(&files::Surface::new(path, Some(format)), option))?;
         }
         let mut asked = input.begin(self.no_attributes.then_some(false))?;
         let mut text = |path: &Option<PathBuf>| path.as_deref().map(|path| text(path, &mut asked.sources)).transpose();
@@ -212,7 +210,7 @@ impl RvdWork {
 /// A file of text that an option names.
 fn text(path: &Path, sources: &mut Vec<Source>) -> Result<ArrayRef> {
     let source = Source::open(path)?;
-    let array = ArrayRef { digest: source.digest().to_owned(), form: ArrayForm::Text.into(), count: 0 };
+    let array = ArrayRef { digest: source.digest.clone(), form: ArrayForm::Text.into(), count: 0 };
     sources.push(source);
     Ok(array)
 }

@@ -17,29 +17,33 @@ use tokio::time::Instant;
 use tonic::{Response, Status, Streaming};
 use tonic_types::StatusExt;
 
+use super::LoadArgs;
+use super::amounts::Item;
 use super::amounts::Kind;
+use super::compare::{Call, Tally, status_name};
 use super::meshes::Surface;
-use super::plan::Item;
-use super::tally::{self, Call, Tally};
-use crate::plain::plain;
-use crate::remote::{Door, is_lost};
+use crate::remote::{Door, choice, is_lost};
+use crate::say::plain;
 use wire::proto::server_service_client::ServerServiceClient;
-use wire::proto::{BackendChoice, DiagramOptions, GetServerInfoRequest, RemeshOptions};
+use wire::proto::{DiagramOptions, GetServerInfoRequest, RemeshOptions};
 
 pub(super) use job::{Rubbish, delete_blob, put, sweep};
 
-/// How a call went.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(super) enum Outcome {
-    /// The result arrived.
     #[default]
     Done,
     /// It was cancelled, as the plan says.
     Cancelled,
     /// The server did not take it, and says when to come again.
-    Refused { reason: String, after: Duration },
-    /// It failed.
-    Failed { code: String, said: String },
+    Refused {
+        reason: String,
+        after: Duration,
+    },
+    Failed {
+        code: String,
+        said: String,
+    },
     /// The run was stopped meanwhile.
     Stopped,
 }
@@ -47,21 +51,17 @@ pub(super) enum Outcome {
 /// Where the time went, as far as it is known.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct Stages {
-    /// Sending the surface.
     pub(super) upload: Option<Duration>,
     /// Waiting for a turn, as the server says.
     pub(super) queue: Option<Duration>,
     /// At work, as the server says.
     pub(super) compute: Option<Duration>,
-    /// Taking the result.
     pub(super) download: Option<Duration>,
 }
 
 impl Stages {
-    /// Their names.
     pub(super) const NAMES: [&'static str; 4] = ["upload", "queue", "compute", "download"];
 
-    /// In the order of the names.
     pub(super) fn all(&self) -> [Option<Duration>; 4] {
         [self.upload, self.queue, self.compute, self.download]
     }
@@ -74,15 +74,11 @@ pub(super) struct Asked {
     pub(super) stages: Stages,
     pub(super) facets: u64,
     pub(super) seeds: u64,
-    /// Payload bytes sent.
     pub(super) sent_bytes: u64,
-    /// Payload bytes received.
     pub(super) came_bytes: u64,
-    /// Job and blobs left at the server.
     pub(super) rubbish: Option<Rubbish>,
 }
 
-/// Why a call ends before its answer does.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Why {
     Cancel,
@@ -90,7 +86,6 @@ enum Why {
     Stop,
 }
 
-/// How a call ends without a result.
 #[derive(Debug)]
 enum End {
     Status(Status),
@@ -102,7 +97,6 @@ enum End {
     Here(Why),
 }
 
-/// When a call ends from this side.
 struct Ends {
     cancel: Option<Instant>,
     limit: Instant,
@@ -110,7 +104,6 @@ struct Ends {
 }
 
 impl Ends {
-    /// The first reason that comes.
     async fn first(&self) -> Why {
         let mut stop = self.stop.clone();
         let stopped = async {
@@ -141,53 +134,36 @@ impl Ends {
     }
 }
 
-/// What all calls of a run have in common.
 pub(super) struct Caller {
-    /// Where RPCs are counted.
     pub(super) tally: Tally,
-    /// What may be sent.
     pub(super) surfaces: Arc<Vec<Surface>>,
-    pub(super) settings: Settings,
+    pub(super) args: Arc<LoadArgs>,
     /// The name of the run, which its jobs have as a label.
     pub(super) run: String,
     /// True once the run is to end.
     pub(super) stop: watch::Receiver<bool>,
     /// How long calls of each kind take, in microseconds, for cancelling some at a likely time.
     usual_us: [AtomicU64; Kind::ALL.len()],
-    /// Files that were uploaded.
     uploaded: AtomicU64,
 }
 
 /// What a call is taken to last before one has ended.
 const USUAL: Duration = Duration::from_millis(200);
 
-/// Options of all calls of a run.
-pub(super) struct Settings {
-    /// Lloyd steps of a remesh; the server's default if not given.
-    pub(super) lloyd: Option<u32>,
-    /// Quasi-Newton steps of a remesh; the server's default if not given.
-    pub(super) newton: Option<u32>,
-    pub(super) backend: BackendChoice,
-    /// The most that a call may take.
-    pub(super) limit: Duration,
-    /// Whether each job uploads a file of its own.
-    pub(super) uploads: bool,
-}
-
 impl Caller {
     /// Makes calls with `surfaces` until `stop` is true.
-    pub(super) fn new(settings: Settings, surfaces: Vec<Surface>, run: String, stop: watch::Receiver<bool>) -> Self {
+    pub(super) fn new(args: Arc<LoadArgs>, surfaces: Vec<Surface>, run: String, stop: watch::Receiver<bool>) -> Self {
         let usual_us = std::array::from_fn(|_| AtomicU64::new(USUAL.as_micros() as u64));
         let (tally, surfaces, uploaded) = (Tally::default(), Arc::new(surfaces), AtomicU64::new(0));
-        Self { tally, surfaces, settings, run, stop, usual_us, uploaded }
+        Self { tally, surfaces, args, run, stop, usual_us, uploaded }
     }
 
     /// Makes a call. With a `pace`, bytes a second, the answer is read slowly.
     pub(super) async fn ask(&self, door: &Door, item: Item, pace: Option<u64>) -> Asked {
         let begin = Instant::now();
-        let usual = &self.usual_us[item.kind.place()];
+        let usual = &self.usual_us[item.kind as usize];
         let cancel = item.cancel.map(|part| begin + Duration::from_micros(usual.load(Ordering::Relaxed)).mul_f64(part));
-        let ends = Ends { cancel, limit: begin + self.settings.limit, stop: self.stop.clone() };
+        let ends = Ends { cancel, limit: begin + self.args.timeout_s, stop: self.stop.clone() };
         let mut asked = Asked::default();
         let Some(surface) = self.surfaces.get(item.mesh) else { return asked };
         let mut pace = Pace { bytes_a_second: pace, due: None };
@@ -223,7 +199,7 @@ fn outcome(end: End) -> Outcome {
         End::Status(status) if is_lost(&status) => failed("CONNECTION_LOST", status.message()),
         End::Status(status) => match status.get_details_retry_info().and_then(|info| info.retry_delay) {
             Some(after) => Outcome::Refused { reason: reason(&status), after },
-            None => failed(tally::name(status.code()), status.message()),
+            None => failed(status_name(status.code()), status.message()),
         },
     }
 }
@@ -240,18 +216,15 @@ fn reason(status: &Status) -> String {
             false => text.push(c),
         }
     }
-    format!("{}: {}", tally::name(status.code()), text.chars().take(MOST).collect::<String>())
+    format!("{}: {}", status_name(status.code()), text.chars().take(MOST).collect::<String>())
 }
 
-/// How fast an answer is read.
 struct Pace {
     bytes_a_second: Option<u64>,
-    /// When the next may be read.
     due: Option<Instant>,
 }
 
 impl Pace {
-    /// Counts bytes that were read.
     async fn read(&mut self, bytes: usize) {
         let Some(rate) = self.bytes_a_second else { return };
         let now = Instant::now();
@@ -261,7 +234,6 @@ impl Pace {
     }
 }
 
-/// A call at a place.
 struct At<'a> {
     caller: &'a Caller,
     door: &'a Door,
@@ -271,8 +243,12 @@ struct At<'a> {
 }
 
 impl At<'_> {
+    fn backend(&self) -> i32 {
+        choice(self.caller.args.backend).into()
+    }
+
     fn remesh_options(&self) -> RemeshOptions {
-        let Settings { lloyd, newton, .. } = self.caller.settings;
+        let &LoadArgs { lloyd, newton, .. } = &*self.caller.args;
         let (points, seed) = (self.surface.points(), Some(self.random_seed));
         RemeshOptions { points, seed, lloyd, newton, ..RemeshOptions::default() }
     }

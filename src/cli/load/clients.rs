@@ -13,48 +13,14 @@ use tokio::sync::{Semaphore, mpsc, watch};
 use tokio::task::JoinSet;
 use tokio::time::Instant;
 
-use super::amounts::Mix;
+use super::LoadArgs;
+use super::amounts::{Arrivals, Item, Items};
 use super::calls::{Asked, Caller, Outcome, Rubbish, sweep};
 use super::measure::{Measure, When};
-use super::plan::{Arrivals, Item, Items};
-use super::view::View;
+use super::report::View;
 use crate::remote::Door;
 use jobs::lock;
 
-/// How calls follow each other.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) enum Looping {
-    /// Each of the clients asks again once it has its answer.
-    Closed { clients: u32 },
-    /// Calls a second, and the most open ones.
-    Open { rate: f64, max_in_flight: u32 },
-}
-
-/// When what is sent.
-#[derive(Clone, Debug)]
-pub(super) struct Schedule {
-    pub(super) looping: Looping,
-    pub(super) mix: Mix,
-    /// The part of all calls that is cancelled.
-    pub(super) cancel: f64,
-    pub(super) ramp: Duration,
-    pub(super) warm_up: Duration,
-    pub(super) duration: Duration,
-    pub(super) seed: u64,
-    /// Clients beside the others, and how many bytes a second each reads.
-    pub(super) slow_readers: u32,
-    pub(super) slow_rate: u64,
-}
-
-impl Schedule {
-    /// When measuring begins and ends, since the run began.
-    pub(super) fn window(&self) -> std::ops::Range<Duration> {
-        let begin = self.ramp + self.warm_up;
-        begin..begin + self.duration
-    }
-}
-
-/// Where calls go.
 pub(super) struct Doors {
     pub(super) usual: Vec<Door>,
     /// Of slow readers, whose windows are narrow.
@@ -63,21 +29,18 @@ pub(super) struct Doors {
 
 /// The first pause after a failure, and the longest.
 const PAUSES: (Duration, Duration) = (Duration::from_millis(100), Duration::from_secs(2));
-/// The longest that a refused client waits.
 const REFUSED: Duration = Duration::from_secs(60);
 /// Sender of the open loop; clients come after it.
 const OPEN: u64 = 0;
-/// The first slow reader.
 const SLOW: u64 = 1 << 32;
 /// How many remove what is left at once, and how long they have at the end.
 const CLEANERS: usize = 8;
 const CLEANING: Duration = Duration::from_secs(60);
 
-/// A run.
 pub(super) struct Run {
     caller: Arc<Caller>,
     doors: Doors,
-    schedule: Schedule,
+    args: Arc<LoadArgs>,
     measure: Mutex<Measure>,
     open: AtomicU64,
     start: Instant,
@@ -85,7 +48,6 @@ pub(super) struct Run {
     rubbish: Option<mpsc::Sender<(Rubbish, Door, bool)>>,
 }
 
-/// What a run came to.
 pub(super) struct Ran {
     pub(super) measure: Measure,
     /// Jobs and blobs that could not be removed.
@@ -95,22 +57,22 @@ pub(super) struct Ran {
 }
 
 /// Makes the calls; with `keep`, leaves their jobs and blobs at the server.
-pub(super) async fn run(caller: Arc<Caller>, doors: Doors, schedule: Schedule, keep: bool, view: View) -> Ran {
+pub(super) async fn run(caller: Arc<Caller>, doors: Doors, args: Arc<LoadArgs>, view: View) -> Ran {
     let stop = caller.stop.clone();
-    let (rubbish, cleaner) = match keep {
+    let (rubbish, cleaner) = match args.keep {
         true => (None, None),
         false => {
             let (sender, receiver) = mpsc::channel(1024);
             (Some(sender), Some(tokio::spawn(clean(Arc::clone(&caller), receiver))))
         }
     };
-    let sweeps: Vec<Door> = match !keep && schedule.mix.parts().any(|(kind, _)| kind.is_job()) {
+    let sweeps: Vec<Door> = match !args.keep && args.mix.parts().any(|(kind, _)| kind.is_job()) {
         true => doors.usual.clone(),
         false => Vec::new(),
     };
-    let measure = Mutex::new(Measure::new(schedule.window()));
+    let measure = Mutex::new(Measure::new(args.window()));
     let (open, start) = (AtomicU64::new(0), Instant::now());
-    let run = Arc::new(Run { caller: Arc::clone(&caller), doors, schedule, measure, open, start, stop, rubbish });
+    let run = Arc::new(Run { caller: Arc::clone(&caller), doors, args, measure, open, start, stop, rubbish });
     let shown = tokio::spawn(show(Arc::clone(&run), view));
     run.calls().await;
     shown.abort();
@@ -153,7 +115,6 @@ async fn clean(caller: Arc<Caller>, mut receiver: mpsc::Receiver<(Rubbish, Door,
     left.load(Ordering::Relaxed)
 }
 
-/// Draws the view until the run is over.
 async fn show(run: Arc<Run>, view: View) {
     let mut tick = tokio::time::interval(View::EVERY);
     loop {
@@ -172,23 +133,23 @@ impl Run {
 
     /// When no more calls begin.
     fn end(&self) -> Duration {
-        self.schedule.window().end
+        self.args.window().end
     }
 
-    /// Makes all calls, and waits for them.
     async fn calls(self: &Arc<Self>) {
         let mut clients = JoinSet::new();
-        if let Looping::Closed { clients: count } = self.schedule.looping {
+        if self.args.rate.is_none() {
+            let count = self.args.clients.unwrap_or(1);
             for k in 0..u64::from(count) {
-                let begin = self.schedule.ramp.mul_f64(k as f64 / f64::from(count));
+                let begin = self.args.ramp_s.mul_f64(k as f64 / f64::from(count));
                 clients.spawn(Arc::clone(self).client(1 + k, begin, None));
             }
         }
-        for k in 0..u64::from(self.schedule.slow_readers) {
-            clients.spawn(Arc::clone(self).client(SLOW + k, Duration::ZERO, Some(self.schedule.slow_rate)));
+        for k in 0..u64::from(self.args.slow_readers) {
+            clients.spawn(Arc::clone(self).client(SLOW + k, Duration::ZERO, Some(self.args.slow_rate.into())));
         }
-        if let Looping::Open { rate, max_in_flight } = self.schedule.looping {
-            self.arrivals(rate, max_in_flight).await;
+        if let Some(rate) = self.args.rate {
+            self.arrivals(rate).await;
         }
         while clients.join_next().await.is_some() {}
         if self.is_stopped() {
@@ -196,12 +157,11 @@ impl Run {
         }
     }
 
-    /// Sends by the plan.
-    async fn arrivals(self: &Arc<Self>, rate: f64, max_in_flight: u32) {
-        let Schedule { mix, cancel, ramp, seed, .. } = &self.schedule;
-        let arrivals = Arrivals::new(rate, *ramp, *seed);
-        let mut items = Items::new(mix.clone(), self.caller.surfaces.len(), *cancel, *seed, OPEN);
-        let places = Arc::new(Semaphore::new(max_in_flight as usize));
+    async fn arrivals(self: &Arc<Self>, rate: f64) {
+        let LoadArgs { mix, cancel, ramp_s, seed, max_in_flight, .. } = &*self.args;
+        let arrivals = Arrivals::new(rate, *ramp_s, *seed);
+        let mut items = Items::new(mix.clone(), self.caller.surfaces.len(), *cancel / 100.0, *seed, OPEN);
+        let places = Arc::new(Semaphore::new(*max_in_flight as usize));
         let end = self.end();
         for (intended, number) in arrivals.take_while(|at| *at < end).zip(0..) {
             let item = items.take();
@@ -220,14 +180,14 @@ impl Run {
             });
         }
         // All that are open.
-        let _ = places.acquire_many(max_in_flight).await;
+        let _ = places.acquire_many(*max_in_flight).await;
     }
 
     /// A client that asks, waits for the end and asks again.
     async fn client(self: Arc<Self>, number: u64, begin: Duration, slow: Option<u64>) {
-        let Schedule { mix, cancel, seed, .. } = &self.schedule;
+        let LoadArgs { mix, cancel, seed, .. } = &*self.args;
         let (doors, mix, cancel) = match slow {
-            None => (&self.doors.usual, Some(mix.clone()), *cancel),
+            None => (&self.doors.usual, Some(mix.clone()), *cancel / 100.0),
             // There is nothing to read of what brings no result.
             Some(_) => (&self.doors.slow, mix.only_those(super::amounts::Kind::is_work), 0.0),
         };
@@ -261,7 +221,6 @@ impl Run {
         }
     }
 
-    /// One call.
     async fn one(&self, intended: Duration, item: Item, door: &Door, pace: Option<u64>) -> Outcome {
         let sent = self.start.elapsed();
         self.open.fetch_add(1, Ordering::Relaxed);

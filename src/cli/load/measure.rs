@@ -18,7 +18,6 @@ use super::calls::{Asked, Outcome, Stages};
 pub(super) const LATE: Duration = Duration::from_millis(10);
 /// The most reasons and codes with an entry of their own.
 const NAMES: usize = 50;
-/// What all others are called.
 const OTHER: &str = "other";
 
 /// Latencies, kept to three digits.
@@ -62,7 +61,6 @@ impl Latencies {
     }
 }
 
-/// Failures of one code.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
 pub(super) struct Times {
     pub(super) count: u64,
@@ -83,10 +81,8 @@ pub(super) struct Counts {
     pub(super) late: u64,
     /// Open when the run was stopped.
     pub(super) stopped: u64,
-    /// By reason.
     #[serde(rename = "refusals")]
     pub(super) refused: BTreeMap<String, u64>,
-    /// By code.
     #[serde(rename = "failures")]
     pub(super) failed: BTreeMap<String, Times>,
 }
@@ -132,7 +128,6 @@ pub(super) struct Second {
     pub(super) done: u64,
     pub(super) refused: u64,
     pub(super) failed: u64,
-    /// Calls that were not sent.
     pub(super) dropped: u64,
     #[serde(rename = "p50_s")]
     pub(super) p50: Option<f64>,
@@ -152,11 +147,9 @@ pub(super) struct Amounts {
     pub(super) came_bytes: u64,
 }
 
-/// Whose call it was, and when.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct When {
     pub(super) kind: Kind,
-    /// Of a slow reader.
     pub(super) slow: bool,
     /// Since the run began: when it was to begin, when it did, when it ended.
     pub(super) intended: Duration,
@@ -175,7 +168,6 @@ pub(super) struct Measure {
     pub(super) kinds: [Latencies; Kind::ALL.len()],
     /// By stage, in the order of [`Stages::NAMES`].
     pub(super) stages: [Latencies; Stages::NAMES.len()],
-    /// Of slow readers.
     pub(super) slow: Counts,
     pub(super) slow_latencies: Latencies,
     pub(super) amounts: Amounts,
@@ -200,7 +192,6 @@ impl Measure {
         }
     }
 
-    /// A call is over.
     pub(super) fn over(&mut self, when: &When, asked: &Asked) {
         let latency = when.ended.saturating_sub(when.intended);
         let is_done = asked.outcome == Outcome::Done;
@@ -238,7 +229,7 @@ impl Measure {
             return;
         }
         self.latencies.add(latency);
-        if let Some(kind) = self.kinds.get_mut(when.kind.place()) {
+        if let Some(kind) = self.kinds.get_mut(when.kind as usize) {
             kind.add(latency);
         }
         for (stage, time) in self.stages.iter_mut().zip(asked.stages.all()) {
@@ -264,7 +255,6 @@ impl Measure {
         }
     }
 
-    /// How long was measured, in seconds.
     pub(super) fn seconds_measured(&self) -> f64 {
         self.window.end.saturating_sub(self.window.start).as_secs_f64()
     }
@@ -302,7 +292,7 @@ mod tests {
         measure.over(&when(4.0, 7.0, 7.5), &asked(Outcome::Done));
         let [max, p50] = [measure.latencies.max(), measure.latencies.quantile(0.5)].map(Option::unwrap);
         assert!((max - 3.5).abs() < 0.01 && (p50 - 3.5).abs() < 0.01, "{max} {p50}");
-        assert_eq!((measure.counts.late, measure.counts.done, measure.kinds[Kind::Rvd.place()].count()), (1, 1, 1));
+        assert_eq!((measure.counts.late, measure.counts.done, measure.kinds[Kind::Rvd as usize].count()), (1, 1, 1));
         assert_eq!(measure.stages[1].count(), 1);
         // Ends after the measured time: counted, but of no rate.
         measure.over(&when(9.0, 9.0, 12.0), &asked(Outcome::Done));

@@ -22,17 +22,13 @@ use wire::proto::{ArrayKind, Chunk, MeshHeader};
 /// How many surfaces a distribution of sizes becomes.
 const SURFACES: usize = 16;
 
-/// Where surfaces come from.
 #[derive(Debug)]
 pub(super) enum Source {
-    /// Files.
     Files(Vec<PathBuf>),
-    /// A shape, in sizes.
     Shape(Shape, Sizes),
 }
 
 impl Source {
-    /// The surfaces.
     pub(super) fn build(&self, points: Points) -> Result<Vec<Surface>> {
         let of = |mesh: &TriMesh| Surface::of(mesh, points.of(mesh.facets().len()));
         match self {
@@ -47,20 +43,13 @@ impl Source {
     }
 }
 
-/// A surface as it is sent.
 #[derive(Debug)]
 pub(super) struct Surface {
-    /// Its facets.
     pub(super) facets: u64,
-    /// How many points are asked for.
     pub(super) points: u64,
-    /// Its counts, for a stream.
     pub(super) header: MeshHeader,
-    /// Its arrays, for a stream.
     pub(super) chunks: Vec<Chunk>,
-    /// Its file, for a job.
-    file: Bytes,
-    /// The file's digest.
+    pub(super) file: Bytes,
     pub(super) digest: String,
 }
 
@@ -83,11 +72,6 @@ impl Surface {
         Some(u32::try_from(self.points).unwrap_or(u32::MAX))
     }
 
-    /// Its file as it is.
-    pub(super) fn file(&self) -> Bytes {
-        self.file.clone()
-    }
-
     /// Its file with a comment, and the digest of that: no server has it yet.
     pub(super) fn file_with(&self, comment: &str) -> (Bytes, String) {
         let second = self.file[FORMAT.len()..].iter().position(|byte| *byte == b'\n').unwrap_or_default();
@@ -97,7 +81,6 @@ impl Surface {
         (file.into(), digest)
     }
 
-    /// Bytes of its arrays.
     pub(super) fn chunk_bytes(&self) -> u64 {
         self.chunks.iter().map(|chunk| chunk.data.len() as u64).sum()
     }
@@ -123,7 +106,8 @@ mod tests {
         let surface = &surfaces[3];
         let (file, digest) = surface.file_with("load 7");
         assert!(digest != surface.digest && file.len() == surface.file.len() + "comment load 7\n".len());
-        let (with, without) = (decode(Format::Ply, &file).unwrap(), decode(Format::Ply, &surface.file()).unwrap());
+        let (with, without) =
+            (decode(Format::Ply, &file).unwrap(), decode(Format::Ply, &surface.file.clone()).unwrap());
         assert!(with.positions() == without.positions() && with.facets() == without.facets());
         let bytes = 24 * with.positions().len() + 12 * with.facets().len();
         assert_eq!(surface.chunk_bytes(), bytes as u64);

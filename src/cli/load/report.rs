@@ -1,9 +1,12 @@
-//! What a load came to, for people and as JSON.
+//! What a load came to, for people, as JSON and as a picture; and how it is while it runs: a line on a terminal.
 //!
-//! Invariant: every figure has its unit. Must not know: how anything is measured or written.
+//! Invariant: every figure has its unit; the view is on the standard error stream only. Must not know: how anything is measured,
+//! written or drawn.
 
 use std::collections::BTreeMap;
+use std::time::Duration;
 
+use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use serde_json::{Value, json};
 
 use super::Done;
@@ -11,17 +14,17 @@ use super::amounts::Kind;
 use super::calls::Stages;
 use super::compare::Comparison;
 use super::measure::{Counts, Latencies};
+use crate::load::measure::{Measure, Second};
+use picture::chart::{Axis, Figure, Panel, Series};
 
 /// Quantiles of latencies, and their names.
 pub(super) const QUANTILES: [(&str, f64); 4] = [("p50", 0.5), ("p90", 0.9), ("p99", 0.99), ("p999", 0.999)];
 
 impl Done {
-    /// Kinds of calls that have latencies.
     fn kinds(&self) -> impl Iterator<Item = (&'static str, &Latencies)> {
         Kind::ALL.iter().map(|kind| kind.name()).zip(&self.measure.kinds).filter(|(_, all)| all.count() > 0)
     }
 
-    /// Stages that have latencies.
     fn stages(&self) -> impl Iterator<Item = (&'static str, &Latencies)> {
         Stages::NAMES.into_iter().zip(&self.measure.stages).filter(|(_, all)| all.count() > 0)
     }
@@ -102,7 +105,6 @@ impl Done {
         lines
     }
 
-    /// As an object.
     pub(super) fn json(&self, crossed: &[String]) -> Value {
         let (measure, amounts) = (&self.measure, &self.measure.amounts);
         let kinds: BTreeMap<_, _> = self.kinds().map(|(name, all)| (name, latencies(all))).collect();
@@ -133,7 +135,6 @@ impl Done {
     }
 }
 
-/// How many ended how, a line each.
 fn outcomes(counts: &Counts) -> Vec<String> {
     let part = |count: u64| format!("{count} ({:.1} %)", 100.0 * count as f64 / counts.intended.max(1) as f64);
     let mut lines = vec![format!("done       {} of {} calls", counts.done, counts.intended)];
@@ -193,4 +194,126 @@ fn counts(counts: &Counts) -> Value {
     let mut object = json!(counts);
     (object["refused"], object["errors"]) = (counts.refusals().into(), counts.errors().into());
     object
+}
+
+pub(super) fn figure(title: String, measure: &Measure) -> Figure {
+    let seconds = &measure.seconds;
+    let series = |name: &str, of: &dyn Fn(&Second) -> Option<f64>| Series {
+        name: name.to_owned(),
+        points: seconds.iter().filter_map(|second| Some((second.at as f64, of(second)?))).collect(),
+    };
+    let ms = |seconds: Option<f64>| seconds.map(|seconds| 1e3 * seconds);
+    let latency = vec![
+        series("p50", &|second| ms(second.p50)),
+        series("p99", &|second| ms(second.p99)),
+        series("max", &|second| ms(second.max)),
+    ];
+    let count = |name: &str, of: fn(&Second) -> u64| {
+        // A line of nothing says nothing, but for what is done.
+        let any = name == "done" || seconds.iter().any(|second| of(second) > 0);
+        any.then(|| series(name, &|second| Some(of(second) as f64)))
+    };
+    let outcomes = [
+        count("done", |second| second.done),
+        count("refused", |second| second.refused),
+        count("failed", |second| second.failed),
+        count("dropped", |second| second.dropped),
+    ];
+    let panel = |title: &str, y: Axis, series: Vec<Series>| Panel {
+        title: title.to_owned(),
+        x: Axis::linear("seconds since the begin"),
+        y,
+        series,
+        ..Panel::default()
+    };
+    Figure {
+        title,
+        panels: vec![
+            panel("Latency from the intended start", Axis::log("ms"), latency),
+            panel("Calls that ended", Axis::linear("a second"), outcomes.into_iter().flatten().collect()),
+        ],
+    }
+}
+
+pub(super) struct View(Option<ProgressBar>);
+
+impl View {
+    pub(super) const EVERY: Duration = Duration::from_millis(250);
+
+    /// Of a run that lasts so long.
+    pub(super) fn new(length: Duration, quiet: bool) -> Self {
+        let bar = ProgressBar::with_draw_target(Some(length.as_millis() as u64), ProgressDrawTarget::stderr());
+        let bar = Some(bar).filter(|bar| !quiet && !bar.is_hidden());
+        if let Some((bar, style)) = bar.as_ref().zip(ProgressStyle::with_template("{spinner} {bar:20} {msg}").ok()) {
+            bar.set_style(style);
+        }
+        Self(bar)
+    }
+
+    pub(super) fn draw(&self, measure: &Measure, elapsed: Duration, open: u64) {
+        let Some(bar) = &self.0 else { return };
+        bar.set_position(elapsed.as_millis() as u64);
+        bar.set_message(line(measure, elapsed, open));
+    }
+}
+
+impl Drop for View {
+    fn drop(&mut self) {
+        if let Some(bar) = self.0.take() {
+            bar.finish_and_clear();
+        }
+    }
+}
+
+fn line(measure: &Measure, elapsed: Duration, open: u64) -> String {
+    let length = measure.window.end.as_secs();
+    let phase = match elapsed {
+        at if at < measure.window.start => "warming up, ",
+        at if at >= measure.window.end => "waiting for open calls, ",
+        _ => "",
+    };
+    let last = measure.seconds.last().copied().unwrap_or_default();
+    let ms = |seconds: Option<f64>| seconds.map_or("-".to_owned(), |seconds| format!("{:.0}", 1e3 * seconds));
+    let counts = &measure.counts;
+    format!(
+        "{phase}{} of {length} s | {} a second, {open} open | ms p50 {} p99 {} | refused {} errors {} dropped {} late {}",
+        elapsed.as_secs(),
+        last.done,
+        ms(last.p50),
+        ms(last.p99),
+        counts.refusals(),
+        counts.errors(),
+        counts.dropped,
+        counts.late,
+    )
+}
+
+#[cfg(test)]
+mod tests {
+    use std::time::Duration;
+
+    use super::*;
+    use picture::Size;
+
+    #[test]
+    fn a_run_without_calls_has_a_picture_too() {
+        let mut measure = Measure::new(Duration::ZERO..Duration::from_secs(5));
+        for seconds in [0, 1, 5] {
+            measure.turn(Duration::from_secs(seconds));
+            let figure = figure("load".to_owned(), &measure);
+            assert_eq!(figure.panels[1].series.len(), 1);
+            assert!(figure.draw(Size::new(800, 300).unwrap()).is_ok());
+        }
+    }
+
+    #[test]
+    fn a_line_says_where_the_run_is() {
+        let s = Duration::from_secs(1);
+        let mut measure = Measure::new(2 * s..10 * s);
+        measure.dropped(3 * s);
+        measure.turn(5 * s);
+        assert!(line(&measure, s, 3).starts_with("warming up, 1 of 10 s | 0 a second, 3 open | ms p50 - p99 - |"));
+        assert!(line(&measure, 5 * s, 3).starts_with("5 of 10 s") && line(&measure, 5 * s, 3).contains("dropped 1"));
+        assert!(line(&measure, 11 * s, 3).starts_with("waiting for open calls"));
+    }
 }

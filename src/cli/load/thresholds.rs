@@ -6,7 +6,6 @@
 use std::fmt;
 use std::str::FromStr;
 
-/// Unit of a figure.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Unit {
     Seconds,
@@ -41,10 +40,8 @@ enum Than {
     Less,
 }
 
-/// A bound of a figure.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Threshold {
-    /// As it was written.
     text: String,
     figure: &'static str,
     unit: Unit,

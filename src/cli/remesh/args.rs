@@ -1,7 +1,7 @@
 //! `tessera remesh`'s options, as the message and as the library's.
 //!
 //! Invariant: options that are set become the message that a server would get, and the library's options are made of that, by
-//! the checks of streams and jobs. Defaults in the help are read from [`RemeshOptions::usual`]. Must not know: which backend
+//! the checks of streams and jobs. Defaults in the help are the library's; a test compares them. Must not know: which backend
 //! works, files but those that options name.
 
 use std::path::{Path, PathBuf};
@@ -15,14 +15,12 @@ use crate::given::{self, Given};
 use crate::picture::PictureArgs;
 use crate::say::SayArgs;
 use crate::server::EndpointArgs;
-use crate::sizes;
-use geometry::cvt::Projection;
 use geometry::cvt::density::{DensityOptions, DensitySource};
 use geometry::mesh::TriMesh;
 use geometry::mesh::attributes::Attributes;
 use geometry::mesh::features::Features;
 use geometry::mesh::io::Format;
-use geometry::remesh::{Placement, RemeshOptions, Seeds};
+use geometry::remesh::{RemeshOptions, Seeds};
 use geometry::token::Token;
 use server::config::{BackendArgs, count, whole};
 use wire::counts::Bounds;
@@ -131,13 +129,13 @@ pub(crate) struct ShapeArgs {
     #[arg(long, value_name = "FILE")]
     pub(crate) creases: Option<PathBuf>,
     /// What happens to the boundaries of an open surface.
-    #[arg(long, value_enum, default_value_t = BoundariesArg::of(RemeshOptions::usual().keep_boundaries))]
+    #[arg(long, value_enum, default_value_t)]
     pub(crate) boundaries: BoundariesArg,
     /// What happens where the surface is too thin for edges as long as elsewhere.
-    #[arg(long, value_enum, default_value_t = ThinArg::of(RemeshOptions::usual().keep_thin))]
+    #[arg(long, value_enum, default_value_t)]
     pub(crate) thin: ThinArg,
     /// Where the vertices of the remesh go.
-    #[arg(long, value_enum, default_value_t = PlacementArg::of(RemeshOptions::usual().placement))]
+    #[arg(long, value_enum, default_value_t)]
     pub(crate) placement: PlacementArg,
 }
 
@@ -152,7 +150,7 @@ pub(crate) struct StepArgs {
     #[arg(long, value_name = "N", default_value_t = RemeshOptions::usual().newton as u32, value_parser = whole::<u32>)]
     pub(crate) newton: u32,
     /// Where seeds go after each step. They end on the surface either way.
-    #[arg(long, value_enum, default_value_t = ProjectionArg::of(RemeshOptions::usual().projection))]
+    #[arg(long, value_enum, default_value_t)]
     pub(crate) projection: ProjectionArg,
     /// Random seed of the first points.
     #[arg(long, value_name = "N", default_value_t = Seeds::RANDOM_SEED, value_parser = whole::<u64>)]
@@ -197,57 +195,40 @@ fn angle(text: &str) -> Result<f64, String> {
 }
 
 /// What happens to boundaries.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
 pub(crate) enum BoundariesArg {
     /// They get vertices of their own and stay where they are.
+    #[default]
     Keep,
     /// The rim settles where the cells end, about half an edge inside.
     Free,
 }
 
-impl BoundariesArg {
-    fn of(keep: bool) -> Self {
-        if keep { Self::Keep } else { Self::Free }
-    }
-}
-
 /// What happens where the surface is thin.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
 pub(crate) enum ThinArg {
     /// Edges become shorter there, so that horns, fingers, strips and bridges stay. Not if --sizes says how long they are.
+    #[default]
     Finer,
     /// Edges are as long as elsewhere; what is too thin for them may be missing.
     Even,
 }
 
-impl ThinArg {
-    fn of(keep: bool) -> Self {
-        if keep { Self::Finer } else { Self::Even }
-    }
-}
-
 /// Where seeds go.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
 pub(crate) enum ProjectionArg {
     /// Where the step takes them, near the surface.
+    #[default]
     Free,
     /// To the closest point of the surface; a quasi-Newton step then begins without a history.
     Surface,
 }
 
-impl ProjectionArg {
-    fn of(projection: Projection) -> Self {
-        match projection {
-            Projection::Free => Self::Free,
-            Projection::OnSurface => Self::Surface,
-        }
-    }
-}
-
 /// Where vertices go.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
 pub(crate) enum PlacementArg {
     /// Where the facets between them are nearest to the input in the mean.
+    #[default]
     Fitted,
     /// On the input surface.
     Surface,
@@ -255,17 +236,6 @@ pub(crate) enum PlacementArg {
     Centroids,
 }
 
-impl PlacementArg {
-    fn of(placement: Placement) -> Self {
-        match placement {
-            Placement::Fitted => Self::Fitted,
-            Placement::Surface => Self::Surface,
-            Placement::Centroids => Self::Centroids,
-        }
-    }
-}
-
-/// An error of an option, by its name.
 pub(crate) fn usage(error: WireError) -> anyhow::Error {
     let text = error.under("options").to_string();
     Usage(names::in_text(&text, flag).unwrap_or(text)).into()
@@ -282,7 +252,7 @@ impl RemeshArgs {
     /// # Errors
     /// What cannot be whatever the surface.
     pub(crate) fn asked(&self) -> Result<(proto::RemeshOptions, RemeshOptions)> {
-        let message = given::message([self.size.texts(), self.shape.texts(), self.steps.texts()])?;
+        let message = given::message([&self.size.set, &self.shape.set, &self.steps.set])?;
         let beside = Beside { edge_lengths: self.size.sizes.is_some(), ..Beside::default() };
         let options = options::remesh(&message, beside, &Bounds::of_library()).map_err(usage)?;
         Ok((message, options))
@@ -298,10 +268,10 @@ impl RemeshArgs {
         // Lists go by the vertices of the one input.
         let path = self.input.first().map_or(Path::new(""), PathBuf::as_path);
         let input = &Surface::new(path, self.files.input_format);
-        let lengths = self.size.sizes.as_ref().map(|path| sizes::read(path, input, mesh)).transpose()?;
+        let lengths = self.size.sizes.as_ref().map(|path| files::read_lengths(path, input, mesh)).transpose()?;
         options::fill(&mut options, Vec::new(), lengths, None);
         if let Some(path) = &self.shape.creases {
-            options.creases = sizes::read_edges(path, input, mesh)?;
+            options.creases = files::read_edges(path, input, mesh)?;
             // Before a server is asked.
             Features::check(mesh, options.crease_angle_deg, &options.creases, &Token::default())
                 .map_err(|e| BadInput(format!("{}: {e} (numbers of the surface as it was read)", path.display())))?;

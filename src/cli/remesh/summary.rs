@@ -23,32 +23,26 @@ const INPUT: &[(&str, &str)] = &[
     ("coincident_facets", "facets lay on others, corner on corner, and were left out"),
     ("reoriented_facets", "facets were oriented unlike their neighbours and turned over"),
 ];
-/// The same of a mesh of a volume.
 const VOLUME: &[(&str, &str)] = &[(
     "enclosed_facets",
     "facets lie between others: this is a mesh of a volume, no surface; remesh the boundary of it",
 )];
-/// The same of a surface.
 const SURFACE: &[(&str, &str)] = &[
     ("back_to_back_facets", "facets lie on others, back to back, and enclose nothing: remesh one side of them"),
     ("non_manifold_edges", "edges have more than two facets; the result is cut there: to choose where, cut the input"),
 ];
 
-/// A remesh to summarize.
 pub(super) struct Told<'a> {
     pub(super) report: &'a Value,
     pub(super) input: &'a Path,
     pub(super) output: &'a Path,
-    /// The server that made it.
     pub(super) endpoint: Option<&'a str>,
     /// Whether it was said how far the result may be.
     pub(super) bounded: bool,
-    /// All that the command took.
     pub(super) total_ms: f64,
 }
 
 impl Told<'_> {
-    /// Prints it.
     pub(super) fn print(&self) -> Result<(), NotWritten> {
         self.lines().iter().try_for_each(|text| outln!("{text}"))
     }

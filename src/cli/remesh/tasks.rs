@@ -10,16 +10,13 @@ use anyhow::Result;
 use super::args::{FileArgs, RemeshArgs};
 use crate::exit::{NotWritten, Usage};
 use crate::files::{self, Surface};
-use crate::sizes;
 
-/// A surface and where its remesh goes.
 #[derive(Debug)]
 pub(super) struct Task {
     pub(super) input: Surface,
     pub(super) output: Surface,
 }
 
-/// What is to be done.
 pub(super) fn of(args: &RemeshArgs) -> Result<Vec<Task>> {
     args.backend.check()?;
     args.picture.check()?;
@@ -50,7 +47,7 @@ fn check_together(args: &RemeshArgs) -> Result<()> {
         (several && report.is_some(), for_one("--report") + "; --json prints a report a line"),
         (several && args.size.sizes.is_some(), for_one("--sizes")),
         (several && args.shape.creases.is_some(), for_one("--creases")),
-        (several && args.picture.wanted(), for_one("--picture")),
+        (several && args.picture.picture.is_some(), for_one("--picture")),
         (several && reads_standard, "- is the standard input; it goes with no other input".to_owned()),
         (
             args.say.json && output.as_ref().is_some_and(is_standard),
@@ -111,7 +108,7 @@ fn check_files(args: &RemeshArgs, tasks: &[Task]) -> Result<()> {
         }
         let numbers = [(size.sizes.is_some(), "--sizes"), (shape.creases.is_some(), "--creases")];
         for (_, option) in numbers.iter().filter(|(is_given, _)| *is_given) {
-            sizes::check_format(input, option)?;
+            files::check_numbered(input, option)?;
         }
     }
     let paths = |of: fn(&Task) -> &Surface| tasks.iter().map(of).filter(|one| !one.is_standard()).map(Surface::path);
@@ -120,7 +117,7 @@ fn check_files(args: &RemeshArgs, tasks: &[Task]) -> Result<()> {
     let inputs = paths(|task| &task.input);
     files::check_apart(named(), outputs())?;
     let kept: Vec<&Path> = inputs.chain(outputs()).chain(named()).collect();
-    files::check_apart(kept.into_iter(), [report.as_deref(), picture.path()].into_iter().flatten())?;
+    files::check_apart(kept.into_iter(), [report.as_deref(), picture.picture.as_deref()].into_iter().flatten())?;
     tasks.iter().try_for_each(|task| check_others(task, tasks))
 }
 

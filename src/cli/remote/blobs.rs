@@ -36,7 +36,6 @@ fn client(link: &Link<'_>) -> BlobServiceClient<Door> {
 type Broken = Arc<Mutex<Option<io::Error>>>;
 
 impl Session<'_> {
-    /// The size of a blob.
     pub(crate) async fn stat(&mut self, digest: &str) -> Result<u64> {
         let request = StatRequest { digest: digest.to_owned() };
         let answer = self.once(async |link| one(link, client(link).stat(request)).await).await?;
@@ -50,7 +49,7 @@ impl Session<'_> {
     pub(crate) async fn upload(&mut self, sources: &[Source], progress: &Progress) -> Result<u64> {
         let mut missing = HashSet::new();
         for some in sources.chunks(DIGESTS) {
-            let digests: Vec<String> = some.iter().map(|source| source.digest().to_owned()).collect();
+            let digests: Vec<String> = some.iter().map(|source| source.digest.clone()).collect();
             let ask = async |link: &Link<'_>| {
                 let request = FindMissingRequest { digests: digests.clone() };
                 one(link, client(link).find_missing(request)).await
@@ -60,7 +59,7 @@ impl Session<'_> {
         let mut sent = 0;
         for source in sources {
             // The same bytes may have several names.
-            if missing.remove(source.digest()) {
+            if missing.remove(&source.digest) {
                 sent += self.upload_one(source, progress).await?;
             }
         }
@@ -78,7 +77,7 @@ impl Session<'_> {
             match tried {
                 Ok(()) => {
                     self.again.came();
-                    return Ok(source.size());
+                    return Ok(source.size);
                 }
                 Err(fault) => self.lost(fault).await?,
             }
@@ -109,7 +108,7 @@ impl Session<'_> {
 
 /// Sends what the server does not have of `source`. What it had is then in `kept`.
 async fn go_on(link: &Link<'_>, source: &Source, kept: &mut u64, progress: &Progress) -> Result<(), Fault> {
-    let (digest, size_bytes) = (source.digest().to_owned(), source.size());
+    let (digest, size_bytes) = (source.digest.clone(), source.size);
     let request = QueryWriteStatusRequest { digest: digest.clone(), size_bytes };
     let status = match link.first(client(link).query_write_status(request)).await? {
         Ok(answer) => answer.into_inner(),
@@ -124,7 +123,7 @@ async fn go_on(link: &Link<'_>, source: &Source, kept: &mut u64, progress: &Prog
     }
     *kept = status.kept_bytes;
     let broken = Broken::default();
-    let unread = |cause| anyhow::Error::from(NoInput { path: source.path().to_owned(), cause });
+    let unread = |cause| anyhow::Error::from(NoInput { path: source.path.clone(), cause });
     let left = (size_bytes - status.kept_bytes).div_ceil(PIECE_BYTES as u64);
     let counter = progress.counter("upload", left);
     let pieces = source.pieces(status.kept_bytes).map_err(unread)?;
@@ -182,7 +181,6 @@ fn messages(
     })
 }
 
-/// Takes what is left of a blob.
 async fn read_on(
     link: &Link<'_>,
     digest: &str,

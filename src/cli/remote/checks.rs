@@ -22,12 +22,10 @@ const MOST: u64 = i32::MAX as u64;
 /// The longest report: some hundred bytes an iteration.
 const REPORT_BYTES: u64 = 256 << 20;
 
-/// What an array may be.
 #[derive(Clone, Copy, Debug)]
 struct Room {
     /// The whole array is a multiple of this.
     element_bytes: u64,
-    /// The most bytes of it.
     bytes: u64,
 }
 
@@ -181,10 +179,9 @@ pub(super) fn remesh(mesh: &TriMesh, curve_edges: &[[u32; 2]], done: &RemeshDone
     }
 }
 
-/// A report that is one.
 pub(super) fn report(value: serde_json::Value) -> Result<serde_json::Value> {
     match value.is_object() {
-        true => Ok(crate::plain::plain_json(value)),
+        true => Ok(crate::say::plain_json(value)),
         false => Err(wrong("its report is no report")),
     }
 }
@@ -214,7 +211,6 @@ impl Pieces {
         Self { facets: facets as u64, seeds, last: None }
     }
 
-    /// Checks the lengths of a message's arrays.
     pub(super) fn lengths(chunk: &CellsChunk) -> Result<()> {
         let (pieces, vertices) = (chunk.pieces as usize, chunk.vertices as usize);
         let fits = [(&chunk.facet, 4), (&chunk.seed, 4), (&chunk.vertex_count, 4)].map(|(a, n)| a.len() == n * pieces);
@@ -225,7 +221,6 @@ impl Pieces {
         Err(wrong("pieces whose arrays do not fit together"))
     }
 
-    /// Checks the pieces of a message.
     pub(super) fn check(&mut self, batch: &PieceBatch) -> Result<()> {
         for i in 0..batch.len() {
             let (facet, seed, range) = (batch.facet[i], batch.seed[i], batch.vertices(i));

@@ -9,10 +9,10 @@ use std::fmt::Display;
 
 use tonic::{Code, Status};
 
-use crate::endpoint::ServerUrl;
 use crate::exit::{Absent, BadInput, NoResult, Unavailable};
-use crate::plain::plain;
 use crate::remesh::args::flag;
+use crate::say::plain;
+use crate::server::ServerUrl;
 use wire::names;
 
 /// How tonic begins what it says itself of an answer that it cannot read.
@@ -31,7 +31,6 @@ pub(super) fn of_status(url: &ServerUrl, status: &Status) -> anyhow::Error {
     }
 }
 
-/// How a call about a job or a blob failed.
 #[derive(Debug)]
 pub(super) enum Fault {
     /// The connection was lost, or the server is away: the same call may succeed soon.

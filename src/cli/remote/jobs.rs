@@ -18,7 +18,6 @@ use wire::proto::{
     GetJobRequest, Job, JobEvent, JobState, ListJobsRequest, ListJobsResponse, WatchJobRequest, job_event,
 };
 
-/// The most jobs of a page.
 const PAGE: u32 = 100;
 /// Pages in a row in which nothing is: a server may look for long, but not for ever.
 const EMPTY_PAGES: u32 = 1000;
@@ -33,7 +32,6 @@ fn is_end(state: JobState) -> bool {
     matches!(state, S::Succeeded | S::Failed | S::Cancelled | S::Expired)
 }
 
-/// Whether a job has ended.
 pub(crate) fn has_ended(job: &Job) -> bool {
     JobState::try_from(job.state).is_ok_and(is_end)
 }
@@ -43,7 +41,6 @@ pub(crate) fn is_id(text: &str) -> bool {
     text.len() == 32 && text.bytes().all(|b| matches!(b, b'0'..=b'9' | b'a'..=b'f'))
 }
 
-/// The job of an answer.
 fn checked(job: Option<Job>, id: Option<&str>) -> Result<Job> {
     let job = job.ok_or_else(|| wrong("there is no job in it"))?;
     if !is_id(&job.id) || id.is_some_and(|id| id != job.id) {
@@ -72,7 +69,6 @@ impl Session<'_> {
         Ok(answer)
     }
 
-    /// A job as it is now.
     pub(crate) async fn job(&mut self, id: &str) -> Result<Job> {
         let request = GetJobRequest { id: id.to_owned() };
         Ok(self.once(async |link| get(link, request, id).await).await?)
@@ -104,13 +100,11 @@ impl Session<'_> {
         }
     }
 
-    /// Cancels a job.
     pub(crate) async fn cancel(&mut self, id: &str) -> Result<Job> {
         let request = CancelJobRequest { id: id.to_owned() };
         checked(self.once(async |link| in_state(link, client(link).cancel_job(request)).await).await?.job, Some(id))
     }
 
-    /// Forgets a job.
     pub(crate) async fn delete(&mut self, id: &str) -> Result<()> {
         let request = DeleteJobRequest { id: id.to_owned() };
         self.once(async |link| in_state(link, client(link).delete_job(request)).await).await?;
@@ -151,7 +145,6 @@ impl Session<'_> {
         }
     }
 
-    /// Waits until a job has ended.
     pub(crate) async fn wait(&mut self, id: &str, progress: &Progress) -> Result<Job> {
         let mut show = |event: &JobEvent| {
             tell(event, progress);
@@ -213,7 +206,6 @@ async fn watch_on(
     }
 }
 
-/// An event as progress.
 fn tell(event: &JobEvent, progress: &Progress) {
     match &event.what {
         Some(job_event::What::State(change)) if change.state == i32::from(JobState::Queued) => {

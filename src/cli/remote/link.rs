@@ -13,17 +13,15 @@ use anyhow::Result;
 use tonic::metadata::AsciiMetadataValue;
 use tonic::service::Interceptor;
 use tonic::service::interceptor::InterceptedService;
-use tonic::transport::{Channel, Endpoint};
+use tonic::transport::{Certificate, Channel, ClientTlsConfig, Endpoint, Identity};
 use tonic::{Request, Response, Status, Streaming};
 use tonic_health::pb::HealthCheckRequest;
 use tonic_health::pb::health_client::HealthClient;
 
-use super::{faults, tls};
-use crate::endpoint::ServerUrl;
+use super::faults;
 use crate::exit::{BadInput, Unavailable, Usage};
-use crate::server::{Server, Tenant};
+use crate::server::{Server, ServerUrl, Tenant, Trust};
 
-/// How long things may take.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Patience {
     /// To connect; then, to answer anything at all.
@@ -52,17 +50,13 @@ pub(crate) enum Windows {
     Narrow,
 }
 
-/// Bytes of a narrow window.
 const NARROW_BYTES: u32 = 65_535;
 
-/// How many messages of a request have left.
 pub(super) type Sent = Arc<AtomicU64>;
 
-/// Metadata with the tenant, and with the key.
 const TENANT: &str = "tessera-tenant";
 const KEY: &str = "authorization";
 
-/// Adds tenant and key to each call.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Caller {
     tenant: Option<AsciiMetadataValue>,
@@ -105,7 +99,6 @@ pub(super) struct Link<'a> {
 }
 
 impl<'a> Link<'a> {
-    /// Connects.
     pub(super) async fn open(server: &'a Server, patience: Patience) -> Result<Self> {
         Self::open_with(server, patience, Windows::Usual).await
     }
@@ -117,9 +110,9 @@ impl<'a> Link<'a> {
             .map_err(|e| Usage(format!("--endpoint {url}: {e}; an example is http://127.0.0.1:50051")))?;
         let mut endpoint = endpoint.connect_timeout(patience.connect);
         if url.has_tls() {
-            endpoint = endpoint.tls_config(tls::settings(trust, patience.connect)).map_err(|e| {
+            endpoint = endpoint.tls_config(tls_settings(trust, patience.connect)).map_err(|e| {
                 let cause = faults::innermost(&e);
-                let text = tls::meaning(url, &cause).unwrap_or_else(|| {
+                let text = tls_meaning(url, &cause).unwrap_or_else(|| {
                     format!("--ca, --client-cert or --client-key cannot be used: {cause}; they are to be files in PEM")
                 });
                 BadInput(text)
@@ -131,7 +124,7 @@ impl<'a> Link<'a> {
         let endpoint = endpoint.http2_keep_alive_interval(patience.ping).keep_alive_timeout(patience.ping);
         let channel = endpoint.connect().await.map_err(|e| {
             let cause = faults::innermost(&e);
-            let meaning = tls::meaning(url, &cause);
+            let meaning = tls_meaning(url, &cause);
             Unavailable(meaning.unwrap_or_else(|| format!("cannot reach {url}: {cause}; is a server running there?")))
         })?;
         let link = Self { url, patience, channel, caller, sent: Sent::default() };
@@ -149,7 +142,7 @@ impl<'a> Link<'a> {
             Err(_) => format!("takes the connection, but said nothing for {} s", limit.as_secs_f32()),
             Ok(Err(status)) if std::error::Error::source(&status).is_some() => {
                 let cause = faults::innermost(&status);
-                if let Some(meaning) = tls::meaning(url, &cause) {
+                if let Some(meaning) = tls_meaning(url, &cause) {
                     return Err(Unavailable(meaning).into());
                 }
                 format!("does not answer as a server of tessera ({cause})")
@@ -164,7 +157,6 @@ impl<'a> Link<'a> {
         InterceptedService::new(self.channel.clone(), self.caller.clone())
     }
 
-    /// Where the server is.
     pub(super) fn url(&self) -> &'a ServerUrl {
         self.url
     }
@@ -210,7 +202,6 @@ pub(crate) struct Line {
 }
 
 impl Line {
-    /// Connects.
     pub(crate) async fn open(server: &Server, windows: Windows) -> Result<Self> {
         let Link { channel, .. } = Link::open_with(server, Patience::with(0), windows).await?;
         Ok(Self { server: server.clone(), channel })
@@ -246,6 +237,61 @@ impl<T> Answers<'_, T> {
     }
 }
 
+/// What TLS says, in any of these words, and what that means.
+const MEANINGS: &[(&[&str], &str)] = &[
+    (
+        &["UnknownIssuer", "CaUsedAsEndEntity", "BadSignature", "UnsupportedSignatureAlgorithm"],
+        "its certificate is not by an authority that is trusted here; give the authority's file with --ca",
+    ),
+    (&["certificate expired", "Expired"], "its certificate has expired; the server needs a new one"),
+    (&["not valid yet", "NotValidYet"], "its certificate is not valid yet; see that the clocks are right"),
+    (
+        &["not valid for name", "NotValidForName"],
+        "its certificate is for another name; write the name that the certificate has in --endpoint",
+    ),
+    (
+        &["CertificateRequired", "HandshakeFailure"],
+        "it wants a certificate of the client; give --client-cert and --client-key",
+    ),
+    (
+        &["alert: UnknownCA", "alert: BadCertificate", "alert: CertificateExpired", "alert: CertificateUnknown"],
+        "it does not take this client's certificate; give one by an authority that the server trusts, and that is valid \
+         now",
+    ),
+    (&["InvalidContentType", "corrupt message"], "it speaks no TLS; write http:// if you trust the network"),
+    (
+        &["no native certs"],
+        "this system has no authorities that vouch for servers; give the authority's file with --ca",
+    ),
+    (&["TLS handshake timeout"], "the TLS handshake took too long"),
+];
+
+pub(super) fn tls_settings(trust: &Trust, limit: Duration) -> ClientTlsConfig {
+    let settings = ClientTlsConfig::new().timeout(limit);
+    let settings = match &trust.authorities {
+        Some(pem) => settings.ca_certificate(Certificate::from_pem(pem)),
+        None => settings.with_native_roots(),
+    };
+    match &trust.identity {
+        Some((cert, key)) => settings.identity(Identity::from_pem(cert, key)),
+        None => settings,
+    }
+}
+
+/// What a failure of the connection to `url` means, if TLS has to do with it.
+pub(super) fn tls_meaning(url: &ServerUrl, cause: &str) -> Option<String> {
+    if !url.has_tls() {
+        // What a server says in TLS is no frame of HTTP/2.
+        let garbled = cause.contains("frame with invalid size") || cause.contains("invalid HTTP");
+        return garbled.then(|| {
+            let https = url.with_tls();
+            format!("{url} does not answer as a server of tessera ({cause}); if it speaks TLS, write {https}")
+        });
+    }
+    let known = MEANINGS.iter().find(|(words, _)| words.iter().any(|word| cause.contains(word)));
+    known.map(|(_, meaning)| format!("{url} cannot be asked: {meaning} ({cause})"))
+}
+
 #[cfg(test)]
 mod tests {
     use tokio::io::AsyncWriteExt;
@@ -253,7 +299,7 @@ mod tests {
 
     use super::*;
     use crate::exit::code;
-    use crate::trust::Trust;
+    use crate::server::Trust;
 
     const SHORT: Duration = Duration::from_millis(300);
     const LONG: Duration = Duration::from_secs(10);
@@ -313,5 +359,24 @@ mod tests {
         });
         let slow = tokio::time::sleep(3 * SHORT);
         assert!(link.first(slow).await.is_ok());
+    }
+
+    #[test]
+    fn what_tls_says_is_put_into_words() {
+        let [https, http] = ["https://a:1", "http://a:1"].map(|url| url.parse::<ServerUrl>().unwrap());
+        for (cause, words) in [
+            ("invalid peer certificate: UnknownIssuer", "--ca"),
+            ("invalid peer certificate: certificate expired: verification time 5 (UNIX), but ...", "has expired"),
+            ("invalid peer certificate: certificate not valid for name \"a\"; certificate is only", "another name"),
+            ("received fatal alert: CertificateRequired", "--client-cert"),
+            ("received fatal alert: UnknownCA", "this client's certificate"),
+            ("received corrupt message of type InvalidContentType", "speaks no TLS"),
+        ] {
+            let meaning = tls_meaning(&https, cause).unwrap();
+            assert!(meaning.contains(words) && meaning.contains(cause) && meaning.contains("https://a:1"), "{meaning}");
+        }
+        assert_eq!(tls_meaning(&https, "Connection refused"), None);
+        assert_eq!(tls_meaning(&http, "Connection refused"), None);
+        assert!(tls_meaning(&http, "frame with invalid size").unwrap().contains("write https://a:1"));
     }
 }

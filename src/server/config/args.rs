@@ -1,23 +1,24 @@
 //! The options of a server, as the command line has them.
 //!
 //! Purpose: [`ServeArgs`], the one struct that describes every option: its name, its variable, its default and its help. The
-//! file (`file`) and the printed form (`show`) follow from it.
+//! file (`file`) and the printed form (`options`) follow from it.
 //! Invariant: parsers here check single values; `check` checks their combinations.
 //! Must not know: the use of values.
 
+use std::collections::BTreeMap;
+use std::fmt;
+use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::time::Duration;
 
-use geometry::rvd::{BackendChoice, BackendKind};
-
 use clap::{Args, ValueEnum};
 
-use super::device::DeviceArgs;
+use super::limits::TransportArgs;
 use super::security::SecurityArgs;
-use super::sources::Sources;
-use super::transport::TransportArgs;
 use super::values::{period, whole};
-use super::watching::WatchingArgs;
+use crate::config::values::{ConfigError, addresses, mebibytes, seconds};
+use geometry::rvd::{BackendChoice, BackendKind};
+use telemetry::Traces;
 
 /// Which backend should do the work.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
@@ -197,4 +198,157 @@ pub struct ServeArgs {
     /// The source of each value, for messages.
     #[arg(skip)]
     pub sources: Sources,
+}
+
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) enum Source {
+    /// The program.
+    Default,
+    File {
+        file: String,
+        /// From 1 on.
+        line: usize,
+    },
+    Environment(String),
+    Line(String),
+}
+
+impl fmt::Display for Source {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Default => f.write_str("default"),
+            Self::File { file, line } => write!(f, "{file}:{line}"),
+            Self::Environment(name) => write!(f, "the variable {name}"),
+            Self::Line(option) => write!(f, "{option} on the command line"),
+        }
+    }
+}
+
+/// The sources of all options that have a value, by name.
+#[derive(Clone, Debug, Default)]
+pub struct Sources(pub(super) BTreeMap<String, Source>);
+
+impl Sources {
+    /// The source of an option's value (`--name`), if it is not the command line.
+    pub(super) fn of(&self, option: &str) -> Option<&Source> {
+        let key = option.trim_start_matches("--").replace('-', "_");
+        self.0.get(&key).filter(|source| matches!(source, Source::File { .. } | Source::Environment(_)))
+    }
+}
+
+/// Reaction to a device that does not return.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
+pub enum OnLoss {
+    /// End with exit code 76, so that a supervisor restarts the server, perhaps on another machine.
+    #[default]
+    Exit,
+    /// Continue on the CPU. Health, `tessera info` and every result show it.
+    Cpu,
+}
+
+/// Options about the device.
+#[derive(Args, Clone, Debug)]
+#[command(next_help_heading = "Device")]
+pub struct DeviceArgs {
+    /// MiB of the device's memory that jobs at work may need together; a job that needs more is refused. Not limited if not
+    /// given: a job for which the device has no room then ends with an error.
+    #[arg(long, value_name = "MIB", value_parser = whole::<u64>, env = "TESSERA_DEVICE_MEMORY_MIB")]
+    pub device_memory_mib: Option<u64>,
+    /// Seconds that the device may take for one piece of work; then it counts as lost.
+    #[arg(long, value_name = "S", default_value_t = 60.0, env = "TESSERA_DEVICE_TIMEOUT_S")]
+    pub device_timeout_s: f64,
+    /// Reaction if a lost device cannot be reopened.
+    #[arg(long, value_enum, default_value_t, env = "TESSERA_ON_DEVICE_LOSS")]
+    pub on_device_loss: OnLoss,
+    /// Seconds for which a lost device is tried again before that.
+    #[arg(long, value_name = "S", default_value_t = 30.0, env = "TESSERA_DEVICE_LOSS_S")]
+    pub device_loss_s: f64,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct DeviceRules {
+    /// Memory for jobs, if limited, bytes.
+    pub memory_bytes: Option<u64>,
+    /// For one piece of work.
+    pub timeout: Duration,
+    /// What to do if a lost device does not return within `patience`.
+    pub on_loss: OnLoss,
+    /// How long to wait for a lost device.
+    pub patience: Duration,
+}
+
+impl DeviceArgs {
+    pub(super) fn check(&self) -> Result<DeviceRules, ConfigError> {
+        Ok(DeviceRules {
+            memory_bytes: mebibytes("--device-memory-mib", self.device_memory_mib)?,
+            timeout: seconds("--device-timeout-s", self.device_timeout_s)?,
+            on_loss: self.on_device_loss,
+            patience: seconds("--device-loss-s", self.device_loss_s)?,
+        })
+    }
+}
+
+/// See the module's head.
+#[derive(Args, Clone, Debug)]
+#[command(next_help_heading = "Metrics, health and traces")]
+pub struct WatchingArgs {
+    /// Seconds between two probes of an idle backend: a tiny diagram with a known answer. While a probe fails, health says
+    /// NOT_SERVING.
+    #[arg(long, value_name = "S", default_value_t = 60.0, env = "TESSERA_PROBE_S")]
+    pub probe_s: f64,
+    /// Address and port for operators: metrics, health and readiness over HTTP. None if not given; anything but loopback needs
+    /// --admin-public.
+    #[arg(long, value_name = "ADDRESS:PORT", env = "TESSERA_ADMIN_LISTEN")]
+    pub admin_listen: Option<String>,
+    /// Let other machines reach the admin port, which asks for no key. --insecure does so too.
+    #[arg(long, env = "TESSERA_ADMIN_PUBLIC")]
+    pub admin_public: bool,
+    /// Collector of OpenTelemetry traces (OTLP over gRPC), e.g. http://127.0.0.1:4317. None if not given.
+    #[arg(long, value_name = "URL", env = "TESSERA_OTLP_ENDPOINT")]
+    pub otlp_endpoint: Option<String>,
+    /// Share of the traces to export, 0 to 1; traces sampled by a caller are always exported.
+    #[arg(long, value_name = "R", default_value_t = 1.0, env = "TESSERA_OTLP_RATIO")]
+    pub otlp_ratio: f64,
+}
+
+impl WatchingArgs {
+    /// Addresses of the admin port; empty if it is off.
+    pub(super) fn admin(&self, insecure: bool) -> Result<Vec<SocketAddr>, ConfigError> {
+        let Some(listen) = &self.admin_listen else { return Ok(Vec::new()) };
+        let found = addresses("--admin-listen", listen)?;
+        if !insecure && !self.admin_public && found.iter().any(|address| !address.ip().to_canonical().is_loopback()) {
+            let must = "a loopback address, as 127.0.0.1:9090, since it asks for no key; or give --admin-public";
+            return Err(ConfigError::new("--admin-listen", format!("{listen:?}"), must));
+        }
+        Ok(found)
+    }
+
+    /// The collector of traces, and the part that is exported.
+    ///
+    /// # Errors
+    /// [`ConfigError`].
+    pub fn traces(&self) -> Result<Option<Traces>, ConfigError> {
+        // The variable that programs with OpenTelemetry share.
+        let shared = || std::env::var("OTEL_EXPORTER_OTLP_ENDPOINT").ok().filter(|url| !url.is_empty());
+        let wrong = |option, value: String, must: &'static str| Err(ConfigError::new(option, value, must));
+        if !(0.0..=1.0).contains(&self.otlp_ratio) {
+            return wrong("--otlp-ratio", self.otlp_ratio.to_string(), "a number from 0 to 1");
+        }
+        let Some(endpoint) = self.otlp_endpoint.clone().or_else(shared) else { return Ok(None) };
+        if !cfg!(feature = "otlp") {
+            return wrong("--otlp-endpoint", endpoint, "left out: this program was built without the feature otlp");
+        }
+        if endpoint.contains('@') {
+            let must = "a URL without a name and a password, which logs would show";
+            return wrong("--otlp-endpoint", "a URL with an @".to_owned(), must);
+        }
+        match endpoint.strip_prefix("http://").is_some_and(|host| !host.is_empty()) {
+            true => Ok(Some(Traces { endpoint, ratio: self.otlp_ratio })),
+            false => wrong(
+                "--otlp-endpoint",
+                endpoint,
+                "a URL as http://127.0.0.1:4317; https is not supported, use a collector on this host",
+            ),
+        }
+    }
 }

@@ -9,16 +9,17 @@ use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::time::Duration;
 
+use super::args::DeviceRules;
 use super::args::{BackendArgs, ServeArgs};
-use super::device::DeviceRules;
 use super::limits::Limits;
 use super::security::TlsFiles;
+use jobs::Ceilings;
+
 use super::values::{ConfigError, addresses, mebibytes, seconds, within};
 
 /// Indices have 31 bits, less a few that are labels.
 const MAX_ELEMENTS: u64 = i32::MAX as u64 - 8;
 
-/// A server's configuration, checked.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ServeConfig {
     /// Where to listen: the first of these that can be had.
@@ -29,51 +30,28 @@ pub struct ServeConfig {
     pub ui: bool,
     /// Addresses of the admin port; empty if it is off.
     pub admin: Vec<SocketAddr>,
-    /// Jobs that may wait.
     pub queue_jobs: usize,
-    /// Limits of a request.
     pub limits: Limits,
-    /// Limits of a job.
-    pub ceilings: JobCeilings,
+    /// Without `memory_bytes`, as the machine allows.
+    pub ceilings: Ceilings,
     /// Where jobs are kept; in memory if none.
     pub data_dir: Option<PathBuf>,
     /// The bucket of the blobs; without one they are in the data folder.
     pub bucket: Option<String>,
-    /// Bytes of the disk that blobs leave free.
     pub disk_reserve_bytes: u64,
-    /// How long results and jobs are kept.
     pub keep: (Duration, Duration),
-    /// Bytes of blobs.
     pub blob_bytes: u64,
     /// Jobs of JobService that may wait.
     pub waiting_jobs: usize,
-    /// Crashes of a job.
     pub max_crashes: u32,
     /// Number of jobs that run at the same time, if given.
     pub jobs_at_once: Option<usize>,
-    /// Rules for the device.
     pub device: DeviceRules,
-    /// How far threads at work give way.
     pub nice: u8,
     /// For each step of the start.
     pub start: Duration,
-    /// The files of TLS, if it is on.
     pub tls: Option<TlsFiles>,
-    /// Whether calls without a key are refused.
     pub requires_keys: bool,
-}
-
-/// Limits of a job, and of the time to stop.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct JobCeilings {
-    /// Time at work.
-    pub time: Duration,
-    /// Bytes by which the process may grow; as the machine allows if not given.
-    pub memory_bytes: Option<u64>,
-    /// Time from the cancellation until work counts as stuck.
-    pub stuck: Duration,
-    /// From there to the end of the process.
-    pub lost: Duration,
 }
 
 impl ServeArgs {
@@ -155,8 +133,8 @@ impl ServeArgs {
                 probe: seconds("--probe-s", self.watching.probe_s)?,
                 transport: self.transport.check()?,
             },
-            ceilings: JobCeilings {
-                time: seconds("--job-seconds", self.job_seconds)?,
+            ceilings: Ceilings {
+                time: Some(seconds("--job-seconds", self.job_seconds)?),
                 memory_bytes: mebibytes("--job-memory-mib", self.job_memory_mib)?,
                 stuck: seconds("--stuck-s", self.stuck_s)?,
                 lost: seconds("--stuck-exit-s", self.stuck_exit_s)?,
@@ -164,7 +142,6 @@ impl ServeArgs {
         })
     }
 
-    /// The bucket of the blobs.
     fn bucket(&self) -> Result<Option<String>, ConfigError> {
         let Some(url) = &self.blobs else { return Ok(None) };
         let wrong = |must: &'static str| ConfigError::new("--blobs", format!("{url:?}"), must);

@@ -12,12 +12,14 @@ use std::ops::Range;
 use std::path::{Path, PathBuf};
 
 use clap::builder::OsStr;
-use clap::{Arg, Command};
+use clap::parser::ValueSource;
+use clap::{Arg, ArgMatches, Command};
 use toml::Spanned;
 use toml::de::{DeTable, DeValue};
 
+use super::args::Source;
 use super::options::{Kind, is_key, is_list, kind, options, takes};
-use super::sources::Source;
+use crate::config::args::Sources;
 
 /// No file of options is longer; a device that never ends is no such file.
 const LONGEST_BYTES: u64 = 1 << 20;
@@ -25,45 +27,27 @@ const LONGEST_BYTES: u64 = 1 << 20;
 /// Letters that may be wrong in a key for another to be meant.
 const NEAR: usize = 3;
 
-/// Why a file cannot be used.
 #[derive(Debug, thiserror::Error)]
 pub enum FileError {
-    /// It cannot be read.
     #[error("cannot read the configuration {}: {cause}; name another with --config", file.display())]
-    Read {
-        /// The file.
-        file: PathBuf,
-        /// Error of the system.
-        cause: std::io::Error,
-    },
-    /// It is no text, or longer than any.
+    Read { file: PathBuf, cause: std::io::Error },
     #[error("the configuration {} {what}", file.display())]
-    Unreadable {
-        /// The file.
-        file: PathBuf,
-        /// The defect.
-        what: &'static str,
-    },
-    /// A line has an invalid key or value.
+    Unreadable { file: PathBuf, what: &'static str },
     #[error("{}:{line}: {what}", file.display())]
     Line {
-        /// The file.
         file: PathBuf,
         /// From 1 on.
         line: usize,
-        /// The defect and the remedy.
         what: String,
     },
 }
 
-/// The values of a key.
 #[derive(Debug)]
 struct Entry {
     line: usize,
     values: Vec<String>,
 }
 
-/// See the module's head.
 #[derive(Debug)]
 pub struct ConfigFile {
     path: PathBuf,
@@ -160,7 +144,6 @@ fn article(word: &str) -> &'static str {
     if word.starts_with(['a', 'e', 'i', 'o', 'u']) { "an" } else { "a" }
 }
 
-/// The message for an unknown key.
 fn unknown(command: &Command, key: &str, value: &DeValue<'_>) -> String {
     if value.is_table() {
         return format!("{key}: there are no tables; keys stand at the top, as `max_streams = 256`");
@@ -175,6 +158,21 @@ fn unknown(command: &Command, key: &str, value: &DeValue<'_>) -> String {
         _ => "; `tessera config print --defaults` lists all keys".to_owned(),
     };
     format!("{key}: there is no such option{hint}")
+}
+
+/// The sources of clap's values, with the keys of `file` as defaults.
+pub fn sources(found: &ArgMatches, file: Option<&ConfigFile>) -> Sources {
+    let of = |arg: &clap::Arg| {
+        let (id, long) = (arg.get_id().as_str(), arg.get_long()?);
+        Some(match found.try_contains_id(id).ok().and_then(|_| found.value_source(id))? {
+            ValueSource::EnvVariable => Source::Environment(arg.get_env()?.to_string_lossy().into_owned()),
+            ValueSource::CommandLine => Source::Line(format!("--{long}")),
+            _ => file.and_then(|file| file.source(id)).unwrap_or(Source::Default),
+        })
+    };
+    let command = options();
+    let keys = command.get_arguments().filter(|arg| is_key(arg));
+    Sources(keys.filter_map(|arg| Some((arg.get_id().to_string(), of(arg)?))).collect())
 }
 
 #[cfg(test)]

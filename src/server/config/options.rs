@@ -1,16 +1,19 @@
-//! The options of a server as data: names and types of values.
+//! The options of a server as data: names, types of values, and the configuration as a file.
 //!
 //! Purpose: rules for all options (keys of the file, printing, tests) use this, so that an option is described once, in
-//! `args`.
-//! Invariant: nothing here names an option.
-//! Must not know: values.
+//! `args`. [`print`] writes a configuration that can be read back and gives the same; an option without a value is a comment.
+//! Invariant: nothing here names an option. No secret is printed, since secrets are given by file.
+//! Must not know: the use of values.
 
 use std::any::TypeId;
+use std::fmt::Write;
 
 use clap::builder::{BoolishValueParser, Resettable};
 use clap::{Arg, ArgAction, ArgMatches, Args, Command};
+use toml::Value;
 
 use super::args::ServeArgs;
+use crate::config::args::Sources;
 
 /// The option that names the file; no key of it.
 pub(super) const CONFIG: &str = "config";
@@ -26,7 +29,6 @@ pub(super) enum Kind {
     Text,
 }
 
-/// The options of `tessera serve`.
 pub(super) fn options() -> Command {
     with_switches(ServeArgs::augment_args(Command::new("serve")))
 }
@@ -71,7 +73,6 @@ pub(super) fn is_list(arg: &Arg) -> bool {
     matches!(arg.get_action(), ArgAction::Append) || arg.get_value_delimiter().is_some()
 }
 
-/// The type of an option's value.
 pub(super) fn kind(arg: &Arg) -> Kind {
     let of = arg.get_value_parser().type_id();
     let numbers = [
@@ -106,4 +107,67 @@ fn sentence(error: &clap::Error) -> String {
     let first = text.split("\n\n").next().unwrap_or_default();
     let words: Vec<&str> = first.trim_start_matches("error: ").split_whitespace().collect();
     words.join(" ")
+}
+
+pub fn print(found: &ArgMatches, sources: &Sources) -> String {
+    let mut out = format!("# What `tessera serve` {} would use. Name it with --config.\n", env!("CARGO_PKG_VERSION"));
+    let mut heading = None;
+    let command = options();
+    for arg in command.get_arguments().filter(|arg| is_key(arg)) {
+        if arg.get_help_heading() != heading {
+            heading = arg.get_help_heading();
+            let _ = writeln!(out, "\n# {}", heading.unwrap_or("Others"));
+        }
+        let key = arg.get_id();
+        let _ = match (value(arg, found), sources.0.get(key.as_str())) {
+            (Some(value), Some(source)) => writeln!(out, "{key} = {value}  # {source}"),
+            (Some(value), None) => writeln!(out, "{key} = {value}"),
+            (None, _) => writeln!(out, "# {key} is not set"),
+        };
+    }
+    out
+}
+
+/// The value of an option, as the file has it.
+fn value(arg: &Arg, found: &ArgMatches) -> Option<String> {
+    let all: Vec<String> = found
+        .try_get_raw(arg.get_id().as_str())
+        .ok()??
+        .map(|raw| raw.to_string_lossy())
+        .map(|raw| match kind(arg) {
+            Kind::Switch => switch(arg, found).unwrap_or(false).to_string(),
+            Kind::Number => number(&raw).unwrap_or_else(|| quoted(&raw)),
+            Kind::Text => quoted(&raw),
+        })
+        .collect();
+    match is_list(arg) {
+        true => Some(format!("[{}]", all.join(", "))),
+        false => all.into_iter().next_back(),
+    }
+}
+
+fn switch(arg: &Arg, found: &ArgMatches) -> Option<bool> {
+    found.try_get_one::<bool>(arg.get_id().as_str()).ok()?.copied()
+}
+
+/// A number as TOML has it: the command line takes more, as `.5` and `007`.
+fn number(raw: &str) -> Option<String> {
+    let whole = raw.parse::<u64>().ok().map(|number| number.to_string());
+    whole.or_else(|| raw.parse::<f64>().ok().map(|number| Value::Float(number).to_string()))
+}
+
+/// A text in quotes, on one line.
+fn quoted(raw: &str) -> String {
+    let mut out = String::from('"');
+    for letter in raw.chars() {
+        match letter {
+            '"' | '\\' => out.extend(['\\', letter]),
+            control if control.is_control() => {
+                let _ = write!(out, "\\u{:04X}", u32::from(control));
+            }
+            other => out.push(other),
+        }
+    }
+    out.push('"');
+    out
 }

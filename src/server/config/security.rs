@@ -12,7 +12,6 @@ use clap::Args;
 
 use super::values::{ConfigError, seconds};
 
-/// The files of TLS.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct TlsFiles {
     /// The server's certificate and its chain.
@@ -60,7 +59,6 @@ pub struct SecurityArgs {
 }
 
 impl SecurityArgs {
-    /// Checks the options of TLS.
     pub(super) fn check(&self) -> Result<Option<TlsFiles>, ConfigError> {
         let reload = seconds("--tls-reload-s", self.tls_reload_s)?;
         let is_name = |host: &str| {

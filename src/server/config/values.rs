@@ -8,15 +8,12 @@ use std::net::{SocketAddr, ToSocketAddrs};
 use std::ops::RangeInclusive;
 use std::time::Duration;
 
-/// A value that makes no sense.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[error("{option} is {value}; it must be {must}")]
 pub struct ConfigError {
     /// The option's name on the command line.
     pub option: &'static str,
-    /// As given.
     pub value: String,
-    /// The allowed values.
     pub must: Cow<'static, str>,
 }
 
@@ -45,7 +42,6 @@ pub fn period(text: &str) -> Result<Duration, String> {
     parsed.ok_or_else(|| "a time is needed, as 90s, 30m, 24h or 7d".to_owned())
 }
 
-/// Checks that a number is in a range.
 pub(super) fn within<N: Display + Default + PartialOrd>(
     option: &'static str,
     value: N,

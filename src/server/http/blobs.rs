@@ -4,12 +4,14 @@
 //! until its digest is known. A blob's tag is its digest: what a client has of it never changes. Must not know: what blobs
 //! are of.
 
+use std::ops::Range;
 use std::sync::Arc;
 
 use axum::body::{Body, Bytes};
 use axum::extract::{Extension, Path, Request, State};
 use axum::http::header::{
-    ACCEPT_RANGES, CACHE_CONTROL, CONTENT_LENGTH, CONTENT_RANGE, CONTENT_TYPE, ETAG, HeaderName, LOCATION,
+    ACCEPT_RANGES, CACHE_CONTROL, CONTENT_LENGTH, CONTENT_RANGE, CONTENT_TYPE, ETAG, HeaderName, IF_NONE_MATCH,
+    IF_RANGE, LOCATION, RANGE,
 };
 use axum::http::{HeaderMap, HeaderValue, StatusCode};
 use axum::response::IntoResponse;
@@ -17,27 +19,21 @@ use futures_util::{StreamExt as _, TryStreamExt as _};
 use serde_json::json;
 
 use super::body::{Arriving, Coding, coding, length, whole};
-use super::guard::Client;
+use super::guard::Whose;
 use super::options::Asked;
 use super::problem::{Answered, wrong};
-use super::ranges::{Wanted, is_known, wanted};
-use crate::service::{Desk, EmptyUpload, RequestError, Share, check_owned, keep, timely};
-use jobs::blob::{BlobError, BlobInfo, BlobStore, Chunk, Digest, Owner, UploadId};
+use crate::service::{Caller, Desk, EmptyUpload, RequestError, Share, check_owned, timely};
+use jobs::blob::{BlobError, BlobInfo, BlobStore, Chunk, Digest, Owner, UploadId, put_of};
 
 /// Bytes of an upload that are stored at once.
 const PIECE: usize = 1 << 20;
 
-/// The digest of a path.
 fn digest(text: &str) -> Result<Digest, RequestError> {
     text.parse().map_err(|error: jobs::blob::DigestError| wrong("digest", format!("is no digest: {error}")))
 }
 
 /// `POST /v1/blobs`.
-pub(super) async fn upload(
-    State(desk): State<Desk>,
-    Extension(client): Extension<Client>,
-    request: Request,
-) -> Answered {
+pub(super) async fn upload(State(desk): State<Desk>, Extension(client): Whose, request: Request) -> Answered {
     let mut asked = Asked::of_query(request.uri().query())?;
     let named = asked.digest("digest")?;
     asked.finish()?;
@@ -67,19 +63,19 @@ pub(super) async fn upload(
 /// Keeps a body as a blob; gives its first bytes too.
 pub(super) async fn store(
     desk: &Desk,
-    client: &Client,
+    client: &Caller,
     headers: &HeaderMap,
     body: Body,
 ) -> Result<(BlobInfo, Bytes), RequestError> {
     let (bytes, _share): (Bytes, Share) = whole(desk, headers, body).await?;
-    let info = keep(&*desk.blobs, &client.tenant, client.bytes, bytes.clone()).await?;
+    let info = put_of(&*desk.blobs, &client.tenant, client.bytes, bytes.clone()).await?;
     Ok((info, bytes))
 }
 
 /// Stores a body as it comes. What is stored of one that is cut stays, and the same upload goes on from there.
 async fn stream(
     desk: &Desk,
-    client: &Client,
+    client: &Caller,
     upload: UploadId,
     mut arriving: Arriving<'_>,
 ) -> Result<BlobInfo, RequestError> {
@@ -120,7 +116,7 @@ async fn stream(
 /// `GET` and `HEAD /v1/blobs/{digest}`.
 pub(super) async fn read(
     State(desk): State<Desk>,
-    Extension(client): Extension<Client>,
+    Extension(client): Whose,
     Path(named): Path<String>,
     request: Request,
 ) -> Answered {
@@ -129,11 +125,7 @@ pub(super) async fn read(
 }
 
 /// `DELETE /v1/blobs/{digest}`.
-pub(super) async fn remove(
-    State(desk): State<Desk>,
-    Extension(client): Extension<Client>,
-    Path(named): Path<String>,
-) -> Answered {
+pub(super) async fn remove(State(desk): State<Desk>, Extension(client): Whose, Path(named): Path<String>) -> Answered {
     timely(desk.blobs.disown(Owner::of(&client.tenant), digest(&named)?)).await?;
     Ok(StatusCode::NO_CONTENT.into_response())
 }
@@ -190,4 +182,90 @@ pub(super) async fn send(
         piece
     });
     Ok((status, answer, Body::from_stream(bytes)).into_response())
+}
+
+/// The range that is wanted of `total` bytes. Of several ranges, and of what is no range, all bytes are given, as the RFC
+/// allows (RFC 9110, sections 13 and 14).
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) enum Wanted {
+    All,
+    Part(Range<u64>),
+    /// A range that begins after the end.
+    Nowhere,
+}
+
+/// Whether the client has what has this tag.
+pub(super) fn is_known(headers: &HeaderMap, tag: &str) -> bool {
+    let given = headers.get_all(IF_NONE_MATCH).iter().filter_map(|value| value.to_str().ok());
+    given
+        .flat_map(|all| all.split(','))
+        .map(|one| one.trim().trim_start_matches("W/"))
+        .any(|one| one == "*" || one == tag)
+}
+
+/// The range that is wanted of a resource with this tag and length.
+pub(super) fn wanted(headers: &HeaderMap, tag: &str, size: u64) -> Wanted {
+    if headers.get(IF_RANGE).is_some_and(|value| value.as_bytes() != tag.as_bytes()) {
+        return Wanted::All;
+    }
+    headers.get(RANGE).and_then(|value| range(value.to_str().ok()?, size)).unwrap_or(Wanted::All)
+}
+
+fn range(text: &str, size: u64) -> Option<Wanted> {
+    let (begin, end) = text.strip_prefix("bytes=")?.split_once('-')?;
+    let number = |text: &str| text.trim().parse::<u64>().ok();
+    let range = match (begin.trim().is_empty(), end.trim().is_empty()) {
+        (true, true) => return None,
+        // The last bytes.
+        (true, false) => size.saturating_sub(number(end)?)..size,
+        (false, true) => number(begin)?..size,
+        (false, false) => {
+            let (begin, end) = (number(begin)?, number(end)?);
+            if end < begin {
+                return None;
+            }
+            begin..end.saturating_add(1).min(size)
+        }
+    };
+    Some(if range.start < size && !range.is_empty() { Wanted::Part(range) } else { Wanted::Nowhere })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn of(text: &str) -> Wanted {
+        let headers = HeaderMap::from_iter([(RANGE, text.parse().unwrap())]);
+        wanted(&headers, "\"a\"", 100)
+    }
+
+    #[test]
+    fn ranges_are_read() {
+        for (text, range) in
+            [("bytes=0-9", 0..10), ("bytes=90-", 90..100), ("bytes=-5", 95..100), ("bytes=5-999", 5..100)]
+        {
+            assert_eq!(of(text), Wanted::Part(range), "{text}");
+        }
+        for text in ["bytes=100-", "bytes=100-200", "bytes=-0"] {
+            assert_eq!(of(text), Wanted::Nowhere, "{text}");
+        }
+        for text in ["", "bytes=", "bytes=-", "bytes=9-0", "bytes=0-1,4-5", "lines=0-1", "bytes=a-b"] {
+            assert_eq!(of(text), Wanted::All, "{text}");
+        }
+    }
+
+    #[test]
+    fn a_range_of_something_else_is_all_of_this() {
+        let headers =
+            |tag: &str| HeaderMap::from_iter([(RANGE, "bytes=0-9".parse().unwrap()), (IF_RANGE, tag.parse().unwrap())]);
+        assert_eq!(wanted(&headers("\"a\""), "\"a\"", 100), Wanted::Part(0..10));
+        assert_eq!(wanted(&headers("\"b\""), "\"a\"", 100), Wanted::All);
+    }
+
+    #[test]
+    fn what_is_known_is_not_sent_again() {
+        let known = |tags: &str| is_known(&HeaderMap::from_iter([(IF_NONE_MATCH, tags.parse().unwrap())]), "\"a\"");
+        assert!(known("\"a\"") && known("\"b\", \"a\"") && known("*") && known("W/\"a\""));
+        assert!(!known("\"b\"") && !known("a"));
+    }
 }

@@ -19,7 +19,6 @@ use crate::service::{Desk, Phase, RequestError, Share};
 use geometry::mesh::io::{DataError, unpacked_limit, unpacked_wrong, unpacker};
 use jobs::executor::api::JobApiError;
 
-/// See the module's head.
 pub(super) struct Arriving<'a> {
     desk: &'a Desk,
     stream: BodyDataStream,
@@ -80,7 +79,6 @@ pub(super) async fn pass_over(body: Body) {
     let _ = tokio::time::timeout(TIME, reading).await;
 }
 
-/// How a body comes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Coding {
     Plain,
@@ -100,7 +98,6 @@ pub(super) fn coding(headers: &HeaderMap) -> Result<Coding, RequestError> {
     }
 }
 
-/// How long a body says it is.
 pub(super) fn length(headers: &HeaderMap) -> Option<u64> {
     headers.get(CONTENT_LENGTH)?.to_str().ok()?.parse().ok()
 }

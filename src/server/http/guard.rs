@@ -11,7 +11,7 @@ use std::task::{Context, Poll};
 use std::time::Instant;
 
 use axum::body::{Body, Bytes};
-use axum::extract::{Request, State};
+use axum::extract::{Extension, Request, State};
 use axum::http::{HeaderMap, StatusCode};
 use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
@@ -30,21 +30,14 @@ use telemetry::trace::{self, TraceContext};
 /// How a route that is not served is counted, as OpenTelemetry calls it.
 const OTHER: &str = "_OTHER";
 
-/// What a route's guard knows.
 #[derive(Clone)]
 pub(super) struct Guard {
     pub(super) desk: Desk,
     pub(super) route: Route,
 }
 
-/// The caller.
-#[derive(Clone, Debug)]
-pub(super) struct Client {
-    /// In whose name.
-    pub(super) tenant: String,
-    /// What blobs the tenant may have, bytes.
-    pub(super) bytes: Option<u64>,
-}
+/// The caller, as handlers get it.
+pub(super) type Whose = Extension<Caller>;
 
 /// Counts a request when it is dropped.
 struct Counted {
@@ -81,7 +74,6 @@ impl Drop for Counted {
     }
 }
 
-/// See the module's head.
 pub(super) async fn guard(State(guard): State<Guard>, request: Request, next: Next) -> Response {
     let Guard { desk, route } = guard;
     let method = if request.method() == "HEAD" { "HEAD" } else { route.method };
@@ -148,7 +140,6 @@ fn span(method: &'static str, route: &'static str, headers: &HeaderMap) -> (Span
 
 type Entered = (Request, OwnedSemaphorePermit, Option<Pass>);
 
-/// Lets a request in.
 fn enter(desk: &Desk, route: Route, mut request: Request) -> Result<Entered, RequestError> {
     let pass = desk.access.admit(&mut request, Some(route.role))?;
     let permit = desk.gate.admit(route.kind)?;
@@ -157,7 +148,7 @@ fn enter(desk: &Desk, route: Route, mut request: Request) -> Result<Entered, Req
     }
     let tenant = tenant_of(request.headers(), request.extensions())?;
     let bytes = request.extensions().get::<Caller>().and_then(|caller| caller.bytes);
-    request.extensions_mut().insert(Client { tenant, bytes });
+    request.extensions_mut().insert(Caller { tenant, bytes });
     Ok((request, permit, pass))
 }
 
@@ -199,7 +190,6 @@ fn until_cut(desk: &Desk, pass: Option<&Pass>) -> impl Future<Output = RequestEr
     }
 }
 
-/// Answers where there is no route.
 pub(super) async fn unknown(State(desk): State<Desk>, mut request: Request) -> Response {
     let mut counted = Counted::new(&desk.metrics, OTHER, OTHER);
     let response = match desk.access.admit(&mut request, None) {
@@ -216,7 +206,6 @@ pub(super) async fn unknown(State(desk): State<Desk>, mut request: Request) -> R
     response
 }
 
-/// Whether a path is one of a route.
 fn matches(route: &str, path: &str) -> bool {
     let (mut of_route, mut of_path) = (route.split('/'), path.split('/'));
     loop {

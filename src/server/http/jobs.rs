@@ -9,18 +9,18 @@ use std::time::Duration;
 
 use axum::body::{Body, Bytes, to_bytes};
 use axum::extract::{Extension, Path, Request, State};
-use axum::http::header::{CACHE_CONTROL, CONTENT_TYPE, LOCATION};
+use axum::http::header::{CACHE_CONTROL, CONTENT_LENGTH, CONTENT_TYPE, HeaderName, LOCATION};
 use axum::http::{HeaderMap, StatusCode};
 use axum::response::{IntoResponse, Response};
 use serde_json::{Value, json};
 use tokio::sync::mpsc;
 
 use super::blobs::send;
-use super::guard::Client;
-use super::media;
-use super::options::Asked;
+use super::guard::Whose;
+use super::options::{Asked, format_names, media_type};
 use super::problem::{Answered, Problem, wrong};
-use crate::service::{self, Desk, Detail, Fault, FaultKind, Phase, RequestError, job_id, to_the_end};
+use crate::service;
+use crate::service::{Caller, Desk, Detail, Fault, FaultKind, Phase, RequestError, job_id, to_the_end};
 use jobs::record::event::{Event, Progress, What};
 use jobs::record::state::State as JobState;
 use jobs::record::{Cause, Failure, FailureKind, Job, JobId, Outcome, ResultFormat, Spec};
@@ -41,7 +41,6 @@ pub(super) fn answer(status: StatusCode, body: &Value) -> Response {
     (status, [(CONTENT_TYPE, "application/json")], body.to_string()).into_response()
 }
 
-/// A job as JSON.
 pub(super) fn told(job: &Job) -> Value {
     let status = &job.status;
     let (mut failure, mut results, mut expired_by) = (Value::Null, json!({}), Value::Null);
@@ -70,11 +69,7 @@ pub(super) fn told(job: &Job) -> Value {
 }
 
 /// `POST /v1/jobs`.
-pub(super) async fn create(
-    State(desk): State<Desk>,
-    Extension(client): Extension<Client>,
-    request: Request,
-) -> Answered {
+pub(super) async fn create(State(desk): State<Desk>, Extension(client): Whose, request: Request) -> Answered {
     Asked::of_query(request.uri().query())?.finish()?;
     let bytes = to_bytes(request.into_body(), SPEC_BYTES)
         .await
@@ -110,7 +105,7 @@ fn specification(bytes: &[u8], tenant: &str) -> Result<Spec, RequestError> {
         let mesh = asked.digest("mesh")?.ok_or_else(|| wrong("mesh", "is missing; it is the digest of a blob"))?;
         let format = asked.format("format")?;
         let format =
-            format.ok_or_else(|| wrong("format", format!("is missing; it must be one of {}", media::names())))?;
+            format.ok_or_else(|| wrong("format", format!("is missing; it must be one of {}", format_names())))?;
         let to = asked.format("to")?.unwrap_or(format);
         asked.remesh(mesh, format, to)?
     };
@@ -118,7 +113,7 @@ fn specification(bytes: &[u8], tenant: &str) -> Result<Spec, RequestError> {
 }
 
 /// `GET /v1/jobs`.
-pub(super) async fn list(State(desk): State<Desk>, Extension(client): Extension<Client>, request: Request) -> Answered {
+pub(super) async fn list(State(desk): State<Desk>, Extension(client): Whose, request: Request) -> Answered {
     let mut asked = Asked::of_query(request.uri().query())?;
     let states = asked.take("states", "states with commas between, as queued,running", |text| {
         let state = |word: &str| serde_json::from_value::<JobState>(json!(word)).ok();
@@ -141,31 +136,19 @@ pub(super) async fn list(State(desk): State<Desk>, Extension(client): Extension<
 }
 
 /// `GET /v1/jobs/{id}`.
-pub(super) async fn one(
-    State(desk): State<Desk>,
-    Extension(client): Extension<Client>,
-    Path(id): Path<String>,
-) -> Answered {
+pub(super) async fn one(State(desk): State<Desk>, Extension(client): Whose, Path(id): Path<String>) -> Answered {
     Ok(answer(StatusCode::OK, &told(&desk.api.get(&client.tenant, job_id(&id)?).await?)))
 }
 
 /// `POST /v1/jobs/{id}/cancel`.
-pub(super) async fn cancel(
-    State(desk): State<Desk>,
-    Extension(client): Extension<Client>,
-    Path(id): Path<String>,
-) -> Answered {
+pub(super) async fn cancel(State(desk): State<Desk>, Extension(client): Whose, Path(id): Path<String>) -> Answered {
     let id = job_id(&id)?;
     let job = to_the_end(async move { desk.api.cancel(&client.tenant, id).await }).await?;
     Ok(answer(StatusCode::OK, &told(&job)))
 }
 
 /// `DELETE /v1/jobs/{id}`.
-pub(super) async fn remove(
-    State(desk): State<Desk>,
-    Extension(client): Extension<Client>,
-    Path(id): Path<String>,
-) -> Answered {
+pub(super) async fn remove(State(desk): State<Desk>, Extension(client): Whose, Path(id): Path<String>) -> Answered {
     let id = job_id(&id)?;
     to_the_end(async move { desk.api.delete(&client.tenant, id).await }).await?;
     Ok(StatusCode::NO_CONTENT.into_response())
@@ -174,7 +157,7 @@ pub(super) async fn remove(
 /// `GET /v1/jobs/{id}/result`.
 pub(super) async fn result(
     State(desk): State<Desk>,
-    Extension(client): Extension<Client>,
+    Extension(client): Whose,
     Path(id): Path<String>,
     request: Request,
 ) -> Answered {
@@ -188,10 +171,9 @@ pub(super) async fn result(
 /// The surface among the results of a job.
 pub(super) const MESH: &str = "mesh";
 
-/// Sends a result of a job that has one.
 pub(super) async fn send_result(
     desk: &Desk,
-    client: &Client,
+    client: &Caller,
     job: &Job,
     name: &str,
     headers: &HeaderMap,
@@ -203,14 +185,13 @@ pub(super) async fn send_result(
         return Err(wrong("name", format!("is {name:?}; this job's results are {}", names.join(", "))).into());
     };
     let media_type = match (name, job.spec.task().result) {
-        (MESH, ResultFormat::File(format)) => media::media_type(format),
+        (MESH, ResultFormat::File(format)) => media_type(format),
         ("report", _) => "application/json",
         _ => "application/octet-stream",
     };
     send(desk, &client.tenant, *digest, headers, media_type, until).await
 }
 
-/// Why a job has no result.
 fn without_result(job: &Job) -> Fault {
     let of = |kind, text: &str, reason: &'static str| {
         let (subject, description) = (job.id.to_string(), text.to_owned());
@@ -251,7 +232,7 @@ fn without_result(job: &Job) -> Fault {
 /// `GET /v1/jobs/{id}/events`.
 pub(super) async fn events(
     State(desk): State<Desk>,
-    Extension(client): Extension<Client>,
+    Extension(client): Whose,
     Path(id): Path<String>,
     request: Request,
 ) -> Answered {
@@ -321,4 +302,58 @@ fn frame(event: &Event) -> Bytes {
         ),
     };
     format!("id: {}\nevent: {kind}\ndata: {data}\n\n", event.number).into()
+}
+
+/// How long a request waits for seeds.
+const WAIT: Duration = Duration::from_secs(20);
+
+/// Bytes that are handed to the connection at once.
+const PIECE: usize = 64 << 10;
+
+/// How many steps have been taken.
+const STEPS: HeaderName = HeaderName::from_static("tessera-steps");
+
+/// Whether the job has ended: there will be no more.
+const ENDED: HeaderName = HeaderName::from_static("tessera-ended");
+
+/// `GET /v1/jobs/{id}/seeds`: the newest seeds, after more steps than the caller has seen; steps between may be left out.
+pub(super) async fn seeds(
+    State(desk): State<Desk>,
+    Extension(client): Whose,
+    Path(id): Path<String>,
+    request: Request,
+) -> Answered {
+    let mut asked = Asked::of_query(request.uri().query())?;
+    let after: u64 = asked.whole("after")?.unwrap_or(0);
+    asked.finish()?;
+    let mut receiver = desk.api.preview(&client.tenant, job_id(&id)?).await?;
+    let newer = receiver.wait_for(|shown| shown.as_ref().is_some_and(|shown| shown.steps > after));
+    let found = tokio::select! {
+        found = tokio::time::timeout(WAIT, newer) => found,
+        () = desk.gate.reached(Phase::Draining) => return Err(RequestError::Draining.into()),
+    };
+    let uncached = (CACHE_CONTROL, "no-store".to_owned());
+    let preview = match found {
+        Ok(Ok(shown)) => shown.clone(),
+        // The job has ended.
+        Ok(Err(_)) => {
+            return Ok((StatusCode::NO_CONTENT, [uncached, (ENDED, "true".to_owned())]).into_response());
+        }
+        Err(_) => return Ok((StatusCode::NO_CONTENT, [uncached]).into_response()),
+    };
+    let Some(preview) = preview else { return Ok((StatusCode::NO_CONTENT, [uncached]).into_response()) };
+    let bytes = preview.seeds;
+    let mut share = desk.budget.share();
+    share.grow(bytes.len() as u64)?;
+    let headers = [
+        uncached,
+        (CONTENT_TYPE, "application/octet-stream".to_owned()),
+        (CONTENT_LENGTH, bytes.len().to_string()),
+        (STEPS, preview.steps.to_string()),
+    ];
+    let pieces = futures_util::stream::unfold((bytes, share), |(mut rest, share)| async move {
+        let piece: Bytes = rest.split_to(rest.len().min(PIECE));
+        (!piece.is_empty()).then_some((Ok::<_, Infallible>(piece), (rest, share)))
+    });
+    Ok((headers, Body::from_stream(pieces)).into_response())
 }

@@ -10,19 +10,18 @@ use std::time::Duration;
 use form_urlencoded::parse;
 use serde_json::Value;
 
-use super::media;
 use super::problem::wrong;
 use crate::service::RequestError;
 use geometry::mesh::io::Format;
 use jobs::blob::Digest;
-use wire::fields::{self, Fields, whole};
+use wire::fields::{Fields, whole};
 use wire::proto::{
-    self, ArrayForm, ArrayRef, BackendChoice, JobArrays, JobSpec, MeshFile, job_mesh, job_spec, result_format,
+    ArrayForm, ArrayRef, BackendChoice, JobArrays, JobSpec, MeshFile, job_mesh, job_spec, result_format,
 };
+use wire::{fields, proto};
 
 type Read<T> = Result<T, RequestError>;
 
-/// See the module's head.
 #[derive(Debug, Default)]
 pub(super) struct Asked {
     values: BTreeMap<String, String>,
@@ -92,7 +91,7 @@ impl Asked {
     }
 
     pub(super) fn format(&mut self, name: &str) -> Read<Option<Format>> {
-        self.take(name, &format!("one of {}", media::names()), Format::from_extension)
+        self.take(name, &format!("one of {}", format_names()), Format::from_extension)
     }
 
     /// A list of text in a blob.
@@ -109,12 +108,10 @@ impl Asked {
         Ok(seconds.and_then(parts))
     }
 
-    /// The labels.
     pub(super) fn labels(&mut self) -> BTreeMap<String, String> {
         std::mem::take(&mut self.labels)
     }
 
-    /// Nothing else was asked for.
     pub(super) fn finish(self) -> Read<()> {
         match self.values.into_keys().next() {
             Some(name) => Err(wrong(name, "is no option; GET /v1/openapi.json lists all")),
@@ -152,6 +149,23 @@ impl Asked {
         self.finish()?;
         Ok((message, request_id))
     }
+}
+
+pub(super) fn media_type(format: Format) -> &'static str {
+    format.media_types().first().copied().unwrap_or("application/octet-stream")
+}
+
+/// All names, for a message.
+pub(super) fn format_names() -> String {
+    Format::ALL.map(Format::extension).join(", ")
+}
+
+/// The format that the first of these media types means, if one does.
+pub(super) fn format_of_types(header: &str) -> Option<Format> {
+    header.split(',').find_map(|one| {
+        let media = one.split(';').next().unwrap_or_default().trim();
+        Format::ALL.into_iter().find(|format| format.media_types().iter().any(|t| t.eq_ignore_ascii_case(media)))
+    })
 }
 
 #[cfg(test)]
@@ -198,5 +212,15 @@ mod tests {
             let refused = spec(query).unwrap_err();
             assert!(refused.starts_with(name), "{query}: {refused}");
         }
+    }
+
+    #[test]
+    fn every_format_has_types_of_its_own() {
+        for format in Format::ALL {
+            assert!(!format.media_types().is_empty());
+            assert!(format.media_types().iter().all(|media| format_of_types(media) == Some(format)));
+        }
+        assert_eq!(format_of_types("text/html, model/obj;q=0.9"), Some(Format::Obj));
+        assert_eq!(format_of_types("*/*"), None);
     }
 }

@@ -13,7 +13,7 @@ use axum::http::{StatusCode, Uri};
 use axum::response::{IntoResponse, Response};
 use rust_embed::RustEmbed;
 
-use super::ranges::is_known;
+use super::blobs::is_known;
 
 /// Paths of files, of the page itself `/`.
 pub(super) const PATHS: [&str; 2] = ["/", "/ui/{file}"];
@@ -29,7 +29,6 @@ const POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; i
 
 const SAME_ORIGIN: &str = "same-origin";
 
-/// The media type of a file.
 fn media_type(name: &str) -> &'static str {
     match name.rsplit_once('.').map(|(_, extension)| extension) {
         Some("html") => "text/html; charset=utf-8",
@@ -48,7 +47,6 @@ fn name(uri: &Uri) -> &str {
     }
 }
 
-/// The file that a path names.
 pub(super) async fn serve(request: Request) -> Response {
     let name = name(request.uri());
     let Some(file) = Files::get(name) else {

@@ -14,7 +14,6 @@ use crate::metrics::Refused;
 use crate::service::{Detail, Fault, FaultKind, RequestError};
 use wire::{WireError, names};
 
-/// See the module's head.
 #[derive(Debug)]
 pub(super) struct Problem(pub(super) Fault);
 
@@ -60,7 +59,6 @@ pub(super) fn wrong(field: impl Into<String>, reason: impl Into<String>) -> Requ
 }
 
 impl Problem {
-    /// The status of HTTP.
     pub(super) fn status(&self) -> StatusCode {
         let fault = &self.0;
         match (fault.kind, fault.refused) {
@@ -94,7 +92,6 @@ impl Problem {
         self.0.details.iter().find_map(|detail| if let Detail::Retry(after) = detail { Some(*after) } else { None })
     }
 
-    /// The body.
     pub(super) fn json(&self, status: StatusCode) -> Value {
         let reason = self.0.reason();
         let mut body = Map::new();

@@ -14,12 +14,11 @@ use tokio::runtime::Handle;
 
 use super::blobs::store;
 use super::body::{coding, pass_over};
-use super::guard::Client;
+use super::guard::Whose;
 use super::jobs::{MESH, send_result};
-use super::media;
-use super::options::Asked;
+use super::options::{Asked, format_names, format_of_types};
 use super::problem::{Answered, wrong};
-use crate::service::{self, Desk, Phase, RequestError};
+use crate::service::{self, Caller, Desk, Phase, RequestError};
 use geometry::mesh::io::Format;
 use jobs::blob::Digest;
 use jobs::executor::api::JobApi;
@@ -28,11 +27,7 @@ use jobs::record::{Job, JobId, Spec};
 use wire::proto::{self, JobSpec, job_mesh, result_format};
 
 /// `POST /v1/remesh`.
-pub(super) async fn remesh(
-    State(desk): State<Desk>,
-    Extension(client): Extension<Client>,
-    request: Request,
-) -> Answered {
+pub(super) async fn remesh(State(desk): State<Desk>, Extension(client): Whose, request: Request) -> Answered {
     let (parts, body) = request.into_parts();
     let wanted = match wanted(&parts, &client) {
         Ok(wanted) => wanted,
@@ -63,12 +58,12 @@ struct Asking {
 }
 
 /// What a request asks for. What can be refused without its body is refused here.
-fn wanted(parts: &Parts, client: &Client) -> Result<Asking, RequestError> {
+fn wanted(parts: &Parts, client: &Caller) -> Result<Asking, RequestError> {
     let mut asked = Asked::of_query(parts.uri.query())?;
     coding(&parts.headers)?;
     let header = |name| parts.headers.get(name).and_then(|value| value.to_str().ok()).unwrap_or_default();
-    let format = asked.format("format")?.or_else(|| media::of_types(header(CONTENT_TYPE)));
-    let to = asked.format("to")?.or_else(|| media::of_types(header(ACCEPT)));
+    let format = asked.format("format")?.or_else(|| format_of_types(header(CONTENT_TYPE)));
+    let to = asked.format("to")?.or_else(|| format_of_types(header(ACCEPT)));
     let any = Format::Ply;
     let nothing = Digest::of(&[]);
     let (message, request_id) = asked.remesh(nothing, format.unwrap_or(any), to.or(format).unwrap_or(any))?;
@@ -81,7 +76,7 @@ impl Asking {
     fn of(self, digest: Digest, bytes: &[u8]) -> Result<Spec, RequestError> {
         let Self { mut message, request_id, tenant, format, to } = self;
         let found = format.or_else(|| Format::of_bytes(bytes)).ok_or_else(|| {
-            wrong("format", format!("is missing, and the body does not say; it must be one of {}", media::names()))
+            wrong("format", format!("is missing, and the body does not say; it must be one of {}", format_names()))
         })?;
         if let Some(proto::JobMesh { source: Some(job_mesh::Source::File(file)) }) = &mut message.mesh {
             (file.digest, file.format) = (digest.to_string(), found.number());

@@ -20,7 +20,6 @@ const LOCK: &str = "keys.lock";
 /// A longer file is none of keys.
 const MOST_BYTES: u64 = 16 << 20;
 
-/// See the module's head.
 #[derive(Clone, Debug)]
 pub struct KeyFile {
     folder: PathBuf,
@@ -35,12 +34,10 @@ pub struct Stamp {
 }
 
 impl KeyFile {
-    /// The file of a server's folder.
     pub fn in_folder(folder: impl Into<PathBuf>) -> Self {
         Self { folder: folder.into() }
     }
 
-    /// Where it lies.
     pub fn path(&self) -> PathBuf {
         self.folder.join(NAME)
     }

@@ -13,7 +13,6 @@ use subtle::ConstantTimeEq;
 
 use super::KeysError;
 
-/// How each key begins.
 const PREFIX: &str = "tsr_";
 
 /// Letters of an id: none looks like another.
@@ -25,12 +24,10 @@ const ID_LETTERS: usize = 10;
 /// Bytes of a secret, which is written in hexadecimal digits.
 const SECRET_BYTES: usize = 32;
 
-/// Whether a text can be an id.
 pub(super) fn is_id(text: &str) -> bool {
     text.len() == ID_LETTERS && text.bytes().all(|byte| LETTERS.contains(&byte))
 }
 
-/// See the module's head.
 #[derive(Clone, PartialEq, Eq)]
 pub struct Secret {
     text: String,
@@ -73,7 +70,6 @@ impl Secret {
         &self.text
     }
 
-    /// The stored form.
     pub fn hash(&self) -> Hash {
         #[cfg(test)]
         work::add();
@@ -81,7 +77,6 @@ impl Secret {
     }
 }
 
-/// The SHA-256 of a secret.
 #[derive(Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(try_from = "String", into = "String")]
 pub struct Hash([u8; 32]);

@@ -26,7 +26,6 @@ impl Format {
         }
     }
 
-    /// The header `Content-Type`.
     pub fn content_type(self) -> &'static str {
         match self {
             Self::OpenMetrics => "application/openmetrics-text; version=1.0.0; charset=utf-8",

@@ -112,3 +112,15 @@ fn counting_takes_little() {
     // Without optimisation and on a busy machine; some 50 ns otherwise.
     assert!(each < Duration::from_micros(20), "{each:?}");
 }
+
+#[test]
+#[cfg(target_os = "linux")]
+fn this_process_is_seen() {
+    let process = Process::register(&mut Registry::default());
+    process.look();
+    assert!(process.resident.get() > 1 << 20 && process.threads.get() > 0);
+    assert!(process.descriptors.get() > 2 && process.most_descriptors.get() >= process.descriptors.get());
+    let now = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH).unwrap().as_secs_f64();
+    let age = now - process.start.get();
+    assert!((-2.0..7.0 * 24.0 * 3600.0).contains(&age), "{age}");
+}

@@ -6,7 +6,6 @@
 //! A key that is revoked or ends takes its open calls with it. Secrets are taken out of a request here, and go nowhere.
 //! Must not know: messages, connections, what a tenant has.
 
-mod held;
 mod hosts;
 mod methods;
 mod table;
@@ -24,8 +23,9 @@ use tonic::codegen::Service as _;
 use tonic::codegen::http::{HeaderMap, HeaderValue, Method, Request, Response, StatusCode, header};
 use tonic::service::Routes;
 
-use self::held::Held;
 use self::methods::Needs;
+pub(super) use self::methods::served;
+use self::table::Held;
 pub(crate) use self::table::Pass;
 use self::table::Table;
 use super::RequestError;
@@ -42,11 +42,8 @@ const LOOK_EVERY: Duration = Duration::from_secs(1);
 /// What is decided once for a server.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct AccessOptions {
-    /// Whether a call needs a key.
     pub require_keys: bool,
-    /// Whether the server describes its interface.
     pub reflection: bool,
-    /// Whether health needs a key too, where calls do.
     pub health_needs_key: bool,
     /// Hosts of requests, besides this machine, that a server without keys on loopback answers.
     pub hosts: Vec<String>,
@@ -164,7 +161,6 @@ impl Access {
         Self { shared: Arc::clone(&self.shared), is_local }
     }
 
-    /// The options.
     pub fn options(&self) -> &AccessOptions {
         &self.shared.options
     }
@@ -303,7 +299,6 @@ fn presented(headers: &HeaderMap) -> Result<Option<Secret>, Refusal> {
 /// The longest name of a tenant, bytes.
 const LONGEST: usize = 128;
 
-/// The tenant that a request names.
 pub(super) fn tenant(headers: &HeaderMap) -> Result<Option<String>, Refusal> {
     let mut all = headers.get_all(TENANT).iter();
     let Some(value) = all.next() else { return Ok(None) };
@@ -341,7 +336,6 @@ impl Hangups {
     }
 }
 
-/// The services, behind [`Access`].
 #[derive(Clone)]
 pub(super) struct Guarded {
     access: Access,

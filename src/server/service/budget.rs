@@ -10,12 +10,10 @@ use std::sync::atomic::{AtomicI64, Ordering};
 
 use super::RequestError;
 
-/// See the module's head.
 #[derive(Clone, Debug)]
 pub struct Budget {
     /// Below 0 where results took more than was left.
     left: Arc<AtomicI64>,
-    /// The bytes that are taken.
     held: Arc<AtomicI64>,
 }
 
@@ -34,7 +32,6 @@ impl Budget {
         Share { budget: self.clone(), taken: 0 }
     }
 
-    /// Whether `bytes` are left.
     pub fn has(&self, bytes: u64) -> bool {
         self.left.load(Ordering::Acquire) >= signed(bytes)
     }

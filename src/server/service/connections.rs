@@ -7,16 +7,13 @@
 mod account;
 mod arriving;
 mod connection;
-mod descriptors;
 mod exchange;
 mod frames;
 mod handshake;
-mod line;
 mod places;
 mod socket;
 mod tls;
 mod unpacking;
-mod web;
 
 use std::io;
 use std::net::SocketAddr;
@@ -24,17 +21,16 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use axum::Router;
-use tokio::net::{TcpListener, TcpStream};
-use tokio::sync::watch;
-
 pub(crate) use exchange::Exchange;
 pub(crate) use places::Peer;
 pub use tls::{Tls, TlsError};
+use tokio::net::{TcpListener, TcpStream};
+use tokio::sync::watch;
 
 use self::connection::State;
 use self::handshake::Handshakes;
-use self::line::Line;
 use self::places::{Full, Places};
+use self::socket::Line;
 use super::Phase;
 use super::access::Guarded;
 use super::budget::Budget;
@@ -53,7 +49,6 @@ const ROOM_TIME: Duration = Duration::from_millis(500);
 const PAUSE: Duration = Duration::from_millis(10);
 const LONGEST_PAUSE: Duration = Duration::from_secs(1);
 
-/// What is behind a port.
 #[derive(Clone)]
 pub(super) enum Spoken {
     /// The services, over HTTP/2.
@@ -80,7 +75,7 @@ pub(super) struct Ground {
 
 impl Ground {
     pub(super) fn new(limits: Limits, budget: Budget, metrics: Metrics, tls: Option<Arc<Tls>>) -> Self {
-        let most = descriptors::connections(limits.max_connections);
+        let most = connections(limits.max_connections);
         if most < limits.max_connections {
             tracing::warn!(
                 connections = most,
@@ -93,11 +88,9 @@ impl Ground {
     }
 }
 
-/// What all connections of a port share.
 struct Common {
     limits: Limits,
     budget: Budget,
-    /// Where TLS is spoken.
     handshakes: Option<Handshakes>,
     metrics: Metrics,
     /// Connections that were closed for breaking a limit.
@@ -175,7 +168,7 @@ impl Accepting {
                     if let Some(times) = self.failed.count() {
                         tracing::error!(%error, times, "connections cannot be accepted; trying again");
                     }
-                    if descriptors::exhausted(&error) {
+                    if exhausted(&error) {
                         self.places.make_room(Full::All, None, ROOM_TIME).await;
                     }
                     tokio::time::sleep(pause).await;
@@ -209,7 +202,7 @@ impl Accepting {
                     if let Some(line) = establish(stream, &state, &common, phase.clone()).await {
                         match spoken {
                             Spoken::Grpc(grpc) => connection::serve(line, state, common, grpc, phase).await,
-                            Spoken::Web(router) => web::serve(line, state, common, router, phase).await,
+                            Spoken::Web(router) => connection::serve_web(line, state, common, router, phase).await,
                         }
                     }
                     drop(place);
@@ -243,4 +236,58 @@ async fn establish(
 fn is_the_peer_s(error: &io::Error) -> bool {
     use io::ErrorKind::{ConnectionAborted, ConnectionRefused, ConnectionReset, Interrupted};
     matches!(error.kind(), ConnectionAborted | ConnectionRefused | ConnectionReset | Interrupted)
+}
+
+/// Descriptors that connections leave to everything else.
+const RESERVE: usize = 64;
+
+/// Descriptors taken as in use where they cannot be counted.
+const IN_USE_IF_UNKNOWN: usize = 64;
+
+/// Returns `wanted`, or fewer if the soft limit on open files is lower; at least 1.
+fn connections(wanted: usize) -> usize {
+    let Some(soft) = soft_limit() else { return wanted };
+    wanted.min(soft.saturating_sub(in_use() + RESERVE)).max(1)
+}
+
+fn in_use() -> usize {
+    std::fs::read_dir("/dev/fd").map_or(IN_USE_IF_UNKNOWN, Iterator::count)
+}
+
+#[cfg(unix)]
+fn soft_limit() -> Option<usize> {
+    let limit = rustix::process::getrlimit(rustix::process::Resource::Nofile).current?;
+    Some(usize::try_from(limit).unwrap_or(usize::MAX))
+}
+
+#[cfg(not(unix))]
+fn soft_limit() -> Option<usize> {
+    None
+}
+
+#[cfg(unix)]
+fn exhausted(error: &io::Error) -> bool {
+    use rustix::io::Errno;
+    Errno::from_io_error(error).is_some_and(|errno| errno == Errno::MFILE || errno == Errno::NFILE)
+}
+
+#[cfg(not(unix))]
+fn exhausted(_error: &io::Error) -> bool {
+    false
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn connections_leave_a_reserve() {
+        assert_eq!(connections(1), 1);
+        if let Some(soft) = soft_limit() {
+            assert!(connections(usize::MAX) <= soft.saturating_sub(RESERVE).max(1));
+        }
+        #[cfg(unix)]
+        assert!(exhausted(&rustix::io::Errno::MFILE.into()));
+        assert!(!exhausted(&io::ErrorKind::ConnectionAborted.into()));
+    }
 }

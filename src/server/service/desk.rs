@@ -7,19 +7,24 @@
 use std::sync::Arc;
 use std::time::Duration;
 
+use tonic::Extensions;
+use tonic::codegen::http::HeaderMap;
+
 use super::RequestError;
-use super::access::{Access, Refusal};
+use super::access::{Access, Caller, Refusal, TENANT, tenant};
 use super::budget::Budget;
+use super::connections::Peer;
 use super::stream::Gate;
 use crate::config::Limits;
 use crate::metrics::Metrics;
 use jobs::JobError;
-use jobs::blob::{BlobError, BlobInfo, BlobStore, Digest, Owner, UploadId, UploadStatus, put_of};
+use jobs::blob::{BlobError, BlobStore, Digest, Owner, UploadId, UploadStatus};
 use jobs::executor::api::{JobApi, JobApiError};
 use jobs::record::event::{Event, What};
 use jobs::record::{JobId, Spec};
 use jobs::store::Created;
 use telemetry::trace;
+use wire::WireError;
 
 /// For the storage to answer.
 pub(super) const STORE_TIME: Duration = Duration::from_secs(60);
@@ -119,16 +124,6 @@ pub(crate) async fn check_owned(store: &dyn BlobStore, owner: Owner, digest: Dig
     }
 }
 
-/// Keeps bytes as a blob of a tenant that may have `most` bytes.
-pub(crate) async fn keep(
-    store: &dyn BlobStore,
-    tenant: &str,
-    most: Option<u64>,
-    bytes: bytes::Bytes,
-) -> Result<BlobInfo, RequestError> {
-    Ok(put_of(store, tenant, most, bytes).await?)
-}
-
 /// Takes an upload away that has no bytes when its stream ends, however that ends: it would hold room for nothing.
 pub(crate) struct EmptyUpload {
     store: Arc<dyn BlobStore>,
@@ -150,5 +145,66 @@ impl Drop for EmptyUpload {
                 let _ = store.abandon(upload).await;
             }
         });
+    }
+}
+
+/// The tenant of a request: that of the call's key, else the named one, else the address that the call comes from. Of a call
+/// with a key `access` has checked the name, and only the key's tenant counts here. Callers from different networks that name
+/// no tenant are never the same one.
+pub(crate) fn tenant_of(headers: &HeaderMap, extensions: &Extensions) -> Result<String, RequestError> {
+    if let Some(caller) = extensions.get::<Caller>() {
+        return Ok(caller.tenant.clone());
+    }
+    let wrong = |reason: &str| WireError::field(TENANT, reason);
+    let named =
+        tenant(headers).map_err(|_| wrong("is no name: take 1 to 128 printable ASCII characters without spaces"))?;
+    if let Some(name) = named {
+        return Ok(name);
+    }
+    let peer = extensions.get::<Peer>().ok_or_else(|| wrong("is missing, and the caller's address is not known"))?;
+    Ok(peer.to_string())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn named(name: &str) -> Result<String, RequestError> {
+        let mut metadata = HeaderMap::new();
+        metadata.insert(TENANT, name.parse().unwrap());
+        tenant_of(&metadata, &Extensions::default())
+    }
+
+    #[test]
+    fn a_name_is_taken_as_it_is() {
+        assert_eq!(named("team-7/a").unwrap(), "team-7/a");
+        assert_eq!(named(&"x".repeat(128)).unwrap().len(), 128);
+        for wrong in ["", "a b", "a\tb", &"x".repeat(129)] {
+            assert!(
+                matches!(named(wrong), Err(RequestError::Wire(WireError::Field { path, .. })) if path == TENANT),
+                "{wrong:?}"
+            );
+        }
+    }
+
+    #[test]
+    fn a_key_counts_more_than_words() {
+        let (mut metadata, mut extensions) = (HeaderMap::new(), Extensions::default());
+        metadata.insert(TENANT, "other".parse().unwrap());
+        extensions.insert(Caller { tenant: "ci".to_owned(), bytes: None });
+        assert_eq!(tenant_of(&metadata, &extensions).unwrap(), "ci");
+    }
+
+    #[test]
+    fn who_says_nothing_is_his_address() {
+        let from = |address: &str| {
+            let mut extensions = Extensions::default();
+            extensions.insert(Peer::of(address.parse().unwrap()));
+            tenant_of(&HeaderMap::new(), &extensions).unwrap()
+        };
+        assert_eq!(from("10.0.0.1:5"), "10.0.0.1");
+        assert_eq!(from("[::ffff:10.0.0.1]:5"), "10.0.0.1");
+        assert_eq!(from("[2001:db8::7]:5"), "2001:db8::");
+        assert!(tenant_of(&HeaderMap::new(), &Extensions::default()).is_err());
     }
 }

@@ -2,34 +2,36 @@
 //!
 //! Purpose: the one table: [`Fault`] of each [`RequestError`]. Each interface puts it in its own words: gRPC in `status`,
 //! HTTP in its problems. Invariant: what the caller can mend is `InvalidArgument` with a field; what time mends says when to
-//! try again; faults of ours say nothing of our insides. Must not know: where an error arose, how any protocol looks.
+//! try again; faults of ours say nothing of our insides. [`refusal`] says which errors count as refusals: what a retry, another
+//! server or an operator mends, and not what is wrong with a request. Must not know: where an error arose, how any protocol
+//! looks.
 
 use std::time::Duration;
 
+use strum::IntoStaticStr;
+use tonic::Code;
+
 use super::RequestError;
 use super::access::{Refusal, TENANT};
-use super::refusal;
-use geometry::cvt::density::DensityError;
-use jobs::blob::BlobError;
-use strum::IntoStaticStr;
-
 use crate::metrics::Refused;
+use geometry::cvt::density::DensityError;
 use geometry::mesh::MeshError;
 use geometry::mesh::features::FeatureError;
 use geometry::remesh::RemeshError;
 use geometry::rvd::RvdError;
 use geometry::token::Stopped;
 use jobs::JobError;
+use jobs::blob::BlobError;
 use jobs::executor::api::JobApiError;
 use jobs::store::StoreError;
 use wire::WireError;
 
-/// What kind of error it is, as far as a caller acts on it.
+/// What kind of error it is, as far as a caller acts on it. Its number is that of the canonical code (google.rpc.Code).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, IntoStaticStr)]
 #[strum(serialize_all = "snake_case")]
 pub enum Kind {
-    Cancelled,
-    InvalidArgument,
+    Cancelled = 1,
+    InvalidArgument = 3,
     DeadlineExceeded,
     NotFound,
     AlreadyExists,
@@ -46,7 +48,6 @@ pub enum Kind {
 }
 
 impl Kind {
-    /// Its name in lower case.
     pub fn name(self) -> &'static str {
         self.into()
     }
@@ -67,11 +68,9 @@ pub enum Detail {
     Missing { kind: &'static str, name: String, description: String },
 }
 
-/// See the module's head.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Fault {
     pub kind: Kind,
-    /// For people.
     pub text: String,
     pub details: Vec<Detail>,
     /// As refusals are counted, if it is one.
@@ -101,7 +100,7 @@ impl Fault {
 
 impl From<RequestError> for Fault {
     fn from(error: RequestError) -> Self {
-        let refused = refusal::of(&error);
+        let refused = refusal(&error);
         Self { refused, ..of(error) }
     }
 }
@@ -368,4 +367,74 @@ fn retry(kind: Kind, text: String, after: Duration) -> Fault {
 
 fn draining(text: String) -> Fault {
     retry(Kind::Unavailable, text, Duration::from_secs(5))
+}
+
+pub(super) fn refusal(error: &RequestError) -> Option<Refused> {
+    match error {
+        RequestError::Memory { .. } => Some(Refused::Memory),
+        RequestError::MessageTooLong { .. } => Some(Refused::MessageSize),
+        RequestError::TooMany { .. } => Some(Refused::Streams),
+        RequestError::Draining => Some(Refused::Draining),
+        RequestError::Job(error) | RequestError::JobApi(JobApiError::Job(error)) => refusal_of_job(error),
+        RequestError::Blob(error) | RequestError::JobApi(JobApiError::Blob(error)) => refusal_of_blob(error),
+        RequestError::JobApi(JobApiError::TooLarge { .. } | JobApiError::Packed { .. }) => Some(Refused::TooLarge),
+        // The transport's word for a message that is too long, and ours for memory that is used up.
+        RequestError::Inbound(status) => match status.code() {
+            Code::OutOfRange => Some(Refused::MessageSize),
+            Code::ResourceExhausted => Some(Refused::Memory),
+            _ => None,
+        },
+        _ => None,
+    }
+}
+
+fn refusal_of_job(error: &JobError) -> Option<Refused> {
+    match error {
+        JobError::QueueFull { .. } => Some(Refused::Queue),
+        JobError::Draining => Some(Refused::Draining),
+        _ => match error.as_rvd()? {
+            RvdError::OutOfMemory { .. } => Some(Refused::Memory),
+            RvdError::NeverFits { .. } => Some(Refused::TooLarge),
+            _ => None,
+        },
+    }
+}
+
+fn refusal_of_blob(error: &BlobError) -> Option<Refused> {
+    match error {
+        BlobError::QuotaExceeded { .. } | BlobError::TooManyUploads { .. } | BlobError::StorageFull => {
+            Some(Refused::Storage)
+        }
+        BlobError::TooLarge { .. } => Some(Refused::TooLarge),
+        _ => None,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use geometry::token::Stopped;
+    use jobs::executor::api::Memory;
+    use wire::WireError;
+
+    #[test]
+    fn faults_of_a_request_are_no_refusals() {
+        assert_eq!(refusal(&WireError::Order("no").into()), None);
+        assert_eq!(refusal(&JobError::from(Stopped::Cancelled).into()), None);
+        assert_eq!(refusal(&JobError::from(RvdError::NoSeeds).into()), None);
+        assert_eq!(refusal(&RequestError::Deadline), None);
+    }
+
+    #[test]
+    fn what_may_succeed_elsewhere_is_one() {
+        let full = JobError::QueueFull { waiting: 1, retry_after: std::time::Duration::ZERO };
+        assert_eq!(refusal(&full.clone().into()), Some(Refused::Queue));
+        assert_eq!(refusal(&JobApiError::Job(full).into()), Some(Refused::Queue));
+        assert_eq!(
+            refusal(&JobApiError::TooLarge { of: Memory::Host, needed_bytes: 2, limit_bytes: 1 }.into()),
+            Some(Refused::TooLarge)
+        );
+        assert_eq!(refusal(&BlobError::StorageFull.into()), Some(Refused::Storage));
+        assert_eq!(refusal(&RequestError::Draining), Some(Refused::Draining));
+    }
 }

@@ -4,6 +4,13 @@
 //! geometry here, and no status codes. What a stream holds is dropped with its future.
 //! Must not know: which backend works, how statuses look.
 
+pub(super) mod blobs;
+mod cvt;
+mod diagram;
+pub(super) mod info;
+pub(super) mod jobs;
+mod remesh;
+
 use std::sync::Arc;
 
 use prost::Message as _;
@@ -11,42 +18,35 @@ use tokio::sync::Semaphore;
 use tonic::{Request, Response, Status, Streaming};
 
 use super::budget::{Budget, Share};
+use super::desk::tenant_of;
 use super::stream::{Answers, Gate, Inbox, Kind, Outbox, respond};
-use super::{Phase, RequestError, tenant};
+use super::{Phase, RequestError};
 use crate::config::Limits;
+use ::jobs::admission::estimate::{self, Counts, need};
+use ::jobs::admission::forecast::must_fit;
 use ::jobs::executor::prepared::{Input, Prepared};
-pub(super) use ::jobs::{AdmissionRequest, BackendInfo, CancelOnDrop, Engine, JobError, Reservation};
+use ::jobs::observe::activity::Origin;
+pub(super) use ::jobs::{AdmissionRequest, admission};
+pub(super) use ::jobs::{BackendInfo, CancelOnDrop, Engine, JobError, Reservation};
+use geometry::cvt::density::Count;
 use geometry::mesh::TriMesh;
-use geometry::remesh::Seeds;
 use geometry::remesh::report::to_json;
+use geometry::remesh::{RemeshOptions, Seeds};
 use geometry::token::Token;
-use need::Needs;
 use wire::assemble::Uploaded;
 use wire::chunks::{byte_chunks, point_chunks};
-use wire::counts::Bounds;
-use wire::options::{Start, fill};
-use wire::proto::{self, ArrayKind, Chunk};
-use wire::upload::{Checked, Incoming, Upload};
-use wire::{attributes, codec};
-
-pub(super) mod blobs;
-mod cvt;
-mod diagram;
-pub(super) mod info;
-pub(super) mod jobs;
-mod need;
-mod remesh;
+use wire::options::{Diagram, Session, Start, fill};
+use wire::proto::{ArrayKind, Chunk, ComputeRvdHeader, CvtHeader, RemeshHeader};
+use wire::upload::{Checked, Header, Incoming, Upload};
+use wire::{attributes, codec, proto};
 
 /// The longest report that the last message holds, bytes; a longer one goes ahead of it in chunks.
 const REPORT_IN_DONE_BYTES: usize = 256 << 10;
 
-/// The service.
 pub(super) struct Handlers {
     shared: Arc<Shared>,
-    gate: Gate,
 }
 
-/// What every stream uses.
 struct Shared {
     engine: Engine,
     limits: Limits,
@@ -60,8 +60,26 @@ impl Handlers {
     pub(super) fn new(engine: Engine, limits: Limits, budget: Budget, gate: Gate) -> Self {
         let cores = std::thread::available_parallelism().map_or(1, usize::from);
         let preparing = Arc::new(Semaphore::new(cores));
-        let shared = Shared { engine, limits, budget, gate: gate.clone(), preparing };
-        Self { shared: Arc::new(shared), gate }
+        Self { shared: Arc::new(Shared { engine, limits, budget, gate, preparing }) }
+    }
+}
+
+/// The answer to a call of one message.
+type Reply<T> = Result<Response<T>, Status>;
+
+impl Handlers {
+    /// Runs a stream in the name of its tenant.
+    fn stream<M, T: Send + 'static, F: Future<Output = Result<(), RequestError>> + Send + 'static>(
+        &self,
+        method: &'static str,
+        request: Request<Streaming<M>>,
+        handle: fn(Arc<Shared>, String, Inbox<M>, Outbox<T>) -> F,
+    ) -> Reply<Answers<T>> {
+        let (metadata, extensions, stream) = request.into_parts();
+        let (shared, tenant) = (Arc::clone(&self.shared), tenant_of(metadata.as_ref(), &extensions)?);
+        let places = (&self.shared.gate, &self.shared.budget);
+        let handle = |out| handle(shared, tenant, Inbox::new(stream), out);
+        Ok(respond((method, Kind::Stream), &metadata, &extensions, places, handle)?)
     }
 }
 
@@ -74,38 +92,19 @@ impl proto::remesh_service_server::RemeshService for Handlers {
     async fn compute_rvd(
         &self,
         request: Request<Streaming<proto::ComputeRvdRequest>>,
-    ) -> Result<Response<Self::ComputeRvdStream>, Status> {
-        let (metadata, extensions, stream) = request.into_parts();
-        let shared = Arc::clone(&self.shared);
-        let tenant = tenant::of(&metadata, &extensions).map_err(RequestError::from)?;
-        Ok(respond(("ComputeRvd", Kind::Stream), &metadata, &extensions, (&self.gate, &self.shared.budget), |out| {
-            diagram::handle(shared, tenant, Inbox::new(stream), out)
-        })?)
+    ) -> Reply<Self::ComputeRvdStream> {
+        self.stream("ComputeRvd", request, diagram::handle)
     }
 
-    async fn cvt(&self, request: Request<Streaming<proto::CvtRequest>>) -> Result<Response<Self::CvtStream>, Status> {
-        let (metadata, extensions, stream) = request.into_parts();
-        let shared = Arc::clone(&self.shared);
-        let tenant = tenant::of(&metadata, &extensions).map_err(RequestError::from)?;
-        Ok(respond(("Cvt", Kind::Stream), &metadata, &extensions, (&self.gate, &self.shared.budget), |out| {
-            cvt::handle(shared, tenant, Inbox::new(stream), out)
-        })?)
+    async fn cvt(&self, request: Request<Streaming<proto::CvtRequest>>) -> Reply<Self::CvtStream> {
+        self.stream("Cvt", request, cvt::handle)
     }
 
-    async fn remesh(
-        &self,
-        request: Request<Streaming<proto::RemeshRequest>>,
-    ) -> Result<Response<Self::RemeshStream>, Status> {
-        let (metadata, extensions, stream) = request.into_parts();
-        let shared = Arc::clone(&self.shared);
-        let tenant = tenant::of(&metadata, &extensions).map_err(RequestError::from)?;
-        Ok(respond(("Remesh", Kind::Stream), &metadata, &extensions, (&self.gate, &self.shared.budget), |out| {
-            remesh::handle(shared, tenant, Inbox::new(stream), out)
-        })?)
+    async fn remesh(&self, request: Request<Streaming<proto::RemeshRequest>>) -> Reply<Self::RemeshStream> {
+        self.stream("Remesh", request, remesh::handle)
     }
 }
 
-/// What was uploaded.
 struct Received {
     arrays: Uploaded,
     /// Its memory. Held until the job is done.
@@ -120,12 +119,6 @@ struct Admitted<O> {
     request: AdmissionRequest,
 }
 
-/// What a request may ask for, as the checks of messages take it.
-fn bounds(limits: &Limits) -> Bounds {
-    let &Limits { max_vertices, max_facets, max_seeds, max_iterations, .. } = limits;
-    Bounds { max_vertices, max_facets, max_seeds, max_iterations }
-}
-
 /// Reads header, chunks and the end mark. What cannot be done now, or not here, is refused at the header.
 async fn upload<M: Into<Incoming<H>>, H: Needs>(
     shared: &Shared,
@@ -134,7 +127,7 @@ async fn upload<M: Into<Incoming<H>>, H: Needs>(
 ) -> Result<Admitted<H::Options>, RequestError> {
     let Limits { upload_idle, upload: limit, .. } = shared.limits;
     let deadline = tokio::time::Instant::now() + limit;
-    let mut upload = Upload::<H>::new(bounds(&shared.limits));
+    let mut upload = Upload::<H>::new(shared.limits.bounds());
     let mut share = shared.budget.share();
     let mut kept = None;
     loop {
@@ -147,7 +140,7 @@ async fn upload<M: Into<Incoming<H>>, H: Needs>(
         let complete = upload.take(message.map(Into::into), |bytes| share.grow(bytes))?;
         let (request, reservation) = match (kept.take(), upload.header()) {
             (Some(kept), _) => kept,
-            (None, Some(header)) => (need::admission_request::<H>(shared, tenant, header)?, shared.engine.reserve()?),
+            (None, Some(header)) => (admission_request::<H>(shared, tenant, header)?, shared.engine.reserve()?),
             // Nothing can come before the header.
             (None, None) => (AdmissionRequest::default(), shared.engine.reserve()?),
         };
@@ -160,7 +153,7 @@ async fn upload<M: Into<Incoming<H>>, H: Needs>(
 
 /// The upload of a recorded `Remesh` stream, as far as it needs no engine.
 pub(super) fn replay(recording: &mut &[u8], limits: &Limits) -> Result<Input, RequestError> {
-    let mut upload = Upload::<proto::RemeshHeader>::new(bounds(limits));
+    let mut upload = Upload::<proto::RemeshHeader>::new(limits.bounds());
     let mut share = Budget::new(limits.memory_bytes).share();
     loop {
         let message = match recording.is_empty() {
@@ -232,7 +225,6 @@ async fn prepare(
     .await
 }
 
-/// Sends an array.
 async fn send_all<T: prost::Message>(
     outbox: &Outbox<T>,
     chunks: impl Iterator<Item = Chunk>,
@@ -297,12 +289,76 @@ async fn send_seeds<T: prost::Message>(
     send_all(outbox, point_chunks(ArrayKind::Seeds, seeds), wrap).await
 }
 
-/// A job was taken in.
 fn accepted(position: usize, by: &BackendInfo) -> proto::Accepted {
     proto::Accepted {
         queue_position: u32::try_from(position).unwrap_or(u32::MAX),
         backend: by.kind.name().to_owned(),
         adapter: by.adapter.clone().unwrap_or_default(),
         threads: u32::try_from(by.threads).unwrap_or(u32::MAX),
+    }
+}
+
+/// A header that says what its job needs.
+trait Needs: Header<Options: Start> {
+    const KIND: estimate::Kind;
+    /// Whether later pieces continue what the first one makes.
+    const HAS_CONTINUATIONS: bool;
+
+    fn counts(counts: Counts, options: &Self::Options) -> Counts;
+}
+
+/// The admission request of a stream's job, in the name of its tenant.
+///
+/// # Errors
+/// `JobApi` with `TooLarge` if it could never run here.
+fn admission_request<H: Needs>(
+    shared: &Shared,
+    tenant: &str,
+    header: &Checked<H::Options>,
+) -> Result<AdmissionRequest, RequestError> {
+    let by = shared.engine.backend(header.backend)?;
+    let Checked { mesh, options, attributes, .. } = header;
+    let points = match options.seeds().count() {
+        _ if mesh.seeds > 0 => mesh.seeds,
+        Count::Points(points) => points as u64,
+        // Nothing is known yet: seldom more than half as many as facets.
+        Count::Implied => (mesh.facets / 2).clamp(1, shared.limits.max_seeds.max(1)),
+    };
+    let counts = H::counts(Counts::new(H::KIND, by.kind, mesh.vertices, mesh.facets, points), options);
+    let attributes = attributes.iter().fold(0, |sum, array| array.values.saturating_mul(3).saturating_add(sum));
+    let counts = Counts { attributes, ..counts };
+    let need = need(&counts, by.threads);
+    must_fit(&need, shared.engine.memory())?;
+    let request = admission::request(&shared.engine, tenant, &counts, &need);
+    // Of the points that are asked for, not of those that may be added.
+    let origin = request.origin.map(|origin| Origin { seeds: points, ..origin });
+    Ok(AdmissionRequest { has_continuations: H::HAS_CONTINUATIONS, origin, ..request })
+}
+
+impl Needs for RemeshHeader {
+    const KIND: estimate::Kind = estimate::Kind::Remesh;
+    const HAS_CONTINUATIONS: bool = false;
+
+    fn counts(counts: Counts, options: &RemeshOptions) -> Counts {
+        counts.of_remesh(options)
+    }
+}
+
+impl Needs for ComputeRvdHeader {
+    const KIND: estimate::Kind = estimate::Kind::Rvd;
+    const HAS_CONTINUATIONS: bool = true;
+
+    // Pieces are sent as they come, and not kept.
+    fn counts(counts: Counts, options: &Diagram) -> Counts {
+        counts.of_diagram(options)
+    }
+}
+
+impl Needs for CvtHeader {
+    const KIND: estimate::Kind = estimate::Kind::Cvt;
+    const HAS_CONTINUATIONS: bool = true;
+
+    fn counts(counts: Counts, options: &Session) -> Counts {
+        counts.of_session(options)
     }
 }

@@ -13,16 +13,14 @@ use tonic_health::ServingStatus;
 use tonic_health::server::HealthReporter;
 
 use super::{BLOB_SERVICE_NAME, JOB_SERVICE_NAME};
-use crate::metrics::{BlobBytes, Metrics};
+use crate::metrics::Metrics;
 use crate::readiness::{Condition, Readiness, Reason};
 use jobs::blob::{BlobError, BlobStore};
 use jobs::engine::probe::probe;
 use jobs::{Device, Engine, Work};
 
-/// Between two probes while they fail.
 const PROBE_AGAIN: Duration = Duration::from_secs(5);
 
-/// Between two looks at the store of blobs.
 const LOOK_AT_BLOBS: Duration = Duration::from_secs(5);
 
 /// Health of each service and of the server.
@@ -35,7 +33,6 @@ pub(super) struct Told {
 }
 
 impl Told {
-    /// Nothing is published yet.
     pub(super) fn new(health: HealthReporter, names: &'static [&'static str], metrics: Metrics) -> Self {
         Self { health, names, metrics, last: Mutex::default() }
     }
@@ -54,7 +51,6 @@ impl Told {
         *last = Some(condition);
     }
 
-    /// Publishes every change.
     pub(super) async fn follow(self: Arc<Self>, readiness: Readiness) {
         let mut condition = readiness.watch();
         loop {
@@ -115,7 +111,6 @@ pub(super) async fn follow_engine(engine: &Engine, readiness: &Readiness, metric
     }
 }
 
-/// Probes the engine once.
 pub(super) async fn check(engine: &Engine, readiness: &Readiness, metrics: &Metrics) {
     let outcome = probe(engine).await;
     if let Err(error) = &outcome {
@@ -152,7 +147,7 @@ pub(super) async fn follow_blobs(
     loop {
         match blobs.usage().await {
             Ok(usage) => {
-                metrics.blobs(BlobBytes { kept: usage.blob_bytes + usage.uploading_bytes, limit: usage.limit_bytes });
+                metrics.blobs(usage.blob_bytes + usage.uploading_bytes, usage.limit_bytes);
             }
             Err(error) => tracing::warn!(%error, "what blobs take is not known"),
         }

@@ -9,7 +9,7 @@ use tonic::{Code, Status};
 use tonic_types::{ErrorDetails, StatusExt};
 
 use super::RequestError;
-use super::fault::{Detail, Fault, Kind};
+use super::fault::{Detail, Fault};
 
 impl From<RequestError> for Status {
     fn from(error: RequestError) -> Self {
@@ -22,7 +22,7 @@ impl From<RequestError> for Status {
 
 impl From<Fault> for Status {
     fn from(fault: Fault) -> Self {
-        let (code, text) = (code(fault.kind), fault.text);
+        let (code, text) = (Code::from_i32(fault.kind as i32), fault.text);
         if fault.details.is_empty() {
             return Self::new(code, text);
         }
@@ -39,26 +39,6 @@ impl From<Fault> for Status {
             };
         }
         Self::with_error_details(code, text, details)
-    }
-}
-
-fn code(kind: Kind) -> Code {
-    match kind {
-        Kind::Cancelled => Code::Cancelled,
-        Kind::InvalidArgument => Code::InvalidArgument,
-        Kind::DeadlineExceeded => Code::DeadlineExceeded,
-        Kind::NotFound => Code::NotFound,
-        Kind::AlreadyExists => Code::AlreadyExists,
-        Kind::PermissionDenied => Code::PermissionDenied,
-        Kind::ResourceExhausted => Code::ResourceExhausted,
-        Kind::FailedPrecondition => Code::FailedPrecondition,
-        Kind::Aborted => Code::Aborted,
-        Kind::OutOfRange => Code::OutOfRange,
-        Kind::Unimplemented => Code::Unimplemented,
-        Kind::Internal => Code::Internal,
-        Kind::Unavailable => Code::Unavailable,
-        Kind::DataLoss => Code::DataLoss,
-        Kind::Unauthenticated => Code::Unauthenticated,
     }
 }
 

@@ -20,7 +20,8 @@ use tonic::{Extensions, Response, Status, Streaming};
 
 use super::budget::{Budget, Share};
 use super::connections::Exchange;
-use super::{Phase, RequestError, refusal};
+use super::fault::refusal;
+use super::{Phase, RequestError};
 use crate::config::Limits;
 use crate::metrics::Metrics;
 use telemetry::trace;
@@ -61,12 +62,10 @@ impl Gate {
         Self { streams, calls, watches, sessions, limits, phase, metrics }
     }
 
-    /// Counts a refusal, if this is one.
     fn note(&self, error: &RequestError) {
-        refusal::of(error).into_iter().for_each(|reason| self.metrics.refused(reason));
+        refusal(error).into_iter().for_each(|reason| self.metrics.refused(reason));
     }
 
-    /// Admits a stream or a call.
     pub fn admit(&self, kind: Kind) -> Result<OwnedSemaphorePermit, RequestError> {
         if *self.phase.borrow() != Phase::Serving {
             return Err(RequestError::Draining);
@@ -80,7 +79,6 @@ impl Gate {
         Arc::clone(places).try_acquire_owned().map_err(full)
     }
 
-    /// Admits an interactive session.
     pub fn admit_session(&self) -> Result<OwnedSemaphorePermit, RequestError> {
         let full = |_| RequestError::TooMany { what: "sessions", limit: self.limits.max_sessions };
         Arc::clone(&self.sessions).try_acquire_owned().map_err(full)
@@ -100,7 +98,6 @@ impl Gate {
     }
 }
 
-/// Messages from the client.
 pub(super) struct Inbox<T> {
     stream: Streaming<T>,
 }
@@ -119,7 +116,6 @@ impl<T> Inbox<T> {
     }
 }
 
-/// Messages to the client.
 #[derive(Debug)]
 pub(super) struct Outbox<T> {
     sender: mpsc::Sender<Waiting<T>>,

@@ -13,8 +13,9 @@ use tokio::time::Instant;
 use tonic::{Code, Status};
 
 use super::{Answers, Asked, At, End, Ends, Pace, Why, counted, unary};
+use crate::load::UploadArg;
 use crate::load::amounts::Kind;
-use crate::load::tally::Tally;
+use crate::load::compare::Tally;
 use crate::remote::{Door, has_ended};
 use wire::pieces::{Incoming, PIECE_BYTES, piece};
 use wire::proto::blob_service_client::BlobServiceClient;
@@ -31,7 +32,6 @@ pub(in crate::load) const LABEL: &str = "tessera-load";
 /// What a call leaves at the server.
 #[derive(Clone, Debug)]
 pub(in crate::load) struct Rubbish {
-    /// The job.
     job: Option<String>,
     /// Files and results.
     blobs: Vec<String>,
@@ -52,7 +52,7 @@ impl At<'_> {
     pub(super) async fn job(&self, kind: Kind, asked: &mut Asked, pace: &mut Pace) -> Result<(), End> {
         let (caller, tally) = (self.caller, &self.caller.tally);
         let mut rubbish = Rubbish { job: None, blobs: Vec::new() };
-        let digest = match caller.settings.uploads {
+        let digest = match caller.args.upload == UploadArg::Each {
             true => {
                 let (begin, file) = (Instant::now(), caller.uploaded.fetch_add(1, Ordering::Relaxed));
                 let (bytes, digest) = self.surface.file_with(&format!("{LABEL} {} {file}", caller.run));
@@ -108,7 +108,7 @@ impl At<'_> {
         JobSpec {
             mesh: Some(JobMesh { source: Some(job_mesh::Source::File(file)) }),
             work: Some(work),
-            backend: self.caller.settings.backend.into(),
+            backend: self.backend(),
             labels: HashMap::from([(LABEL.to_owned(), self.caller.run.clone())]),
             ..JobSpec::default()
         }
@@ -129,7 +129,6 @@ impl At<'_> {
         Err(End::Here(why))
     }
 
-    /// Takes a blob.
     async fn read(&self, digest: &str, asked: &mut Asked, pace: &mut Pace) -> Result<(), End> {
         let wrong = |what: &dyn std::fmt::Display| End::Wrong(what.to_string());
         let request = ReadRequest { digest: digest.to_owned(), ..ReadRequest::default() };
@@ -181,7 +180,6 @@ fn stages(job: &Job) -> (Option<Duration>, Option<Duration>) {
     (between(created, started), between(started, changed))
 }
 
-/// Uploads a file in one stream.
 async fn write(tally: &Tally, door: &Door, ends: &Ends, digest: &str, bytes: Bytes) -> Result<(), End> {
     let (size_bytes, digest) = (bytes.len() as u64, digest.to_owned());
     let count = bytes.len().div_ceil(PIECE_BYTES).max(1);

@@ -13,7 +13,6 @@ use wire::arrays::Arrays;
 use wire::proto::remesh_service_client::RemeshServiceClient;
 use wire::proto::{self, ArrayKind, Chunk, ComputeRvdRequest, CvtRequest, RemeshRequest, RvdOutput, Timing};
 
-/// Steps of a session.
 const CVT_STEPS: u32 = 5;
 
 fn client(door: &Door) -> RemeshServiceClient<Door> {
@@ -34,7 +33,6 @@ fn told<T: Send + 'static>(messages: Vec<T>, left: &Left) -> impl tokio_stream::
     }))
 }
 
-/// A stream under way.
 struct Flow {
     begin: Instant,
     left: Left,
@@ -48,7 +46,6 @@ impl Flow {
         Self { begin: Instant::now(), left: Left::default(), first: None, arrays: Arrays::default() }
     }
 
-    /// Counts bytes of the result.
     async fn came(&mut self, bytes: usize, asked: &mut Asked, pace: &mut Pace) {
         self.first.get_or_insert_with(Instant::now);
         asked.came_bytes += bytes as u64;
@@ -86,7 +83,7 @@ impl At<'_> {
         let header = proto::RemeshHeader {
             mesh: Some(self.surface.header.clone()),
             seeds: 0,
-            backend: self.caller.settings.backend.into(),
+            backend: self.backend(),
             options: Some(self.remesh_options()),
         };
         let chunks = self.surface.chunks.iter().cloned().map(Ask::Chunk);
@@ -120,7 +117,7 @@ impl At<'_> {
         let header = proto::ComputeRvdHeader {
             mesh: Some(self.surface.header.clone()),
             seeds: 0,
-            backend: self.caller.settings.backend.into(),
+            backend: self.backend(),
             options: Some(proto::DiagramOptions {
                 outputs: vec![RvdOutput::Cells.into(), RvdOutput::Centroids.into()],
                 ..self.diagram_options()
@@ -162,7 +159,7 @@ impl At<'_> {
         let header = proto::CvtHeader {
             mesh: Some(self.surface.header.clone()),
             seeds: 0,
-            backend: self.caller.settings.backend.into(),
+            backend: self.backend(),
             options: Some(proto::CvtOptions {
                 points: self.surface.points(),
                 seed: Some(self.random_seed),

@@ -3,7 +3,11 @@
 //! Invariant: every method of `proto/` is here, and none besides; a test compares the two. A method that is not here is not
 //! served. Must not know: keys.
 
+use prost::Message as _;
+use prost_types::FileDescriptorSet;
+
 use crate::keys::Role;
+use wire::proto;
 
 /// What a call needs where keys are required.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -37,7 +41,6 @@ const METHODS: &[(&str, &str, Role)] = &[
     ("tessera.v1.ServerService", "GetServerInfo", Role::Read),
 ];
 
-/// Services that are not ours.
 const HEALTH: &str = "grpc.health.v1.Health";
 const REFLECTION: [&str; 2] = ["grpc.reflection.v1.ServerReflection", "grpc.reflection.v1alpha.ServerReflection"];
 
@@ -54,6 +57,23 @@ pub(super) fn needs(path: &str) -> Option<Needs> {
     found.map(|(_, _, role)| Needs::Role(*role))
 }
 
+/// All methods that are served, as "package.Service/Method": from the descriptors, so that a new method is on the list.
+/// All of them, as "package.Service/Method".
+pub(in crate::service) fn served() -> Vec<String> {
+    let mut all: Vec<String> = REFLECTION.map(|name| format!("{name}/ServerReflectionInfo")).to_vec();
+    for bytes in [proto::DESCRIPTORS, tonic_health::pb::FILE_DESCRIPTOR_SET] {
+        for file in FileDescriptorSet::decode(bytes).unwrap_or_default().file {
+            for service in &file.service {
+                let of = |method: &prost_types::MethodDescriptorProto| {
+                    format!("{}.{}/{}", file.package(), service.name(), method.name())
+                };
+                all.extend(service.method.iter().map(of));
+            }
+        }
+    }
+    all
+}
+
 #[cfg(test)]
 mod tests {
     use std::collections::BTreeSet;
@@ -61,11 +81,10 @@ mod tests {
     use prost::Message as _;
 
     use super::*;
-    use wire::proto;
 
     #[test]
     fn every_method_has_a_role() {
-        let files = prost_types::FileDescriptorSet::decode(proto::DESCRIPTORS).unwrap().file;
+        let files = FileDescriptorSet::decode(proto::DESCRIPTORS).unwrap().file;
         let described: BTreeSet<(String, String)> = files
             .iter()
             .filter(|file| file.package().starts_with("tessera."))
@@ -97,6 +116,20 @@ mod tests {
             "//",
         ] {
             assert_eq!(needs(path), None, "{path}");
+        }
+    }
+
+    #[test]
+    fn methods_of_all_services_are_there() {
+        let all = served();
+        for method in [
+            "tessera.v1.RemeshService/Remesh",
+            "tessera.v1.JobService/CreateJob",
+            "tessera.v1.BlobService/Write",
+            "tessera.v1.ServerService/GetServerInfo",
+            "grpc.health.v1.Health/Watch",
+        ] {
+            assert!(all.iter().any(|name| name == method), "{method}");
         }
     }
 }

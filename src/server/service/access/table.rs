@@ -5,18 +5,26 @@
 //! for as one that is. Must not know: requests, files.
 
 use std::collections::{HashMap, HashSet};
+use std::future::Future;
 use std::num::NonZeroU32;
+use std::pin::Pin;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU32, Ordering};
+use std::task::{Context, Poll};
 
 use governor::clock::{Clock as _, DefaultClock};
 use governor::{DefaultDirectRateLimiter, Quota};
+use http_body::{Frame, SizeHint};
 use tokio::sync::watch;
+use tonic::Status;
+use tonic::body::Body;
+use tonic::codegen::Bytes;
+use tonic::codegen::http::HeaderMap;
 
 use super::Refusal;
 use crate::keys::{Hash, Key, KeySet, Secret};
+use crate::service::RequestError;
 
-/// See the module's head.
 #[derive(Default)]
 pub(super) struct Table {
     keys: HashMap<String, Arc<Entry>>,
@@ -25,7 +33,6 @@ pub(super) struct Table {
 
 struct Entry {
     key: Key,
-    /// Calls that are open.
     open: Arc<AtomicU32>,
     rate: Option<Arc<DefaultDirectRateLimiter>>,
     ended: Arc<watch::Sender<bool>>,
@@ -68,12 +75,10 @@ impl Table {
         set.keys().len() != self.keys.len() || !set.keys().iter().all(same)
     }
 
-    /// Whether a name has a key.
     pub(super) fn has(&self, name: &str) -> bool {
         self.names.contains(name)
     }
 
-    /// The weights of the names that have one.
     pub(super) fn weights(&self) -> Vec<(String, f64)> {
         let of = |entry: &Arc<Entry>| Some((entry.key.name.clone(), entry.key.limits.weight?));
         let mut weights: Vec<_> = self.keys.values().filter_map(of).collect();
@@ -106,7 +111,6 @@ pub struct Pass {
 }
 
 impl Pass {
-    /// Whose.
     pub(super) fn key(&self) -> &Key {
         &self.entry.key
     }
@@ -149,6 +153,52 @@ impl Drop for Pass {
         if self.is_open {
             self.entry.open.fetch_sub(1, Ordering::AcqRel);
         }
+    }
+}
+
+/// The answer to a call with a key: keeps the call's place until it has left, and ends it, with a status, if the key does.
+pub(super) struct Held {
+    body: Body,
+    ended: Pin<Box<dyn Future<Output = ()> + Send>>,
+    _pass: Pass,
+    is_cut: bool,
+}
+
+impl Held {
+    pub(super) fn new(body: Body, pass: Pass) -> Self {
+        Self { body, ended: Box::pin(pass.ended()), _pass: pass, is_cut: false }
+    }
+}
+
+impl http_body::Body for Held {
+    type Data = Bytes;
+    type Error = Status;
+
+    fn poll_frame(
+        mut self: Pin<&mut Self>,
+        context: &mut Context<'_>,
+    ) -> Poll<Option<Result<Frame<Self::Data>, Self::Error>>> {
+        if self.is_cut {
+            return Poll::Ready(None);
+        }
+        if self.ended.as_mut().poll(context).is_ready() {
+            self.is_cut = true;
+            // The work for the answer sees that its client is gone.
+            self.body = Body::empty();
+            let mut trailers = HeaderMap::new();
+            // A status that is no header cannot be: its text is plain.
+            let _ = Status::from(RequestError::unauthenticated()).add_header(&mut trailers);
+            return Poll::Ready(Some(Ok(Frame::trailers(trailers))));
+        }
+        Pin::new(&mut self.body).poll_frame(context)
+    }
+
+    fn is_end_stream(&self) -> bool {
+        self.is_cut || self.body.is_end_stream()
+    }
+
+    fn size_hint(&self) -> SizeHint {
+        if self.is_cut { SizeHint::with_exact(0) } else { self.body.size_hint() }
     }
 }
 

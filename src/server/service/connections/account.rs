@@ -9,39 +9,16 @@ use tonic::codegen::http::{HeaderMap, Request, StatusCode};
 use tracing::{Span, field, info_span};
 
 use super::exchange::{Ending, Exchange};
-use crate::metrics::{Call, Calls};
+use crate::metrics::{Call, Calls, status_name};
 use telemetry::trace::{self, TraceContext};
 
-/// Header or trailer with the status of the call.
 const STATUS: &str = "grpc-status";
-
-/// The names of the codes, by their numbers.
-const CODES: [&str; 17] = [
-    "OK",
-    "CANCELLED",
-    "UNKNOWN",
-    "INVALID_ARGUMENT",
-    "DEADLINE_EXCEEDED",
-    "NOT_FOUND",
-    "ALREADY_EXISTS",
-    "PERMISSION_DENIED",
-    "RESOURCE_EXHAUSTED",
-    "FAILED_PRECONDITION",
-    "ABORTED",
-    "OUT_OF_RANGE",
-    "UNIMPLEMENTED",
-    "INTERNAL",
-    "UNAVAILABLE",
-    "DATA_LOSS",
-    "UNAUTHENTICATED",
-];
 
 fn code(headers: &HeaderMap) -> Option<&'static str> {
     let number: usize = headers.get(STATUS)?.to_str().ok()?.parse().ok()?;
-    Some(CODES.get(number).copied().unwrap_or("UNKNOWN"))
+    Some(status_name(number))
 }
 
-/// See the module's head.
 pub(super) struct Account {
     call: Call,
     exchange: Arc<Exchange>,
@@ -69,7 +46,6 @@ impl Account {
         (Self { call, exchange: Arc::clone(exchange), span }, context)
     }
 
-    /// The answer begins.
     pub(super) fn begun(&self, status: StatusCode, headers: &HeaderMap) {
         match code(headers) {
             Some(code) => self.call.end(code),

@@ -23,7 +23,6 @@ const PREFIX: usize = 5;
 /// refused for its own frame.
 const SLACK: u64 = 64 << 10;
 
-/// See the module's head.
 pub(super) struct Arriving<B> {
     inner: B,
     budget: Budget,

@@ -1,9 +1,10 @@
-//! One connection: HTTP/2 on a socket, with time limits.
+//! One connection: HTTP on a socket, with time limits.
 //!
-//! Purpose: [`serve`] runs a connection until it ends, is closed, or exceeds a limit.
+//! Purpose: [`serve`] runs a connection of gRPC, [`serve_web`] one of HTTP/1.1 and HTTP/2 with a router, until it ends, is closed,
+//! or exceeds a limit.
 //! Invariant: every stream is cut with its connection; a stream is reset if its client reads nothing; if its bytes remain,
-//! the connection is closed.
-//! Must not know: other connections, messages.
+//! the connection is closed. HTTP/1.1 has no streams: its connection is closed.
+//! Must not know: other connections, messages, requests and answers.
 
 use std::convert::Infallible;
 use std::fmt;
@@ -12,9 +13,12 @@ use std::pin::Pin;
 use std::sync::{Arc, Mutex, MutexGuard};
 use std::time::{Duration, Instant};
 
+use axum::Router;
+use axum::body::Body as WebBody;
 use hyper::body::Incoming;
 use hyper_util::rt::{TokioIo, TokioTimer};
 use hyper_util::server::conn::auto;
+use hyper_util::service::TowerToHyperService;
 use tokio::sync::{Notify, watch};
 use tonic::Status;
 use tonic::body::Body;
@@ -25,9 +29,8 @@ use super::account::Account;
 use super::arriving::Arriving;
 use super::exchange::{Answer, Ending, Exchange, Farewell};
 use super::frames::Meter;
-use super::line::{Line, Tapped};
 use super::places::{Guest, Peer, Standing};
-use super::socket::Traffic;
+use super::socket::{Line, Tapped, Traffic};
 use super::{Common, Grpc, LINGER};
 use crate::config::{Limits, Transport};
 use telemetry::trace;
@@ -42,7 +45,6 @@ const SEND_BUFFER: usize = 128 << 10;
 /// How the paths of the services begin that take uploads.
 const OURS: &str = "/tessera.v1.";
 
-/// The header with the compression of messages.
 const ENCODING: &str = "grpc-encoding";
 
 /// The longest message to health and reflection, bytes.
@@ -58,13 +60,11 @@ const CUT_TIME: Duration = Duration::from_secs(1);
 const LOOK_EVERY: Duration = Duration::from_secs(1);
 const LOOK_EVERY_AT_THE_END: Duration = Duration::from_millis(25);
 
-/// State of a connection.
 pub(super) struct State {
     pub(super) peer: Peer,
     opened: Instant,
     pub(super) traffic: Arc<Traffic>,
     streams: Mutex<Streams>,
-    /// Notified once it has to go.
     pub(super) evicted: Notify,
 }
 
@@ -85,7 +85,6 @@ impl State {
         Self { peer, opened, traffic, streams: Mutex::new(streams), evicted: Notify::new() }
     }
 
-    /// Registers a request.
     pub(super) fn take(&self, exchange: &Arc<Exchange>) {
         let mut streams = self.lock();
         streams.requests += 1;
@@ -130,11 +129,9 @@ enum Verdict {
     Stays,
     /// Say goodbye, then close.
     Finish(&'static str),
-    /// Close at once.
     Close(&'static str),
 }
 
-/// Runs the connection.
 pub(super) async fn serve(
     line: Line,
     state: Arc<State>,
@@ -354,7 +351,6 @@ impl Drop for EndOnDrop {
     }
 }
 
-/// Hands requests to the services.
 struct Answerer {
     state: Arc<State>,
     common: Arc<Common>,
@@ -404,4 +400,53 @@ fn farewell() -> HeaderMap {
     // A status that is no header cannot be: its text is plain.
     let _ = Status::from(RequestError::Draining).add_header(&mut trailers);
     trailers
+}
+
+/// Smallest buffer that hyper allows for the head of an HTTP/1.1 request, bytes.
+const LEAST_HEAD: usize = 8 << 10;
+
+pub(super) async fn serve_web(
+    line: Line,
+    state: Arc<State>,
+    common: Arc<Common>,
+    router: Router,
+    phase: watch::Receiver<Phase>,
+) {
+    let limits = &common.limits;
+    let entrance =
+        Entrance { state: Arc::clone(&state), common: Arc::clone(&common), routes: TowerToHyperService::new(router) };
+    let mut builder = self::builder(limits, &state);
+    builder
+        .http1()
+        .timer(TokioTimer::new())
+        .header_read_timeout(limits.idle_connection.max(limits.first_request))
+        .max_buf_size(LEAST_HEAD.max(limits.transport.header_bytes as usize));
+    let served = builder.serve_connection(metered(line, limits, &state), entrance);
+    run(served, auto::Connection::graceful_shutdown, &state, &common, phase).await;
+}
+
+struct Entrance {
+    state: Arc<State>,
+    common: Arc<Common>,
+    routes: TowerToHyperService<Router>,
+}
+
+impl hyper::service::Service<Request<Incoming>> for Entrance {
+    type Response = Response<Answer<WebBody>>;
+    type Error = Infallible;
+    type Future = Pin<Box<dyn Future<Output = Result<Self::Response, Infallible>> + Send>>;
+
+    fn call(&self, mut request: Request<Incoming>) -> Self::Future {
+        let exchange = Arc::new(Exchange::new(self.common.budget.clone(), false));
+        self.state.take(&exchange);
+        let over = EndOnDrop { state: Arc::clone(&self.state), exchange: Arc::clone(&exchange) };
+        request.extensions_mut().insert(Arc::clone(&exchange));
+        request.extensions_mut().insert(self.state.peer);
+        let answering = self.routes.call(request);
+        Box::pin(async move {
+            let response = answering.await?;
+            exchange.answered.set();
+            Ok(response.map(|body| Answer::new(body, exchange, None).with_ending(over)))
+        })
+    }
 }

@@ -34,7 +34,6 @@ impl Flag {
     }
 }
 
-/// See the module's head.
 #[derive(Debug)]
 pub(crate) struct Exchange {
     began: Instant,
@@ -60,7 +59,6 @@ pub(crate) struct Exchange {
 }
 
 impl Exchange {
-    /// Starts an exchange for a request.
     pub(super) fn new(budget: Budget, is_question: bool) -> Self {
         Self {
             began: Instant::now(),
@@ -184,7 +182,6 @@ pub(super) struct Farewell {
     pub(super) trailers: HeaderMap,
 }
 
-/// See the module's head.
 pub(super) struct Answer<B> {
     inner: B,
     exchange: Arc<Exchange>,

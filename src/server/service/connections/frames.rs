@@ -10,10 +10,9 @@ use std::sync::Arc;
 use std::task::Poll;
 use std::time::Instant;
 
-use super::line::Tap;
+use super::socket::Tap;
 use super::socket::Traffic;
 
-/// The client's preface of HTTP/2.
 const PREFACE: &[u8; 24] = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n";
 
 /// The head of a frame, bytes: length (3), type, flags, stream (4). RFC 9113, section 4.1.
@@ -106,7 +105,6 @@ impl Allowance {
     }
 }
 
-/// See the module's head.
 pub(super) struct Meter {
     heads: Heads,
     allowance: Allowance,

@@ -35,11 +35,8 @@ const PART_TIME: Duration = Duration::from_secs(1);
 /// Between two looks for one that can be given up.
 const LOOK_EVERY: Duration = Duration::from_millis(50);
 
-/// See the module's head.
 pub(super) struct Handshakes {
-    /// The certificates.
     pub(super) tls: Arc<Tls>,
-    /// Whether HTTP/1.1 is spoken too.
     web: bool,
     limits: Transport,
     turns: Arc<Semaphore>,
@@ -107,7 +104,6 @@ impl Handshakes {
         None
     }
 
-    /// Waits for a turn.
     async fn turn(&self, state: &Arc<State>) -> io::Result<Turn<'_>> {
         let acquiring = Arc::clone(&self.turns).acquire_owned();
         tokio::pin!(acquiring);
@@ -143,7 +139,6 @@ impl Handshakes {
     }
 }
 
-/// Why a handshake failed, for the log.
 fn reason(error: &io::Error) -> String {
     match error.get_ref().and_then(|inner| inner.downcast_ref::<rustls::Error>()) {
         Some(rustls::Error::InvalidMessage(_)) => "the client speaks no TLS".to_owned(),

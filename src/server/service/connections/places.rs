@@ -24,33 +24,25 @@ const NETWORK_BITS: u32 = 64;
 /// Activity of a connection so far.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) enum Standing {
-    /// Sent nothing.
     Silent,
-    /// Sent something, and no request yet.
     Greeted,
     /// Had requests; none has been open for this time.
     Idle(Duration),
-    /// Has open requests.
     Busy,
 }
 
 /// The interface of a connection for [`Places`].
 pub(super) trait Guest: Send + Sync {
     fn standing(&self) -> Standing;
-    /// Asks it to close at once.
     fn evict(&self);
 }
 
-/// Which limit is met.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Full {
-    /// For the peer.
     Peer,
-    /// For all.
     All,
 }
 
-/// See the module's head.
 pub(super) struct Places<G> {
     table: Mutex<Table<G>>,
     freed: Notify,
@@ -141,7 +133,6 @@ impl<G> Drop for Place<G> {
 pub(crate) struct Peer(IpAddr);
 
 impl Peer {
-    /// The peer of an address.
     pub(crate) fn of(address: SocketAddr) -> Self {
         Self(network(address.ip()))
     }

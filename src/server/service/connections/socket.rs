@@ -1,20 +1,24 @@
-//! A TCP socket that records whether anything arrived, and since when writing is blocked.
+//! The byte stream of a connection: a TCP socket that records whether anything arrived, and since when writing is blocked, or
+//! TLS on it.
 //!
-//! Purpose: [`open`] makes a [`Socket`], [`Traffic`] has its state.
+//! Purpose: [`open`] makes a [`Socket`], [`Traffic`] has its state. [`Line`] is one type for both streams, so that HTTP is compiled
+//! once; [`Tapped`] shows the bytes of a stream to a [`Tap`], unchanged.
 //! Invariant: the system buffers at most [`UNSENT_BYTES`] beyond what the peer's window takes, so that bytes written are
 //! bytes the peer has room for.
-//! Must not know: HTTP.
+//! Must not know: HTTP, certificates.
 
 use std::io;
+use std::io::IoSlice;
+use std::pin::Pin;
 use std::sync::{Arc, Mutex};
-use std::task::Poll;
+use std::task::{Context, Poll};
 use std::time::{Duration, Instant};
 
 use socket2::{SockRef, TcpKeepalive};
+use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 use tokio::net::TcpStream;
 
 use super::exchange::Flag;
-use super::line::{Tap, Tapped};
 use jobs::lock;
 
 /// Bytes that may wait in the system for the peer's window.
@@ -27,7 +31,6 @@ const PROBE_EVERY: Duration = Duration::from_secs(5);
 #[cfg(unix)]
 const PROBES: u32 = 3;
 
-/// Counters of a socket's bytes.
 #[derive(Debug, Default)]
 pub(super) struct Traffic {
     /// Set once the peer has sent anything.
@@ -63,10 +66,8 @@ impl Tap for Arc<Traffic> {
     }
 }
 
-/// See the module's head.
 pub(super) type Socket = Tapped<TcpStream, Arc<Traffic>>;
 
-/// Sets the options of a socket.
 pub(super) fn open(stream: TcpStream, traffic: Arc<Traffic>) -> io::Result<Socket> {
     stream.set_nodelay(true)?;
     let socket = SockRef::from(&stream);
@@ -77,4 +78,66 @@ pub(super) fn open(stream: TcpStream, traffic: Arc<Traffic>) -> io::Result<Socke
     #[cfg(any(target_os = "linux", target_os = "android"))]
     socket.set_tcp_notsent_lowat(UNSENT_BYTES)?;
     Ok(Tapped { stream, tap: traffic })
+}
+
+pub(super) type Line = Box<dyn Stream>;
+
+pub(super) trait Stream: AsyncRead + AsyncWrite + Send + Unpin {}
+
+impl<S: AsyncRead + AsyncWrite + Send + Unpin> Stream for S {}
+
+pub(super) trait Tap: Unpin {
+    /// These bytes arrived; none if reading has to wait. An error ends the stream.
+    fn read(&mut self, bytes: &[u8]) -> io::Result<()>;
+    fn wrote(&mut self, outcome: &Poll<io::Result<usize>>);
+}
+
+#[derive(Debug)]
+pub(super) struct Tapped<S, T> {
+    pub(super) stream: S,
+    pub(super) tap: T,
+}
+
+impl<S: AsyncRead + Unpin, T: Tap> AsyncRead for Tapped<S, T> {
+    fn poll_read(self: Pin<&mut Self>, cx: &mut Context<'_>, buf: &mut ReadBuf<'_>) -> Poll<io::Result<()>> {
+        let Self { stream, tap } = self.get_mut();
+        let before = buf.filled().len();
+        let outcome = Pin::new(stream).poll_read(cx, buf);
+        match tap.read(&buf.filled()[before..]) {
+            Ok(()) => outcome,
+            Err(error) => Poll::Ready(Err(error)),
+        }
+    }
+}
+
+impl<S: AsyncWrite + Unpin, T: Tap> AsyncWrite for Tapped<S, T> {
+    fn poll_write(self: Pin<&mut Self>, cx: &mut Context<'_>, buf: &[u8]) -> Poll<io::Result<usize>> {
+        let Self { stream, tap } = self.get_mut();
+        let outcome = Pin::new(stream).poll_write(cx, buf);
+        tap.wrote(&outcome);
+        outcome
+    }
+
+    fn poll_write_vectored(
+        self: Pin<&mut Self>,
+        cx: &mut Context<'_>,
+        bufs: &[IoSlice<'_>],
+    ) -> Poll<io::Result<usize>> {
+        let Self { stream, tap } = self.get_mut();
+        let outcome = Pin::new(stream).poll_write_vectored(cx, bufs);
+        tap.wrote(&outcome);
+        outcome
+    }
+
+    fn is_write_vectored(&self) -> bool {
+        self.stream.is_write_vectored()
+    }
+
+    fn poll_flush(mut self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<io::Result<()>> {
+        Pin::new(&mut self.stream).poll_flush(cx)
+    }
+
+    fn poll_shutdown(mut self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<io::Result<()>> {
+        Pin::new(&mut self.stream).poll_shutdown(cx)
+    }
 }

@@ -16,16 +16,12 @@ const WINDOW_LOG: u32 = 23;
 /// Approximate memory of a decoder without its window, bytes.
 const DECODER_BYTES: u64 = 128 << 10;
 
-/// Why a message is refused.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Wrong {
-    /// It would be longer than it may be.
     TooLong,
-    /// The compressed data is invalid.
     Damaged,
 }
 
-/// See the module's head.
 pub(super) enum Unpacking {
     Gzip(Box<GzDecoder<Counted>>),
     Zstd(Box<ZstdDecoder<'static, Counted>>),
@@ -84,7 +80,6 @@ impl Unpacking {
         }
     }
 
-    /// Its next bytes.
     pub(super) fn add(&mut self, bytes: &[u8]) -> Result<(), Wrong> {
         let done = match self {
             Self::Gzip(decoder) => write(&mut **decoder, bytes),

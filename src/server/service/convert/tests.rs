@@ -19,7 +19,7 @@ proptest! {
             let _ = Spec::new(message, String::new(), String::new());
         }
         if let Ok(message) = proto::ListJobsRequest::decode(&bytes[..]) {
-            let _ = job::query(message, String::new());
+            let _ = query(message, String::new());
         }
     }
 
@@ -61,8 +61,7 @@ fn spec(message: JobSpec) -> Spec {
 fn an_end_is_told_with_its_reason() {
     let valid = spec(small());
     let status = |outcome| Status { outcome, ..Status::new(valid.task().deadlines, Time(1500)) };
-    let told =
-        |outcome| job::message(&Job { id: JobId::new(Time(1), 1), spec: valid.clone(), status: status(outcome) });
+    let told = |outcome| message(&Job { id: JobId::new(Time(1), 1), spec: valid.clone(), status: status(outcome) });
     let open = told(None);
     assert_eq!((open.created.unwrap().nanos, open.started, &open.request_id[..]), (500_000_000, None, "r"));
     for (cause, name) in
@@ -89,7 +88,7 @@ fn a_page_is_no_longer_than_a_message() {
     let status = Status::new(valid.task().deadlines, Time(1));
     let job = |k| Job { id: JobId::new(Time(1), k), spec: valid.clone(), status: status.clone() };
     let page = Page { jobs: (0..100).rev().map(job).collect(), next: None };
-    let message = job::page(&page);
+    let message = super::page(&page);
     assert!(message.encoded_len() < 4 << 20 && message.jobs.len() > 10 && message.jobs.len() < 100);
     assert_eq!(message.next_page_token, message.jobs.last().unwrap().id);
 }

@@ -8,22 +8,21 @@
 use std::sync::Arc;
 
 use futures_util::TryStreamExt as _;
-use tonic::{Request, Response, Status, Streaming};
+use tonic::{Request, Streaming};
 
+use super::Reply;
 use crate::config::Limits;
 use crate::service::access::Caller;
 use crate::service::budget::{Budget, Share};
 use crate::service::convert::digest;
-use crate::service::desk::{EmptyUpload, STORE_TIME, check_owned, timely};
+use crate::service::desk::{EmptyUpload, STORE_TIME, check_owned, tenant_of, timely};
 use crate::service::stream::{Answers, Gate, Inbox, Kind, Outbox, answer, respond};
-use crate::service::{Phase, RequestError, tenant};
+use crate::service::{Phase, RequestError};
 use jobs::blob::{BlobError, BlobInfo, BlobStore, Chunk, Digest, Owner, UploadId, UploadStatus};
 use wire::{WireError, proto};
 
-/// Digests of one question.
 const MOST_DIGESTS: usize = 10_000;
 
-/// The service.
 pub(in crate::service) struct Blobs {
     store: Arc<dyn BlobStore>,
     limits: Limits,
@@ -42,9 +41,9 @@ impl Blobs {
         method: &'static str,
         request: Request<M>,
         work: impl FnOnce(M, Owner, Arc<dyn BlobStore>) -> F,
-    ) -> Result<Response<T>, Status> {
+    ) -> Reply<T> {
         let (metadata, extensions, message) = request.into_parts();
-        let tenant = tenant::of(&metadata, &extensions).map_err(RequestError::from)?;
+        let tenant = tenant_of(metadata.as_ref(), &extensions)?;
         let work = work(message, Owner::of(&tenant), Arc::clone(&self.store));
         answer((method, Kind::Call), &metadata, &extensions, &self.gate, Some(STORE_TIME), work).await
     }
@@ -54,12 +53,9 @@ impl Blobs {
 impl proto::blob_service_server::BlobService for Blobs {
     type ReadStream = Answers<proto::ReadResponse>;
 
-    async fn write(
-        &self,
-        request: Request<Streaming<proto::WriteRequest>>,
-    ) -> Result<Response<proto::WriteResponse>, Status> {
+    async fn write(&self, request: Request<Streaming<proto::WriteRequest>>) -> Reply<proto::WriteResponse> {
         let (metadata, extensions, stream) = request.into_parts();
-        let tenant = tenant::of(&metadata, &extensions).map_err(RequestError::from)?;
+        let tenant = tenant_of(metadata.as_ref(), &extensions)?;
         let most = extensions.get::<Caller>().and_then(|caller| caller.bytes);
         let work = self.receive(Inbox::new(stream), &tenant, most);
         // No limit as a whole besides that of uploads.
@@ -69,8 +65,8 @@ impl proto::blob_service_server::BlobService for Blobs {
     async fn query_write_status(
         &self,
         request: Request<proto::QueryWriteStatusRequest>,
-    ) -> Result<Response<proto::QueryWriteStatusResponse>, Status> {
-        let tenant = tenant::of(request.metadata(), request.extensions()).map_err(RequestError::from)?;
+    ) -> Reply<proto::QueryWriteStatusResponse> {
+        let tenant = tenant_of(request.metadata().as_ref(), request.extensions())?;
         self.ask("QueryWriteStatus", request, |message, _, store| async move {
             let proto::QueryWriteStatusRequest { digest: named, size_bytes } = message;
             let upload = UploadId::new(digest("digest", &named)?, size_bytes).of(&tenant);
@@ -80,19 +76,16 @@ impl proto::blob_service_server::BlobService for Blobs {
         .await
     }
 
-    async fn read(&self, request: Request<proto::ReadRequest>) -> Result<Response<Self::ReadStream>, Status> {
+    async fn read(&self, request: Request<proto::ReadRequest>) -> Reply<Self::ReadStream> {
         let (metadata, extensions, message) = request.into_parts();
-        let tenant = tenant::of(&metadata, &extensions).map_err(RequestError::from)?;
+        let tenant = tenant_of(metadata.as_ref(), &extensions)?;
         let (store, owner) = (Arc::clone(&self.store), Owner::of(&tenant));
         Ok(respond(("Read", Kind::Stream), &metadata, &extensions, (&self.gate, &self.budget), |out| {
             send(store, owner, message, out)
         })?)
     }
 
-    async fn find_missing(
-        &self,
-        request: Request<proto::FindMissingRequest>,
-    ) -> Result<Response<proto::FindMissingResponse>, Status> {
+    async fn find_missing(&self, request: Request<proto::FindMissingRequest>) -> Reply<proto::FindMissingResponse> {
         self.ask("FindMissing", request, |message, owner, store| async move {
             let named = message.digests;
             if named.len() > MOST_DIGESTS {
@@ -106,7 +99,7 @@ impl proto::blob_service_server::BlobService for Blobs {
         .await
     }
 
-    async fn stat(&self, request: Request<proto::StatRequest>) -> Result<Response<proto::StatResponse>, Status> {
+    async fn stat(&self, request: Request<proto::StatRequest>) -> Reply<proto::StatResponse> {
         self.ask("Stat", request, |message, owner, store| async move {
             let named = digest("digest", &message.digest)?;
             check_owned(&*store, owner, named).await?;
@@ -116,7 +109,7 @@ impl proto::blob_service_server::BlobService for Blobs {
         .await
     }
 
-    async fn delete(&self, request: Request<proto::DeleteRequest>) -> Result<Response<proto::DeleteResponse>, Status> {
+    async fn delete(&self, request: Request<proto::DeleteRequest>) -> Reply<proto::DeleteResponse> {
         self.ask("Delete", request, |message, owner, store| async move {
             store.disown(owner, digest("digest", &message.digest)?).await?;
             Ok(proto::DeleteResponse {})
@@ -217,7 +210,6 @@ fn check_same(upload: UploadId, message: &proto::WriteRequest) -> Result<(), Wir
     Ok(())
 }
 
-/// Sends a range of a blob.
 async fn send(
     store: Arc<dyn BlobStore>,
     owner: Owner,

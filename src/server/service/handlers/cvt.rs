@@ -22,7 +22,6 @@ fn wrap_chunk(chunk: Chunk) -> CvtResponse {
     wrap(response::Message::Chunk(chunk))
 }
 
-/// One stream.
 pub(super) async fn handle(
     shared: Arc<Shared>,
     tenant: String,

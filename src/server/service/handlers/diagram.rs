@@ -26,7 +26,6 @@ fn wrap_chunk(chunk: Chunk) -> ComputeRvdResponse {
     wrap(response::Message::Chunk(chunk))
 }
 
-/// One stream.
 pub(super) async fn handle(
     shared: Arc<Shared>,
     tenant: String,

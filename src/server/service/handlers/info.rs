@@ -3,17 +3,18 @@
 //! Invariant: it is answered whatever the condition of the server, from the values that health and metrics have.
 //! Must not know: how faults are found, how jobs are done.
 
-use tonic::{Request, Response, Status};
+use std::time::{Duration, Instant};
 
+use tonic::{Request, Response};
+
+use super::Reply;
 use crate::config::Limits;
 use crate::readiness::Readiness;
-use crate::service::about::About;
 use geometry::rvd::{BackendChoice, BackendKind};
 use jobs::Engine;
 use jobs::memory;
 use wire::proto::{self, GetServerInfoRequest, GetServerInfoResponse};
 
-/// The service.
 pub(in crate::service) struct Info {
     pub(in crate::service) engine: Engine,
     pub(in crate::service) limits: Limits,
@@ -23,10 +24,7 @@ pub(in crate::service) struct Info {
 
 #[tonic::async_trait]
 impl proto::server_service_server::ServerService for Info {
-    async fn get_server_info(
-        &self,
-        _: Request<GetServerInfoRequest>,
-    ) -> Result<Response<GetServerInfoResponse>, Status> {
+    async fn get_server_info(&self, _: Request<GetServerInfoRequest>) -> Reply<GetServerInfoResponse> {
         let condition = self.readiness.condition();
         let readiness = proto::Readiness {
             ready: condition.is_ready(),
@@ -104,6 +102,44 @@ impl Info {
     }
 }
 
-fn duration(time: std::time::Duration) -> Option<prost_types::Duration> {
+fn duration(time: Duration) -> Option<prost_types::Duration> {
     prost_types::Duration::try_from(time).ok()
+}
+
+/// What a server knows of itself from its start on. Nothing here changes.
+#[derive(Clone, Debug)]
+pub struct About {
+    /// Revision of the sources, if the build was told.
+    pub revision: Option<&'static str>,
+    /// Features that were compiled in.
+    pub features: Vec<&'static str>,
+    pub started: Instant,
+    /// Memory of the machine or its container, bytes, if it is known.
+    pub machine_bytes: Option<u64>,
+    /// By how many bytes the process may grow during a job, if there is a limit.
+    pub job_limit_bytes: Option<u64>,
+    /// Time at work of one job, if there is a limit.
+    pub job_time: Option<Duration>,
+    pub jobs_at_once: usize,
+}
+
+impl About {
+    /// The revision that the build was told of by the variable `TESSERA_REVISION`.
+    pub const REVISION: Option<&'static str> = option_env!("TESSERA_REVISION");
+}
+
+impl Default for About {
+    fn default() -> Self {
+        let features =
+            [("gpu", true), ("otlp", cfg!(feature = "otlp")), ("pictures", true), ("s3", cfg!(feature = "s3"))];
+        Self {
+            revision: Self::REVISION,
+            features: features.into_iter().filter_map(|(name, is_in)| is_in.then_some(name)).collect(),
+            started: Instant::now(),
+            machine_bytes: None,
+            job_limit_bytes: None,
+            job_time: None,
+            jobs_at_once: 1,
+        }
+    }
 }

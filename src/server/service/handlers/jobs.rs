@@ -5,21 +5,21 @@
 
 use std::sync::Arc;
 
-use tonic::{Request, Response, Status};
+use tonic::Request;
 
+use super::Reply;
 use crate::service::access::Caller;
 use crate::service::budget::Budget;
-use crate::service::convert::{job, job_id};
-use crate::service::desk::{self, DESK_TIME, to_the_end};
+use crate::service::convert::{self, job_id};
+use crate::service::desk::{self, DESK_TIME, tenant_of, to_the_end};
 use crate::service::stream::{Answers, Gate, Kind, Outbox, answer, respond};
-use crate::service::{Phase, RequestError, tenant};
+use crate::service::{Phase, RequestError};
 use jobs::blob::BlobStore;
 use jobs::executor::api::JobApi;
 use jobs::record::Spec;
 use jobs::record::event::Event;
 use wire::{WireError, proto};
 
-/// The service.
 pub(in crate::service) struct Jobs {
     api: Arc<dyn JobApi>,
     /// Asked how much a tenant has.
@@ -39,9 +39,9 @@ impl Jobs {
         method: &'static str,
         request: Request<M>,
         work: impl FnOnce(M, String, Arc<dyn JobApi>) -> F,
-    ) -> Result<Response<T>, Status> {
+    ) -> Reply<T> {
         let (metadata, extensions, message) = request.into_parts();
-        let tenant = tenant::of(&metadata, &extensions).map_err(RequestError::from)?;
+        let tenant = tenant_of(metadata.as_ref(), &extensions)?;
         let work = work(message, tenant, Arc::clone(&self.api));
         answer((method, Kind::Call), &metadata, &extensions, &self.gate, Some(DESK_TIME), work).await
     }
@@ -51,44 +51,35 @@ impl Jobs {
 impl proto::job_service_server::JobService for Jobs {
     type WatchJobStream = Answers<proto::WatchJobResponse>;
 
-    async fn create_job(
-        &self,
-        request: Request<proto::CreateJobRequest>,
-    ) -> Result<Response<proto::CreateJobResponse>, Status> {
+    async fn create_job(&self, request: Request<proto::CreateJobRequest>) -> Reply<proto::CreateJobResponse> {
         let most = request.extensions().get::<Caller>().and_then(|caller| caller.bytes);
         let blobs = Arc::clone(&self.blobs);
         self.ask("CreateJob", request, |message, tenant, api| async move {
             let wanted = spec(message.spec, tenant, message.request_id)?;
             let created = desk::create(api, &*blobs, most, wanted).await?;
-            Ok(proto::CreateJobResponse { job: Some(job::message(&created.job)), existed: created.existed })
+            Ok(proto::CreateJobResponse { job: Some(convert::message(&created.job)), existed: created.existed })
         })
         .await
     }
 
-    async fn get_job(&self, request: Request<proto::GetJobRequest>) -> Result<Response<proto::GetJobResponse>, Status> {
+    async fn get_job(&self, request: Request<proto::GetJobRequest>) -> Reply<proto::GetJobResponse> {
         self.ask("GetJob", request, |message, tenant, api| async move {
             let found = api.get(&tenant, job_id(&message.id)?).await?;
-            Ok(proto::GetJobResponse { job: Some(job::message(&found)) })
+            Ok(proto::GetJobResponse { job: Some(convert::message(&found)) })
         })
         .await
     }
 
-    async fn list_jobs(
-        &self,
-        request: Request<proto::ListJobsRequest>,
-    ) -> Result<Response<proto::ListJobsResponse>, Status> {
+    async fn list_jobs(&self, request: Request<proto::ListJobsRequest>) -> Reply<proto::ListJobsResponse> {
         self.ask("ListJobs", request, |message, tenant, api| async move {
-            Ok(job::page(&api.list(job::query(message, tenant)?).await?))
+            Ok(convert::page(&api.list(convert::query(message, tenant)?).await?))
         })
         .await
     }
 
-    async fn watch_job(
-        &self,
-        request: Request<proto::WatchJobRequest>,
-    ) -> Result<Response<Self::WatchJobStream>, Status> {
+    async fn watch_job(&self, request: Request<proto::WatchJobRequest>) -> Reply<Self::WatchJobStream> {
         let (metadata, extensions, message) = request.into_parts();
-        let tenant = tenant::of(&metadata, &extensions).map_err(RequestError::from)?;
+        let tenant = tenant_of(metadata.as_ref(), &extensions)?;
         let id = job_id(&message.id).map_err(RequestError::from)?;
         let (api, gate) = (Arc::clone(&self.api), self.gate.clone());
         Ok(respond(("WatchJob", Kind::Watch), &metadata, &extensions, (&self.gate, &self.budget), |out| async move {
@@ -101,22 +92,16 @@ impl proto::job_service_server::JobService for Jobs {
         })?)
     }
 
-    async fn cancel_job(
-        &self,
-        request: Request<proto::CancelJobRequest>,
-    ) -> Result<Response<proto::CancelJobResponse>, Status> {
+    async fn cancel_job(&self, request: Request<proto::CancelJobRequest>) -> Reply<proto::CancelJobResponse> {
         self.ask("CancelJob", request, |message, tenant, api| async move {
             let id = job_id(&message.id)?;
             let cancelled = to_the_end(async move { api.cancel(&tenant, id).await }).await?;
-            Ok(proto::CancelJobResponse { job: Some(job::message(&cancelled)) })
+            Ok(proto::CancelJobResponse { job: Some(convert::message(&cancelled)) })
         })
         .await
     }
 
-    async fn delete_job(
-        &self,
-        request: Request<proto::DeleteJobRequest>,
-    ) -> Result<Response<proto::DeleteJobResponse>, Status> {
+    async fn delete_job(&self, request: Request<proto::DeleteJobRequest>) -> Reply<proto::DeleteJobResponse> {
         self.ask("DeleteJob", request, |message, tenant, api| async move {
             let id = job_id(&message.id)?;
             to_the_end(async move { api.delete(&tenant, id).await }).await?;
@@ -125,26 +110,21 @@ impl proto::job_service_server::JobService for Jobs {
         .await
     }
 
-    async fn estimate_job(
-        &self,
-        request: Request<proto::EstimateJobRequest>,
-    ) -> Result<Response<proto::EstimateJobResponse>, Status> {
+    async fn estimate_job(&self, request: Request<proto::EstimateJobRequest>) -> Reply<proto::EstimateJobResponse> {
         self.ask("EstimateJob", request, |message, tenant, api| async move {
             let proto::EstimateJobRequest { spec: wanted, vertices, facets } = message;
             let wanted = spec(wanted, tenant, String::new())?;
-            Ok(job::estimate(api.estimate(wanted, vertices, facets).await?))
+            Ok(convert::estimate(api.estimate(wanted, vertices, facets).await?))
         })
         .await
     }
 }
 
-/// A specification that was checked.
 fn spec(message: Option<proto::JobSpec>, tenant: String, request_id: String) -> Result<Spec, WireError> {
     let message = message.ok_or_else(|| WireError::field("spec", "is missing; say what the job is to do"))?;
     Spec::new(message, tenant, request_id)
 }
 
-/// Sends an event.
 async fn tell(outbox: &Outbox<proto::WatchJobResponse>, event: Event) -> Result<(), RequestError> {
-    outbox.send(proto::WatchJobResponse { event: Some(job::event(event)) }).await
+    outbox.send(proto::WatchJobResponse { event: Some(convert::event(event)) }).await
 }

@@ -46,7 +46,6 @@ impl Listener for Reporter {
     }
 }
 
-/// One stream.
 pub(super) async fn handle(
     shared: Arc<Shared>,
     tenant: String,

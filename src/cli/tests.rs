@@ -202,3 +202,8 @@ fn every_option_of_the_command_is_at_the_service() {
         assert!(!of_job.contains(&option), "{option}");
     }
 }
+
+#[test]
+fn the_command_line_is_consistent() {
+    super::config::command().debug_assert();
+}
