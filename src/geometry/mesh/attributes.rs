@@ -168,8 +168,7 @@ impl Attributes {
         }
     }
 
-    /// Takes normals, of any length but infinite; they are made unit. A normal of length 0 means that none is
-    /// known there.
+    /// Takes normals, of any length but infinite; they are made unit. A normal of length 0 means that none is known there.
     ///
     /// # Errors
     /// `Count`, `NonFinite`, `IndexOutOfRange`, `TooLarge`.

@@ -9,7 +9,7 @@ use std::ops::Range;
 
 use glam::DVec3;
 
-use super::morton;
+use super::bvh::morton;
 
 /// Facets of a group, at least. Large sets have as many groups as facets in a group.
 const FACETS_PER_GROUP: usize = 8;
@@ -19,7 +19,6 @@ const SPHERE_ROUNDING: f64 = 1.0 + 1e-12;
 /// out a third farther than was measured.
 const GRID_INTERVALS: u32 = 6;
 
-/// See the module's head.
 pub(crate) struct FacetSet {
     facets: Vec<BoundedFacet>,
     /// Spheres around consecutive facets.
@@ -60,7 +59,7 @@ impl FacetSet {
     /// A set of facets with these corners. Coordinates are of the order of 1.
     pub(crate) fn new(facets: impl Iterator<Item = [DVec3; 3]>) -> Self {
         let bounded = |corners: [DVec3; 3]| BoundedFacet { corners, sphere: BoundingSphere::around(&corners) };
-        let along_curve = |facet: BoundedFacet| (morton::code(facet.sphere.centre), facet);
+        let along_curve = |facet: BoundedFacet| (morton(facet.sphere.centre), facet);
         let mut all: Vec<(u64, BoundedFacet)> = facets.map(bounded).map(along_curve).collect();
         // Stable: of two facets in one place the first stays first.
         all.sort_by_key(|r| r.0);

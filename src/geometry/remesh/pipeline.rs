@@ -36,9 +36,9 @@ use crate::mesh::adjacency::Adjacency;
 use crate::mesh::apart::Apart;
 use crate::mesh::attributes::Attributes;
 use crate::mesh::closest_point::ClosestPoint;
-use crate::mesh::lost::{self, LostParts};
+use crate::mesh::comparison::{LostParts, lost_parts};
+use crate::mesh::input::draw_in;
 use crate::mesh::measure::{Quality, coincident_vertices, quality_and_distances, topology_unless};
-use crate::mesh::outliers;
 use crate::remesh::attributes::{self, Provenance};
 use crate::remesh::report::{CountFigures, InputFigures, MemoryFigures, Report, ResultFigures};
 use crate::remesh::{Limits, Observer, Placement, Refine, Remesh, RemeshError, RemeshOptions, Seeds, Tolerance};
@@ -70,7 +70,7 @@ pub fn remesh(
         // Vertices far off the surface take all the points: without their spikes, which are put back afterwards. Given seeds are
         // where they are, whatever takes them.
         Err(error @ (RemeshError::TooFewSeeds { .. } | RemeshError::Rvd(RvdError::NoArea))) => {
-            let near = outliers::draw_in(given).filter(|_| !matches!(options.seeds, Seeds::Given(_)));
+            let near = draw_in(given).filter(|_| !matches!(options.seeds, Seeds::Given(_)));
             let Some(near) = near else { return Err(error) };
             let mut done = run_stages(&near, options, backend, observer, token)?;
             spikes::put_back(&mut done, given, &near, token)?;
@@ -189,7 +189,7 @@ fn compare(
     token: &Token,
 ) -> Result<(Quality, LostParts), Stopped> {
     let (quality, distances) = quality_and_distances(mesh, closest, result, token)?;
-    Ok((quality, lost::find(mesh, result, &distances, token)?))
+    Ok((quality, lost_parts(mesh, result, &distances, token)?))
 }
 
 /// Measures the result against `clean` and writes the report. Attributes and provenance are left empty.

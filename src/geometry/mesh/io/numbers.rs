@@ -111,7 +111,6 @@ pub(super) fn plain(text: &str, most: usize) -> String {
     text.chars().map(|c| if c.is_control() { ' ' } else { c }).take(most).collect()
 }
 
-/// See the module's head.
 #[derive(Clone)]
 pub(super) struct Cursor<'a> {
     pub(super) rest: &'a [u8],
@@ -157,6 +156,13 @@ impl<'a> Cursor<'a> {
         self.line += usize::from(!rest.is_empty());
         self.rest = rest.get(1..).unwrap_or_default();
         line.trim_ascii()
+    }
+
+    /// Binary data begin right after the line.
+    pub(super) fn begin_data(&mut self) {
+        if self.encoding != Encoding::Text {
+            self.end_line();
+        }
     }
 
     /// Passes over blanks and line breaks.

@@ -3,7 +3,7 @@
 //! Purpose: bytes to triangles with what they carry, in one pass over the statements, and back. Vertices are numbered by their
 //! first use in a facet; those that no facet uses are left out.
 //! How: statements as nearly all files have them ([`common`]) are read in place, on all threads. A file with any other statement
-//! is read as one piece ([`dialects`]): the `tobj` crate reads its geometry.
+//! is read as one piece ([`dialects`]).
 //! Invariant: both give the same to the bit, whatever the number of threads.
 //! Must not know: other formats.
 
@@ -21,16 +21,15 @@ use super::{Codec, Counts, DataError, Soup, VertexNumbers, VertexOrder};
 use crate::mesh::TriMesh;
 use crate::mesh::attributes::{ColourDepth, Colours, Normals, PerCorner};
 
-/// See [`Codec`].
 pub(super) const CODEC: Codec = Codec {
     extension: "obj",
     media_types: &["model/obj", "application/x-obj", "model/x-obj"],
     // Half a vertex of three short numbers, and a face of three indices.
     facet_bytes: 30,
-    signature: super::recognition::Signature::Words(&["v", "vn", "vt", "f", "o", "g", "s", "usemtl", "mtllib"]),
+    signature: super::packed::Signature::Words(&["v", "vn", "vt", "f", "o", "g", "s", "usemtl", "mtllib"]),
     decode,
     encode,
-    counts: |bytes| counts(bytes).map(Counts::from),
+    counts,
     holds: Holds { normals: By::Corner, texture: By::Corner, colours: true, opacity: false, scalars: false },
     vertices: VertexNumbers::Reordered(vertex_order),
 };
@@ -44,7 +43,7 @@ const COLOURS: &str = "colours";
 
 /// Reads a surface; what it carries only if it is `wanted`.
 fn decode(bytes: &[u8], wanted: bool) -> Result<Soup, DataError> {
-    match common::read(bytes, wanted).and_then(Statements::surface) {
+    match common::read(bytes, wanted).and_then(|statements| statements.surface(Raw::default())) {
         Some(soup) => Ok(soup),
         None => dialects::decode(bytes, wanted),
     }
@@ -53,13 +52,13 @@ fn decode(bytes: &[u8], wanted: bool) -> Result<Soup, DataError> {
 fn vertex_order(bytes: &[u8]) -> Result<VertexOrder, DataError> {
     let mut statements = match common::read(bytes, false) {
         Some(statements) => statements,
-        None => dialects::read(bytes, true, false)?.0,
+        None => dialects::read(bytes, false)?.0,
     };
-    Ok((statements.vertices, statements.number_by_use().unwrap_or_default()))
+    Ok((statements.positions.len(), statements.number_by_use().unwrap_or_default()))
 }
 
 /// Vertices, used or not, and facets.
-fn counts(bytes: &[u8]) -> Option<(u64, u64)> {
+fn counts(bytes: &[u8]) -> Option<Counts> {
     let (mut vertices, mut facets) = (0, 0);
     for (_, statement) in dialects::statements(bytes) {
         let mut words = dialects::Words(statement);
@@ -69,14 +68,12 @@ fn counts(bytes: &[u8]) -> Option<(u64, u64)> {
             _ => {}
         }
     }
-    Some((vertices, facets))
+    Some(Counts { vertices, facets, made_bytes: 0 })
 }
 
 /// What the statements of a file say. Indices are from 0 and count over the whole file.
 #[derive(Debug, Default)]
 struct Statements {
-    vertices: usize,
-    /// Empty where the crate reads them.
     positions: Vec<DVec3>,
     facets: Vec<[u32; 3]>,
     fans: Vec<Fan>,
@@ -99,7 +96,7 @@ struct Corner {
 
 impl Statements {
     fn push_colour(&mut self, colour: [f64; 4]) {
-        self.colours.resize(self.vertices, WHITE);
+        self.colours.resize(self.positions.len(), WHITE);
         self.colours.push(colour);
     }
 
@@ -129,8 +126,8 @@ impl Statements {
 
     /// Numbers the vertices by first use. Returns which vertex of the file each is; nothing if a corner names none.
     fn number_by_use(&mut self) -> Option<Vec<u32>> {
-        let mut number = vec![NONE; self.vertices];
-        let mut order = Vec::with_capacity(self.vertices);
+        let mut number = vec![NONE; self.positions.len()];
+        let mut order = Vec::with_capacity(self.positions.len());
         for corner in self.facets.iter_mut().flatten() {
             let slot = number.get_mut(*corner as usize)?;
             if *slot == NONE {
@@ -142,14 +139,14 @@ impl Statements {
         Some(order)
     }
 
-    /// The surface, if the positions are here and no corner names another vertex.
-    fn surface(mut self) -> Option<Soup> {
+    /// The surface, if each corner names a vertex. What `raw` has given up is left out.
+    fn surface(mut self, raw: Raw) -> Option<Soup> {
         let order = self.number_by_use()?;
         let positions = order.par_iter().map(|&v| self.positions[v as usize]).collect();
         let colour = |&v: &u32| self.colours.get(v as usize).copied().unwrap_or(WHITE);
         let colours = (!self.colours.is_empty()).then(|| order.iter().map(colour).collect());
         let (facets, fans) = (std::mem::take(&mut self.facets), std::mem::take(&mut self.fans));
-        let raw = self.carried(&facets, order.len(), colours, Raw::default());
+        let raw = self.carried(&facets, order.len(), colours, raw);
         Some(Soup { positions, facets, fans, raw })
     }
 

@@ -7,8 +7,8 @@
 use glam::DVec3;
 use rayon::prelude::*;
 
+use crate::mesh::csr::ascending;
 use crate::mesh::measure::facet_quality;
-use crate::mesh::one_rings::ascending;
 use crate::remesh::constants::{
     BACKTRACKING_DROPS, BACKTRACKING_HALVINGS, FACETS_PER_TASK, MEASURED_COSINE, POOR_ANGLE, POOR_SCORE,
 };

@@ -6,8 +6,8 @@
 
 use glam::DVec3;
 
+use crate::mesh::csr::ascending;
 use crate::mesh::facet_set::{FacetSet, least_distance, sample_points};
-use crate::mesh::one_rings::ascending;
 use crate::remesh::distance::reference::Reference;
 use crate::remesh::manifold::local_mesh::LocalMesh;
 use crate::remesh::triangle::perimeter;

@@ -15,8 +15,8 @@ use rayon::prelude::*;
 use super::objective::ShapeCost;
 use super::queue::{Place, Queue};
 use super::relocation::{Steps, cheapest, places_around};
+use crate::mesh::csr::ascending;
 use crate::mesh::measure::facet_quality;
-use crate::mesh::one_rings::ascending;
 use crate::remesh::constants::{
     DIRECTIONS, FARTHEST_ACROSS, FARTHEST_OF_END, FARTHEST_TANGENTIAL, FIRST_STEP, LEAST_GAIN_OF_PASS,
     MOVES_PER_VERTEX, POOR_ANGLE, POOR_SCORE, SHAPES_AT_ONCE, SHAPES_PER_TASK, UNMEASURED_COSINE,

@@ -11,8 +11,8 @@ use std::collections::HashSet;
 use glam::DVec3;
 use rayon::prelude::*;
 
+use crate::mesh::csr::{OneRings, ascending};
 use crate::mesh::edges::undirected;
-use crate::mesh::one_rings::{OneRings, ascending};
 use crate::remesh::constants::{FLIPPED_COSINE, REGULAR_VALENCE, VALENCES};
 use crate::remesh::triangle::unit_normal;
 

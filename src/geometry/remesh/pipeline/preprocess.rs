@@ -5,7 +5,8 @@
 //! Invariant: vertices keep their numbers; every change is counted. Must not know: density, seeds.
 
 use crate::mesh::adjacency::Adjacency;
-use crate::mesh::{TriMesh, duplicates, orient, stitch};
+use crate::mesh::input::{make_consistent, stitch_boundaries};
+use crate::mesh::{TriMesh, duplicates};
 use crate::remesh::report::InputFigures;
 use crate::token::{Stopped, Token};
 
@@ -13,7 +14,7 @@ use crate::token::{Stopped, Token};
 pub(super) fn preprocess(given: &TriMesh, token: &Token) -> Result<(InputFigures, Option<TriMesh>), Stopped> {
     let adjacency = Adjacency::new(given);
     token.check()?;
-    let (mut figures, mut changed) = match stitch::boundaries(given, &adjacency, token)? {
+    let (mut figures, mut changed) = match stitch_boundaries(given, &adjacency, token)? {
         Some((stitched, moved)) => {
             (InputFigures { stitched_vertices: moved, ..InputFigures::of(&stitched, token)? }, Some(stitched))
         }
@@ -29,7 +30,7 @@ pub(super) fn preprocess(given: &TriMesh, token: &Token) -> Result<(InputFigures
     }
     token.check()?;
     if figures.inconsistent_edges > 0
-        && let Some((consistent, flipped)) = orient::make_consistent(changed.as_ref().unwrap_or(given), token)?
+        && let Some((consistent, flipped)) = make_consistent(changed.as_ref().unwrap_or(given), token)?
     {
         figures.reoriented_facets = flipped;
         changed = Some(consistent);

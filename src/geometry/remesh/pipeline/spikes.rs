@@ -10,14 +10,14 @@ use glam::DVec3;
 use super::compare;
 use crate::mesh::TriMesh;
 use crate::mesh::closest_point::{ClosestPoint, SurfacePoint};
-use crate::mesh::outliers::find;
+use crate::mesh::input::outliers;
 use crate::remesh::{Remesh, RemeshError};
 use crate::rvd::RvdError;
 use crate::token::Token;
 
 /// Makes the result of `near`, which is `given` with its far vertices drawn in, one of `given`.
 pub(super) fn put_back(done: &mut Remesh, given: &TriMesh, near: &TriMesh, token: &Token) -> Result<(), RemeshError> {
-    let far = find(given);
+    let far = outliers(given);
     let closest = ClosestPoint::new(near);
     let back = |p: DVec3, SurfacePoint { position, facet, barycentric }: SurfacePoint| {
         let corners = given.facets()[facet as usize];

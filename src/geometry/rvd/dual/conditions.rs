@@ -11,7 +11,7 @@
 
 use rayon::prelude::*;
 
-use crate::mesh::disjoint::DisjointSets;
+use crate::mesh::edges::DisjointSets;
 
 /// A stretch of the curve in which two cells meet, within one facet: the pieces on its two sides.
 pub(super) type Stretch = [u32; 2];

@@ -12,13 +12,12 @@ use serde::Deserialize;
 use serde::de::{DeserializeSeed, Deserializer, Error, IgnoredAny, MapAccess, SeqAccess, Visitor};
 
 use crate::mesh::io::numbers::plain;
-use crate::mesh::io::room::Room;
+use crate::mesh::io::packed::Room;
 use crate::mesh::io::{DataError, syntax};
 
 /// No element.
 const NONE: u32 = u32::MAX;
 
-/// See the module's head.
 #[derive(Debug, Default)]
 pub(super) struct Document<'a> {
     scene: u32,

@@ -1,8 +1,7 @@
 //! OBJ statements as nearly all files have them: one a line, vertices of three numbers with or without a colour, indices that
 //! count from 1.
 //!
-//! Purpose: reads a file of such statements in place, in pieces on all threads. The crate needs a cleaned copy of it, a string
-//! for each line, a list for each face and a hash map of the vertices, and takes twice as long on one thread.
+//! Purpose: reads a file of such statements in place, in pieces on all threads.
 //! Invariant: gives what [`super::dialects`] gives, to the bit, or nothing; what is wrong with a file is said there. Must not
 //! know: messages.
 
@@ -10,6 +9,7 @@ use glam::{DVec2, DVec3};
 use rayon::prelude::*;
 
 use super::{Corner, NONE, Statements, WHITE};
+use crate::mesh::io::numbers::parse;
 
 /// About so many bytes are one task.
 const PIECE: usize = 1 << 19;
@@ -20,16 +20,16 @@ pub(super) fn read(bytes: &[u8], wanted: bool) -> Option<Statements> {
     let parts: Vec<Statements> = parts.collect::<Option<_>>()?;
     let (positions, facets) = rayon::join(|| joined(&parts, |p| &p.positions), || joined(&parts, |p| &p.facets));
     let mut all = Statements::default();
-    let mut begin = 0;
+    let (mut begin, mut vertices) = (0, 0);
     for part in parts {
         let first = u32::try_from(begin).ok()?;
-        append(&mut all.colours, part.colours, all.vertices, WHITE);
+        append(&mut all.colours, part.colours, vertices, WHITE);
         append(&mut all.texture_corners, part.texture_corners, begin, [NONE; 3]);
         append(&mut all.normal_corners, part.normal_corners, begin, [NONE; 3]);
         all.fans.extend(part.fans.iter().map(|&(fan, count)| (first + fan, count)));
         all.texture.extend(part.texture);
         all.normals.extend(part.normals);
-        all.vertices += part.vertices;
+        vertices += part.positions.len();
         begin += part.facets.len();
     }
     (all.positions, all.facets) = (positions, facets);
@@ -106,7 +106,6 @@ impl<'a> Part<'a> {
             self.found.push_colour(colour);
         }
         self.found.positions.push(position);
-        self.found.vertices += 1;
         position.is_finite().then_some(())
     }
 
@@ -214,14 +213,14 @@ impl<'a> Words<'a> {
 
     /// A number that has to be there.
     fn number(&mut self) -> Option<f64> {
-        super::dialects::number(self.next()?)
+        parse(self.next()?)
     }
 
     /// A number, or `None` at the end of the line or before a comment.
     #[expect(clippy::option_option, reason = "nothing at all is a word that is no number")]
     fn value(&mut self) -> Option<Option<f64>> {
         match self.next().filter(|word| word[0] != b'#') {
-            Some(word) => super::dialects::number(word).map(Some),
+            Some(word) => parse(word).map(Some),
             None => Some(None),
         }
     }

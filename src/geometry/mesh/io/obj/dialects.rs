@@ -1,72 +1,27 @@
 //! OBJ statements of any kind: continued lines, indices from the end, points over their last coordinate, faces before their
 //! vertices.
 //!
-//! Purpose: reads a file as one piece. The `tobj` crate reads the geometry, from a copy that has positions and faces alone: it
-//! splits vertices at groups, makes facets of polylines (`l 1 2 3`), refuses files for their texture or material lines, which
-//! do not matter here, and its errors name no line.
+//! Purpose: reads a file as one piece. The crate `tobj` (4.0) splits vertices at groups, makes facets of polylines (`l 1 2 3`),
+//! refuses files for their texture or material lines, which do not matter here, and its errors name no line.
 //! Invariant: an attribute that cannot be understood is given up and named, and spoils nothing else. Must not know: threads.
 
 use glam::{DVec2, DVec3};
-use tobj::LoadOptions;
 
 use super::super::held::Raw;
-use super::super::{DataError, Soup};
-use super::{COLOURS, Corner, NONE, NORMALS, Statements, TEXTURE, WHITE};
+use super::super::numbers::{parse as number, shown};
+use super::super::{DataError, Soup, syntax};
+use super::{COLOURS, Corner, NONE, NORMALS, Statements, TEXTURE};
 use crate::mesh::MeshError;
 
 pub(super) fn decode(bytes: &[u8], wanted: bool) -> Result<Soup, DataError> {
-    let (statements, text, mut raw) = read(bytes, wanted, wanted)?;
-    let options = LoadOptions { ignore_points: true, ignore_lines: true, ..LoadOptions::default() };
-    let no_materials = |_: &std::path::Path| Ok((Vec::new(), Default::default()));
-    let (models, _) = tobj::load_obj_buf(&mut text.as_slice(), &options, no_materials)
-        .map_err(|error| locate(bytes).unwrap_or_else(|| DataError::Header(error.to_string())))?;
-    let Some(mesh) = models.into_iter().next().map(|model| model.mesh) else {
-        return Ok(Soup::default());
-    };
-    let (positions, _) = mesh.positions.as_chunks::<3>();
-    let positions: Vec<DVec3> = positions.iter().map(|&p| DVec3::from_array(p)).collect();
-    if positions.iter().any(|p| !p.is_finite()) {
-        return Err(locate(bytes).unwrap_or_else(|| DataError::Header("a coordinate is not finite".into())));
-    }
-    let mut soup = Soup { positions, ..Soup::default() };
-    if mesh.face_arities.is_empty() {
-        soup.facets = mesh.indices.as_chunks::<3>().0.to_vec();
-    } else {
-        let mut rest = &mesh.indices[..];
-        for &corners in &mesh.face_arities {
-            let (face, after) = rest.split_at_checked(corners as usize).unwrap_or((rest, &[]));
-            let corners: Vec<i64> = face.iter().map(|&v| i64::from(v)).collect();
-            soup.push_polygon(&corners).map_err(DataError::Header)?;
-            rest = after;
-        }
-    }
-    if wanted && statements.facets.len() != soup.facets.len() {
-        let message = format!("{} facets name them and the surface has {}", statements.facets.len(), soup.facets.len());
-        raw.unreadable("all attributes", message);
-    } else if wanted {
-        let colours = (!statements.colours.is_empty()).then(|| {
-            let mut values = vec![WHITE; soup.positions.len()];
-            for (&corner, &vertex) in statements.facets.iter().flatten().zip(soup.facets.iter().flatten()) {
-                values[vertex as usize] = statements.colours.get(corner as usize).copied().unwrap_or(WHITE);
-            }
-            values
-        });
-        raw = statements.carried(&soup.facets, soup.positions.len(), colours, raw);
-    }
-    soup.raw = raw;
-    Ok(soup)
+    let (statements, raw) = read(bytes, wanted)?;
+    let soup = statements.surface(raw).filter(|soup| soup.positions.iter().all(|p| p.is_finite()));
+    soup.ok_or_else(|| blamed(bytes))
 }
 
-/// The statements without positions, a copy of what the crate is to read, and what could not be understood. Facets are collected
-/// if they are `numbered`.
-pub(super) fn read(bytes: &[u8], numbered: bool, wanted: bool) -> Result<(Statements, Vec<u8>, Raw), DataError> {
-    let mut reader = Reader {
-        numbered,
-        wanted,
-        found: Statements::default(),
-        text: Vec::with_capacity(bytes.len()),
-        raw: Raw::default(),
-    };
+/// The statements, and what could not be understood.
+pub(super) fn read(bytes: &[u8], wanted: bool) -> Result<(Statements, Raw), DataError> {
+    let mut reader = Reader { wanted, found: Statements::default(), is_wrong: false, raw: Raw::default() };
     let mut corners = Vec::new();
     for (line, statement) in statements(bytes) {
         let mut words = Words(statement);
@@ -78,15 +33,14 @@ pub(super) fn read(bytes: &[u8], numbered: bool, wanted: bool) -> Result<(Statem
             _ => {}
         }
     }
-    Ok((reader.found, reader.text, reader.raw))
+    if reader.is_wrong { Err(blamed(bytes)) } else { Ok((reader.found, reader.raw)) }
 }
 
 struct Reader {
-    numbered: bool,
     wanted: bool,
     found: Statements,
-    /// The `v` and `f` statements alone, a line each, with position indices alone.
-    text: Vec<u8>,
+    /// Whether a position or the vertex of a corner is no number.
+    is_wrong: bool,
     raw: Raw,
 }
 
@@ -94,13 +48,6 @@ impl Reader {
     fn vertex(&mut self, line: usize, words: Words<'_>) {
         let values: Vec<&[u8]> = words.take(8).collect();
         let count = values.len();
-        self.text.push(b'v');
-        // A fourth value alone is the homogeneous coordinate; more are colours.
-        for value in &values[..if count == 4 { 4 } else { count.min(3) }] {
-            self.text.push(b' ');
-            self.text.extend_from_slice(value);
-        }
-        self.text.push(b'\n');
         if self.wanted && count == 6 {
             // What is no number is refused with the others that are not finite.
             let [r, g, b] = [values[3], values[4], values[5]].map(|word| number(word).unwrap_or(f64::NAN));
@@ -109,7 +56,17 @@ impl Reader {
             let message = format!("line {line}: {count} numbers, of which only 3, 4 or 6 can be understood");
             self.give_up(COLOURS, message);
         }
-        self.found.vertices += 1;
+        // A fourth value alone is the homogeneous coordinate; more are colours.
+        let [x, y, z] = [0, 1, 2].map(|k| values.get(k).copied().and_then(number));
+        let w = if count == 4 { number(values[3]) } else { Some(1.0) };
+        let position = match (x, y, z, w) {
+            (Some(x), Some(y), Some(z), Some(w)) if w != 0.0 => DVec3::new(x, y, z) / w,
+            _ => {
+                self.is_wrong = true;
+                DVec3::NAN
+            }
+        };
+        self.found.positions.push(position);
     }
 
     fn texture(&mut self, line: usize, mut words: Words<'_>) {
@@ -133,24 +90,16 @@ impl Reader {
 
     fn face(&mut self, line: usize, words: Words<'_>, corners: &mut Vec<Corner>) -> Result<(), DataError> {
         corners.clear();
-        let mut count = 0;
-        self.text.push(b'f');
         for word in words {
             let mut parts = word.split(|&b| b == b'/');
             let position = parts.next().unwrap_or_default();
             if position.is_empty() {
-                // `//3`: the crate would not see the corner, and take a smaller face or none.
-                let message = format!("\"{}\" names no vertex", shown(word));
-                return Err(DataError::Syntax { line, message });
+                // As in `//3`.
+                return Err(syntax(line, format!("\"{}\" names no vertex", shown(word))));
             }
-            self.text.push(b' ');
-            self.text.extend_from_slice(position);
-            if !self.numbered {
-                count += 1;
-                continue;
-            }
-            // The crate takes the position's index; this one is right, or no facet comes of it.
-            let vertex = number(position).and_then(|i| from_zero(i, self.found.vertices)).unwrap_or(NONE);
+            let vertex = number(position).and_then(|i| from_zero(i, self.found.positions.len()));
+            self.is_wrong |= vertex.is_none();
+            let vertex = vertex.unwrap_or(NONE);
             let mut corner = Corner { vertex, texture: NONE, normal: NONE };
             if self.wanted {
                 let (texture, normal) = (self.found.texture.len(), self.found.normals.len());
@@ -159,11 +108,9 @@ impl Reader {
             }
             corners.push(corner);
         }
-        self.text.push(b'\n');
-        count += corners.len();
+        let count = corners.len();
         if count < 3 {
-            let message = format!("a face needs at least 3 corners and has {count}");
-            return Err(DataError::Syntax { line, message });
+            return Err(syntax(line, format!("a face needs at least 3 corners and has {count}")));
         }
         self.found.push_face(corners);
         Ok(())
@@ -195,6 +142,10 @@ fn from_zero(index: i64, count: usize) -> Option<u32> {
     u32::try_from(index).ok().filter(|&i| i != NONE)
 }
 
+fn blamed(bytes: &[u8]) -> DataError {
+    locate(bytes).unwrap_or_else(|| DataError::Header("a coordinate or an index is none".to_owned()))
+}
+
 /// After a failure: the first line that is to blame.
 fn locate(bytes: &[u8]) -> Option<DataError> {
     let mut vertices = 0;
@@ -206,12 +157,10 @@ fn locate(bytes: &[u8]) -> Option<DataError> {
                 let values: Vec<Option<f64>> = words.map(number).take(8).collect();
                 let divisor = if values.len() == 4 { values[3] } else { Some(1.0) };
                 let (Some([Some(x), Some(y), Some(z)]), Some(w)) = (values.first_chunk(), divisor) else {
-                    let message = "\"v\" needs three numbers, x y z".to_owned();
-                    return Some(DataError::Syntax { line, message });
+                    return Some(syntax(line, "\"v\" needs three numbers, x y z"));
                 };
                 if w == 0.0 {
-                    let message = "the fourth coordinate is 0, a point at infinity".to_owned();
-                    return Some(DataError::Syntax { line, message });
+                    return Some(syntax(line, "the fourth coordinate is 0, a point at infinity"));
                 }
                 let p = DVec3::new(*x, *y, *z) / w;
                 if !p.is_finite() {
@@ -222,8 +171,7 @@ fn locate(bytes: &[u8]) -> Option<DataError> {
             Some(b"f") => {
                 for word in words {
                     let Some(index) = number::<i64>(position_index(word)) else {
-                        let message = format!("\"{}\" is no vertex number", shown(word));
-                        return Some(DataError::Syntax { line, message });
+                        return Some(syntax(line, format!("\"{}\" is no vertex number", shown(word))));
                     };
                     let from_start =
                         if index < 0 { i64::try_from(vertices).ok()?.wrapping_add(index) } else { index - 1 };
@@ -236,18 +184,8 @@ fn locate(bytes: &[u8]) -> Option<DataError> {
     // Faces may come before their vertices, so only now is their number known.
     let bad = faces.into_iter().find(|&(_, _, i)| usize::try_from(i).map_or(true, |i| i >= vertices));
     bad.map(|(line, index, _)| {
-        let message = format!("vertex {index} is named, but there are {vertices} (1 to {vertices})");
-        DataError::Syntax { line, message }
+        syntax(line, format!("vertex {index} is named, but there are {vertices} (1 to {vertices})"))
     })
-}
-
-pub(super) fn number<T: std::str::FromStr>(word: &[u8]) -> Option<T> {
-    std::str::from_utf8(word).ok()?.parse().ok()
-}
-
-/// The beginning of a word, for a message: a file may hold one of any length.
-fn shown(word: &[u8]) -> String {
-    String::from_utf8_lossy(&word[..word.len().min(160)]).chars().take(40).collect()
 }
 
 fn position_index(word: &[u8]) -> &[u8] {
