@@ -53,7 +53,7 @@ impl Size {
         let sides = 1..=MAX_SIDE;
         match sides.contains(&width) && sides.contains(&height) && width * height <= MAX_PIXELS {
             true => Ok(Self { width, height }),
-            false => Err(PictureError::Size { width, height }),
+            false => Err(PictureError::Size(width, height)),
         }
     }
 }
@@ -68,16 +68,8 @@ impl Default for Size {
 #[derive(Debug, thiserror::Error)]
 pub enum PictureError {
     /// No such picture can be drawn.
-    #[error(
-        "{width}x{height} pixels: give sides from 1 to {MAX_SIDE}, and no more than {} million pixels",
-        MAX_PIXELS >> 20
-    )]
-    Size {
-        /// As asked for.
-        width: u32,
-        /// As asked for.
-        height: u32,
-    },
+    #[error("{0}x{1} pixels: give sides from 1 to {MAX_SIDE}, and no more than {most} million pixels", most = MAX_PIXELS >> 20)]
+    Size(u32, u32),
     /// A direction has no length or is not finite.
     #[error("({}, {}, {}) is no direction; give three finite numbers that are not all 0", .0.x, .0.y, .0.z)]
     Direction(DVec3),

@@ -88,7 +88,6 @@ impl Triangle {
         span(self.y, height)
     }
 
-    /// Fills what is in `band`.
     pub(super) fn fill(&self, band: &mut Band<'_>) {
         let last_row = band.first_row + band.depth.len() / band.width;
         let (rows, columns) = (self.rows(last_row), span(self.x, band.width));

@@ -106,10 +106,7 @@ impl Apart {
         p - parts[part].1
     }
 
-    /// A surface beside this one, where it was.
-    ///
-    /// # Errors
-    /// None if the surface moved back is still valid.
+    /// A surface beside this one, where it was; no error if it is still valid there.
     pub(crate) fn mesh_back(&self, mesh: &TriMesh) -> Result<TriMesh, MeshError> {
         TriMesh::new(mesh.positions().iter().map(|&p| self.back(p)).collect(), mesh.facets().to_vec())
     }

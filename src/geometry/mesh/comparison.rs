@@ -54,7 +54,6 @@ impl<'a> Comparison<'a> {
         Ok(Self { input, closest: ClosestPoint::new(input), samples, tolerance })
     }
 
-    /// Measures a result.
     pub(crate) fn with(&self, result: &TriMesh, token: &Token) -> Result<Distances, Stopped> {
         let places = |samples: &[Probe]| samples.iter().map(|s| s.position).collect::<Vec<_>>();
         let there = || ClosestPoint::new(result).distances(&places(&self.samples), token);

@@ -76,7 +76,6 @@ impl<T> Csr<T> {
         &self.items
     }
 
-    /// All items, mutable.
     pub(crate) fn all_mut(&mut self) -> &mut [T] {
         &mut self.items
     }
@@ -95,7 +94,6 @@ pub(crate) struct OneRings {
 }
 
 impl OneRings {
-    /// The one-rings of all vertices.
     pub(crate) fn new(vertices: usize, facets: &[[u32; 3]]) -> Self {
         Self { list: vec![UNCHANGED; vertices], base: Csr::one_rings(vertices, facets), changed: Vec::new() }
     }

@@ -27,7 +27,6 @@ struct Sorted {
 /// Facets by corners, so that duplicates of either orientation are neighbours, in ascending order.
 struct Groups {
     all: Vec<Sorted>,
-    /// Number of vertices.
     vertices: usize,
 }
 

@@ -27,13 +27,11 @@ pub(crate) struct FacetSet {
     group_size: usize,
 }
 
-/// A facet with its bounding sphere.
 struct BoundedFacet {
     corners: [DVec3; 3],
     sphere: BoundingSphere,
 }
 
-/// A sphere around some points.
 #[derive(Clone, Copy)]
 struct BoundingSphere {
     centre: DVec3,
@@ -72,12 +70,10 @@ impl FacetSet {
         Self { facets, groups, group_size }
     }
 
-    /// The facets' corners.
     pub(crate) fn corners(&self) -> impl Iterator<Item = [DVec3; 3]> + '_ {
         self.facets.iter().map(|facet| facet.corners)
     }
 
-    /// All groups.
     pub(crate) fn all_groups(&self) -> Vec<u32> {
         (0..self.groups.len() as u32).collect()
     }

@@ -125,12 +125,10 @@ impl Metric<'_> {
         self.positions[v as usize]
     }
 
-    /// Length of an edge.
     fn edge(&self, a: u32, b: u32) -> f64 {
         self.at(a).distance(self.at(b)) * (0.5 * (self.resolution(a) + self.resolution(b)))
     }
 
-    /// Length of a chain of edges.
     fn chain(&self, chain: &[u32]) -> f64 {
         chain.windows(2).map(|p| self.edge(p[0], p[1])).sum()
     }
@@ -192,9 +190,6 @@ impl Features {
     }
 
     /// Checks that an angle makes sense and that `given` edges are there.
-    ///
-    /// # Errors
-    /// [`FeatureError::NoSuchEdge`].
     pub fn check(mesh: &TriMesh, crease_angle_deg: f64, given: &[[u32; 2]], token: &Token) -> Result<(), FeatureError> {
         if !(0.0..=180.0).contains(&crease_angle_deg) {
             return Err(FeatureError::BadAngle(crease_angle_deg));

@@ -52,7 +52,6 @@ macro_rules! formats {
             /// All formats.
             pub const ALL: [Self; [$($number),*].len()] = [$(Self::$name),*];
 
-            /// Its description.
             fn codec(self) -> &'static Codec {
                 match self {
                     $(Self::$name => &$codec,)*
@@ -146,7 +145,6 @@ struct Codec {
     media_types: &'static [&'static str],
     /// See [`Format::facet_bytes`].
     facet_bytes: u64,
-    /// How its files begin.
     signature: Signature,
     /// Reads the surface, and its attributes if they are wanted.
     decode: fn(bytes: &[u8], wanted: bool) -> Result<Soup, DataError>,

@@ -36,7 +36,6 @@ pub(super) struct Graph {
     pub(super) edges: BTreeMap<Edge, EdgeInfo>,
 }
 
-/// Data of a feature edge.
 #[derive(Clone, Copy)]
 pub(super) struct EdgeInfo {
     pub(super) kind: CurveKind,
@@ -203,7 +202,6 @@ const CHUNK: usize = 8192;
 /// Facets that are looked at on either side, at most.
 const MAX_FACETS: usize = 200;
 
-/// Dihedral angles of a surface's edges.
 pub(super) struct DihedralAngles<'a> {
     mesh: &'a TriMesh,
     metric: Metric<'a>,

@@ -172,7 +172,6 @@ impl Reader<'_> {
         self.end(b"$MeshFormat")
     }
 
-    /// The end of a section.
     fn end(&mut self, section: &[u8]) -> Result<(), DataError> {
         let name = section.strip_prefix(b"$").unwrap_or(section);
         match self.cursor.word() {

@@ -70,7 +70,6 @@ impl Raw {
     }
 }
 
-/// The attributes that a format can hold.
 pub(super) struct Holds {
     pub(super) normals: By,
     pub(super) texture: By,
@@ -79,7 +78,6 @@ pub(super) struct Holds {
     pub(super) scalars: bool,
 }
 
-/// The elements that values belong to.
 pub(super) enum By {
     None,
     Vertex,
@@ -179,7 +177,6 @@ pub(super) fn numbered(mut firsts: Vec<u32>, mut next: usize, mut new: impl FnMu
     firsts
 }
 
-/// A colour's component in eight bits.
 pub(super) fn eight_bit(component: f64) -> u8 {
     // The cast saturates.
     (component * 255.0).round() as u8
@@ -189,9 +186,6 @@ pub(super) fn eight_bit(component: f64) -> u8 {
 const LOSS: f64 = 1e-3;
 
 /// Refuses what rounding to single precision would spoil.
-///
-/// # Errors
-/// [`DataError::SinglePrecision`], [`DataError::Collapsed`].
 pub(super) fn check_single(mesh: &TriMesh) -> Result<(), DataError> {
     let limit = f64::from(f32::MAX);
     if let Some(vertex) = mesh.positions().iter().position(|p| p.abs().max_element() > limit) {

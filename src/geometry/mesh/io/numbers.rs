@@ -28,7 +28,6 @@ pub(super) enum Order {
     Big,
 }
 
-/// How numbers are written.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Encoding {
     Text,
@@ -165,7 +164,6 @@ impl<'a> Cursor<'a> {
         }
     }
 
-    /// Passes over blanks and line breaks.
     pub(super) fn pass_blank(&mut self) {
         let rest = self.rest.trim_ascii_start();
         let blank = &self.rest[..self.rest.len() - rest.len()];
@@ -228,7 +226,6 @@ impl<'a> Cursor<'a> {
         self.array((count, kind, what), Kind::floats, |cursor| cursor.any_float(kind, what))
     }
 
-    /// Passes over numbers.
     pub(super) fn pass(&mut self, count: usize, kind: Kind, what: &str) -> Result<(), DataError> {
         let bytes = self.check(count, kind, what)?;
         let passed = match self.encoding {
@@ -238,7 +235,6 @@ impl<'a> Cursor<'a> {
         passed.ok_or_else(|| cut(what))
     }
 
-    /// One number.
     pub(super) fn float(&mut self, kind: Kind, what: &str) -> Result<f64, DataError> {
         match self.encoding {
             Encoding::Text => self.parsed(what),
@@ -254,7 +250,6 @@ impl<'a> Cursor<'a> {
         }
     }
 
-    /// One whole number.
     pub(super) fn integer(&mut self, kind: Kind, what: &str) -> Result<i64, DataError> {
         match self.encoding {
             Encoding::Text => self.parsed(what),

@@ -52,7 +52,7 @@ fn decode(bytes: &[u8], wanted: bool) -> Result<Soup, DataError> {
 fn vertex_order(bytes: &[u8]) -> Result<VertexOrder, DataError> {
     let mut statements = match common::read(bytes, false) {
         Some(statements) => statements,
-        None => dialects::read(bytes, false)?.0,
+        None => dialects::read(bytes, false)?.found,
     };
     Ok((statements.positions.len(), statements.number_by_use().unwrap_or_default()))
 }
@@ -86,7 +86,6 @@ struct Statements {
     normal_corners: Vec<[u32; 3]>,
 }
 
-/// What a corner names.
 #[derive(Clone, Copy)]
 struct Corner {
     vertex: u32,

@@ -150,15 +150,10 @@ impl Room {
         Self { all, left: all }
     }
 
-    /// Bytes that lists take.
     pub(super) fn taken(&self) -> usize {
         self.all - self.left
     }
 
-    /// Takes bytes.
-    ///
-    /// # Errors
-    /// `Header` if fewer are left.
     pub(super) fn take(&mut self, bytes: usize) -> Result<(), DataError> {
         self.left = self.left.checked_sub(bytes).ok_or_else(|| {
             DataError::Header("it lists more elements than a file of this size may; write .ply or .obj".to_owned())
@@ -178,7 +173,6 @@ impl Room {
     }
 }
 
-/// How the files of a format begin.
 pub(super) enum Signature {
     /// The function recognizes the start.
     Start(fn(&Head<'_>) -> bool),

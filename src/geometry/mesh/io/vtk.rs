@@ -29,7 +29,6 @@ const KINDS: [(&str, &str, Kind); 10] = [
     ("double", "Float64", Kind::F64),
 ];
 
-/// What an array of points holds.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Role {
     Normals,
@@ -41,7 +40,6 @@ enum Role {
     None,
 }
 
-/// An array of the points.
 #[derive(Debug)]
 struct Array {
     name: String,
@@ -105,7 +103,6 @@ fn carried(arrays: Vec<Array>, soup: &mut Soup) {
     raw.unreadable.extend(aside);
 }
 
-/// Attributes as arrays.
 fn written(held: &Held<'_>) -> Vec<Array> {
     let mut arrays = Vec::new();
     let mut add = |name: &str, role, components, values| {
@@ -136,7 +133,6 @@ fn written(held: &Held<'_>) -> Vec<Array> {
     arrays
 }
 
-/// The shape of a cell.
 enum Cell {
     Polygon,
     /// A polygon of its first points; the others lie on its edges.

@@ -152,7 +152,6 @@ impl<'a> Part<'a> {
     }
 }
 
-/// The vertex of a corner.
 fn vertex(word: &[u8]) -> Option<u32> {
     let (vertex, rest) = index(word)?;
     (rest.is_empty() || !rest.contains(&b'\\')).then_some(vertex)

@@ -14,14 +14,15 @@ use super::{COLOURS, Corner, NONE, NORMALS, Statements, TEXTURE};
 use crate::mesh::MeshError;
 
 pub(super) fn decode(bytes: &[u8], wanted: bool) -> Result<Soup, DataError> {
-    let (statements, raw) = read(bytes, wanted)?;
-    let soup = statements.surface(raw).filter(|soup| soup.positions.iter().all(|p| p.is_finite()));
-    soup.ok_or_else(|| blamed(bytes))
+    let Reader { found, raw, blamed, is_wrong, .. } = read(bytes, wanted)?;
+    let vertices = found.positions.len();
+    let soup = found.surface(raw).filter(|soup| !is_wrong && soup.positions.iter().all(|p| p.is_finite()));
+    soup.ok_or_else(|| blamed.unwrap_or_else(|| names_none(bytes, vertices)))
 }
 
 /// The statements, and what could not be understood.
-pub(super) fn read(bytes: &[u8], wanted: bool) -> Result<(Statements, Raw), DataError> {
-    let mut reader = Reader { wanted, found: Statements::default(), is_wrong: false, raw: Raw::default() };
+pub(super) fn read(bytes: &[u8], wanted: bool) -> Result<Reader, DataError> {
+    let mut reader = Reader { wanted, ..Reader::default() };
     let mut corners = Vec::new();
     for (line, statement) in statements(bytes) {
         let mut words = Words(statement);
@@ -33,15 +34,18 @@ pub(super) fn read(bytes: &[u8], wanted: bool) -> Result<(Statements, Raw), Data
             _ => {}
         }
     }
-    if reader.is_wrong { Err(blamed(bytes)) } else { Ok((reader.found, reader.raw)) }
+    Ok(reader)
 }
 
-struct Reader {
+#[derive(Default)]
+pub(super) struct Reader {
     wanted: bool,
-    found: Statements,
-    /// Whether a position or the vertex of a corner is no number.
-    is_wrong: bool,
+    pub(super) found: Statements,
     raw: Raw,
+    /// What is wrong with the first line that is to blame, if no surface comes of the file.
+    blamed: Option<DataError>,
+    /// Whether none does, since a position or the vertex of a corner is no number.
+    is_wrong: bool,
 }
 
 impl Reader {
@@ -61,12 +65,20 @@ impl Reader {
         let w = if count == 4 { number(values[3]) } else { Some(1.0) };
         let position = match (x, y, z, w) {
             (Some(x), Some(y), Some(z), Some(w)) if w != 0.0 => DVec3::new(x, y, z) / w,
-            _ => {
-                self.is_wrong = true;
-                DVec3::NAN
-            }
+            (Some(_), Some(_), Some(_), Some(_)) => self.wrong(line, "the fourth coordinate is 0, a point at infinity"),
+            _ => self.wrong(line, "\"v\" needs three numbers, x y z"),
         };
+        if !position.is_finite() {
+            let vertex = self.found.positions.len();
+            self.blamed.get_or_insert_with(|| MeshError::NonFinitePosition { vertex, position }.into());
+        }
         self.found.positions.push(position);
+    }
+
+    fn wrong(&mut self, line: usize, message: &str) -> DVec3 {
+        self.is_wrong = true;
+        self.blamed.get_or_insert_with(|| syntax(line, message));
+        DVec3::NAN
     }
 
     fn texture(&mut self, line: usize, mut words: Words<'_>) {
@@ -97,9 +109,11 @@ impl Reader {
                 // As in `//3`.
                 return Err(syntax(line, format!("\"{}\" names no vertex", shown(word))));
             }
-            let vertex = number(position).and_then(|i| from_zero(i, self.found.positions.len()));
-            self.is_wrong |= vertex.is_none();
-            let vertex = vertex.unwrap_or(NONE);
+            let index = number(position);
+            if index.is_none() {
+                self.wrong(line, &format!("\"{}\" is no vertex number", shown(word)));
+            }
+            let vertex = index.and_then(|i| from_zero(i, self.found.positions.len())).unwrap_or(NONE);
             let mut corner = Corner { vertex, texture: NONE, normal: NONE };
             if self.wanted {
                 let (texture, normal) = (self.found.texture.len(), self.found.normals.len());
@@ -142,50 +156,26 @@ fn from_zero(index: i64, count: usize) -> Option<u32> {
     u32::try_from(index).ok().filter(|&i| i != NONE)
 }
 
-fn blamed(bytes: &[u8]) -> DataError {
-    locate(bytes).unwrap_or_else(|| DataError::Header("a coordinate or an index is none".to_owned()))
-}
-
-/// After a failure: the first line that is to blame.
-fn locate(bytes: &[u8]) -> Option<DataError> {
-    let mut vertices = 0;
-    let mut faces = Vec::new();
+/// The first corner that names none of the vertices, which may come after it.
+fn names_none(bytes: &[u8], vertices: usize) -> DataError {
+    let mut before = 0;
     for (line, statement) in statements(bytes) {
         let mut words = Words(statement);
         match words.next() {
-            Some(b"v") => {
-                let values: Vec<Option<f64>> = words.map(number).take(8).collect();
-                let divisor = if values.len() == 4 { values[3] } else { Some(1.0) };
-                let (Some([Some(x), Some(y), Some(z)]), Some(w)) = (values.first_chunk(), divisor) else {
-                    return Some(syntax(line, "\"v\" needs three numbers, x y z"));
-                };
-                if w == 0.0 {
-                    return Some(syntax(line, "the fourth coordinate is 0, a point at infinity"));
-                }
-                let p = DVec3::new(*x, *y, *z) / w;
-                if !p.is_finite() {
-                    return Some(MeshError::NonFinitePosition { vertex: vertices, position: p }.into());
-                }
-                vertices += 1;
-            }
+            Some(b"v") => before += 1,
             Some(b"f") => {
                 for word in words {
-                    let Some(index) = number::<i64>(position_index(word)) else {
-                        return Some(syntax(line, format!("\"{}\" is no vertex number", shown(word))));
-                    };
-                    let from_start =
-                        if index < 0 { i64::try_from(vertices).ok()?.wrapping_add(index) } else { index - 1 };
-                    faces.push((line, index, from_start));
+                    let index: i64 = number(position_index(word)).unwrap_or(0);
+                    if from_zero(index, before).is_none_or(|vertex| vertex as usize >= vertices) {
+                        let message = format!("vertex {index} is named, but there are {vertices} (1 to {vertices})");
+                        return syntax(line, message);
+                    }
                 }
             }
             _ => {}
         }
     }
-    // Faces may come before their vertices, so only now is their number known.
-    let bad = faces.into_iter().find(|&(_, _, i)| usize::try_from(i).map_or(true, |i| i >= vertices));
-    bad.map(|(line, index, _)| {
-        syntax(line, format!("vertex {index} is named, but there are {vertices} (1 to {vertices})"))
-    })
+    DataError::Header("it has more vertices than 32 bits can number".to_owned())
 }
 
 fn position_index(word: &[u8]) -> &[u8] {

@@ -16,12 +16,10 @@ pub(super) const TAKEN: [&str; 16] =
     ["x", "y", "z", "nx", "ny", "nz", "red", "green", "blue", "alpha", "s", "t", "u", "v", "texture_u", "texture_v"];
 pub(super) const PREFIX: &str = "scalar_";
 
-/// The use of a property.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Role {
     /// A coordinate of a vertex.
     Axis(usize),
-    /// Corners of a face.
     Corners,
     /// A scalar of a vertex; see [`Carried::push`].
     Column(usize),
@@ -30,7 +28,6 @@ pub(super) enum Role {
     Skipped,
 }
 
-/// One scalar property of the vertices.
 struct Column {
     name: String,
     kind: Kind,
@@ -83,12 +80,10 @@ impl Carried {
         }
     }
 
-    /// The names of the columns.
     pub(super) fn columns(&self) -> impl Iterator<Item = &str> {
         self.columns.iter().map(|column| column.name.as_str())
     }
 
-    /// All columns at once.
     pub(super) fn take_columns(&mut self, values: Vec<Vec<f64>>) {
         self.columns.iter_mut().zip(values).for_each(|(column, values)| column.values = values);
     }

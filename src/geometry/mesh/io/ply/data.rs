@@ -89,7 +89,6 @@ fn cursor<'a>(header: &Header<'a>) -> Cursor<'a> {
     Cursor { line: header.line, encoding: header.encoding, ..Cursor::new(header.data) }
 }
 
-/// The length of a list.
 fn length(cursor: &mut Cursor<'_>, kind: Kind) -> Result<usize, DataError> {
     if cursor.encoding == Encoding::Text {
         return cursor.parsed("a list's length");

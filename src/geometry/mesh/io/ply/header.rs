@@ -14,7 +14,6 @@ const LONGEST: usize = 4096;
 /// Elements and properties of one header, together. Files in use have dozens.
 const MOST_NAMES: usize = 4096;
 
-/// The type of a number.
 fn kind(name: &str) -> Option<Kind> {
     Some(match name {
         "char" | "int8" => Kind::I8,
@@ -70,7 +69,6 @@ impl Header<'_> {
     }
 }
 
-/// Reads the header.
 pub(super) fn read(bytes: &[u8]) -> Result<Header<'_>, DataError> {
     let (mut rest, line_break) = (bytes, line_break(bytes));
     let (mut encoding, mut elements) = (None, Vec::new());

@@ -127,7 +127,6 @@ impl Reader<'_> {
         self.cursor.parsed(what)
     }
 
-    /// The word of a type.
     fn kind(&mut self) -> Result<Type, DataError> {
         let word = self.cursor.word().ok_or_else(|| cut("a header"))?.to_ascii_lowercase();
         Ok(match word.as_slice() {

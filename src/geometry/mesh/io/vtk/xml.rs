@@ -103,7 +103,6 @@ fn counts(bytes: &[u8]) -> Option<Counts> {
     Some(counts)
 }
 
-/// An array's attributes and place.
 struct DataArray<'a> {
     name: String,
     role: Role,
@@ -164,7 +163,6 @@ fn number(tag: &BytesStart<'_>, name: &str) -> usize {
 }
 
 impl<'a> File<'a> {
-    /// Finds all arrays.
     fn walk(bytes: &'a [u8]) -> Result<Self, DataError> {
         let mut file = File {
             order: Order::Little,
