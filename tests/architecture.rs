@@ -35,7 +35,6 @@ const HOUSES: &[House] = &[
     house(
         "geometry",
         &[
-            ("setters", &[]),
             ("token", &[]),
             ("mesh", &[]),
             ("knn", &["mesh"]),
@@ -190,12 +189,7 @@ fn upward_uses(tree: &Tree, rules: &Rules<'_>) -> Vec<String> {
             let Target::Here(path) = tree.resolve(at, &used.path) else { continue };
             let Some(other) = room_of(tree, &path) else { continue };
             // The root passes on what the interface is made of. Everybody listens to the token.
-            if room == "lib"
-                || other == room
-                || other == "token"
-                || other == "setters"
-                || allowed.contains(&other.as_str())
-            {
+            if room == "lib" || other == room || other == "token" || allowed.contains(&other.as_str()) {
                 continue;
             }
             let door = rules.doors.iter().find(|(place, more)| within(&name, place) && more.contains(&other.as_str()));

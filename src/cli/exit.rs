@@ -124,7 +124,7 @@ fn known(cause: &(dyn std::error::Error + 'static)) -> Option<u8> {
         FileError::Io { .. } => IO,
     };
     let of_picture = |error: &PictureError| match error {
-        PictureError::Size { .. } | PictureError::Direction { .. } => Some(USAGE),
+        PictureError::Size(..) | PictureError::Direction(_) => Some(USAGE),
         PictureError::Write { .. } => Some(IO),
         _ => None,
     };

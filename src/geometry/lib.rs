@@ -14,8 +14,24 @@
 
 #![warn(unreachable_pub)]
 
-#[macro_use]
-mod setters;
+/// Setters of options, chained: `Options::new().with_this(1).with_that(2)`. Options that may grow cannot be written as a literal by
+/// other crates. `with_field(field: Type)` sets its field and nothing else; `=> value` says what the field becomes, where that is
+/// not the argument.
+#[macro_export]
+macro_rules! setters {
+    ($($set:ident($field:ident: $of:ty $(=> $value:expr)?)),+ $(,)?) => {
+        $(
+            #[doc = concat!("Sets [`", stringify!($field), "`](field@Self::", stringify!($field), ").")]
+            #[must_use]
+            pub fn $set(mut self, $field: $of) -> Self {
+                self.$field = $crate::setters!(@ $field $($value)?);
+                self
+            }
+        )+
+    };
+    (@ $field:ident) => { $field };
+    (@ $field:ident $value:expr) => { $value };
+}
 
 pub mod cvt;
 pub mod knn;

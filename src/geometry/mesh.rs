@@ -2,9 +2,8 @@
 //!
 //! Purpose: one validated type, [`TriMesh`], that other modules can trust, and operations on a single surface: files,
 //! adjacency, samples, closest points, quality.
-//! Invariant: a `TriMesh` has finite positions, indices in range and at least one facet with an area. Facets without area
-//! stay in the list, so that facet numbers are the caller's, and are marked [`TriMesh::is_degenerate`]; integration ignores
-//! them.
+//! Invariant: a `TriMesh` has finite positions, indices in range and at least one facet with an area. Facets without area stay in
+//! the list, so that facet numbers are the caller's, and are marked [`TriMesh::is_degenerate`]; integration ignores them.
 //! Must not know: seeds, Voronoi cells, backends, jobs.
 
 pub mod adjacency;
@@ -14,23 +13,16 @@ pub(crate) mod bvh;
 pub mod closest_point;
 pub mod coincident;
 pub(crate) mod comparison;
-pub(crate) mod csr;
-pub(crate) mod disjoint;
+pub mod csr;
 pub(crate) mod duplicates;
-pub(crate) mod edges;
+pub mod edges;
 pub(crate) mod facet_set;
 pub mod features;
 pub(crate) mod input;
 pub mod io;
-pub(crate) mod lost;
 pub mod measure;
-pub(crate) mod morton;
-pub(crate) mod one_rings;
-pub(crate) mod orient;
-pub(crate) mod outliers;
 pub mod sample;
 pub mod shapes;
-pub(crate) mod stitch;
 
 pub use features::FeatureError;
 use glam::DVec3;
@@ -79,14 +71,12 @@ pub enum MeshError {
         facets: usize,
     },
     /// More than 2^31 - 1 vertices or facets.
-    #[error("{what}: {count} is more than the {limit} that 32-bit indices allow")]
+    #[error("{what}: {count} is more than the {MAX_ELEMENTS} that 32-bit indices allow")]
     TooLarge {
         /// "vertices" or "facets".
         what: &'static str,
         /// How many were given.
         count: usize,
-        /// How many can be had.
-        limit: usize,
     },
     /// Coordinates so large that areas overflow double precision.
     #[error("the bounding box is {extent:e} wide; its square overflows. Scale the mesh to below 1e150")]
@@ -126,7 +116,7 @@ impl TriMesh {
     pub fn new(positions: Vec<DVec3>, facets: Vec<[u32; 3]>) -> Result<Self, MeshError> {
         for (what, count) in [("vertices", positions.len()), ("facets", facets.len())] {
             if count > MAX_ELEMENTS {
-                return Err(MeshError::TooLarge { what, count, limit: MAX_ELEMENTS });
+                return Err(MeshError::TooLarge { what, count });
             }
         }
         if facets.is_empty() {

@@ -58,7 +58,6 @@ pub struct Token(Arc<State>);
 #[derive(Debug)]
 struct State {
     reason: OnceLock<Stopped>,
-    /// The limit on time.
     limit: OnceLock<Duration>,
     /// Microseconds after `begin` when time is up; [`NEVER`] while the clock stands.
     end: AtomicU64,
@@ -223,7 +222,6 @@ impl Token {
         if self.is_stopped_after(steps, pace) { self.check() } else { Ok(()) }
     }
 
-    /// Notes a check.
     #[track_caller]
     fn note(&self) {
         let state = &*self.0;

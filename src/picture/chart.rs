@@ -1,25 +1,26 @@
 //! Plots: figures over figures.
 //!
 //! Purpose: [`Figure`] is panels of named series with axes, [`Figure::draw`] makes a picture of them; plotters lays
-//! out and draws, `canvas` is the paper.
+//! out and draws on [`Paper`]: its own bitmap backend takes fonts from the system, which a server has none of. The letters here
+//! come with the program (Noto Sans Mono).
 //! Invariant: no font of the system and no display is needed, and the bytes are the same everywhere. Values that
-//! have no place on an axis are left out. Must not know: what is plotted.
+//! have no place on an axis, and what lies outside the paper, are left out. Must not know: what is plotted.
 
-mod canvas;
-
+use std::convert::Infallible;
 use std::fmt::Display;
 use std::ops::Range;
 use std::path::Path;
 
+use noto_sans_mono_bitmap::{FontWeight, RasterHeight, RasterizedChar, get_raster, get_raster_width};
 use plotters::chart::ChartContext;
 use plotters::coord::Shift;
 use plotters::coord::cartesian::Cartesian2d;
 use plotters::coord::ranged1d::ValueFormatter;
 use plotters::prelude::*;
+use plotters::style::text_anchor::{HPos, VPos};
+use plotters_backend::{BackendColor, BackendCoord, BackendTextStyle, DrawingErrorKind};
 
-use canvas::Paper;
-
-use super::{Image, PictureError, Size};
+use super::{Image, PictureError, Rgb, Size};
 
 /// One picture.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -88,8 +89,9 @@ const COLOURS: [RGBColor; 7] = [
 
 /// Pixels of the paper per pixel of the picture: edges have four levels.
 const SCALE: u32 = 2;
-/// Height of letters on the paper. The canvas has this one size.
-const TEXT: u32 = canvas::LETTER;
+/// Height of letters on the paper, pixels.
+const TEXT: u32 = 32;
+const HEIGHT: RasterHeight = RasterHeight::Size32;
 
 type Area<'a> = DrawingArea<Paper<'a>, Shift>;
 
@@ -108,7 +110,7 @@ impl Figure {
         let (width, height) = (size.width * SCALE, size.height * SCALE);
         let mut pixels = vec![[255; 3]; width as usize * height as usize];
         {
-            let root = Paper::new(&mut pixels, (width, height)).into_drawing_area();
+            let root = Paper { pixels: &mut pixels, size: (width, height) }.into_drawing_area();
             let area = root.titled(&self.title, ("bold", TEXT)).map_err(failed)?;
             for (panel, part) in self.panels.iter().zip(area.split_evenly((1, self.panels.len().max(1)))) {
                 panel.draw(&part)?;
@@ -250,6 +252,90 @@ fn tick(v: f64) -> String {
         "0" | "-0" if v != 0.0 => format!("{v:.0e}"),
         "-0" => "0".to_owned(),
         text => format!("{text}{unit}"),
+    }
+}
+
+/// Pixels, rows from the top: width times height.
+struct Paper<'a> {
+    pixels: &'a mut [Rgb],
+    size: (u32, u32),
+}
+
+impl Paper<'_> {
+    fn blend(&mut self, (x, y): BackendCoord, [r, g, b]: Rgb, alpha: f64) {
+        let (width, height) = (i64::from(self.size.0), i64::from(self.size.1));
+        let (x, y) = (i64::from(x), i64::from(y));
+        if (0..width).contains(&x)
+            && (0..height).contains(&y)
+            && let Some(pixel) = self.pixels.get_mut((y * width + x) as usize)
+        {
+            let mix = |below: u8, above: u8| (f64::from(below) + alpha * (f64::from(above) - f64::from(below))).round();
+            *pixel = [mix(pixel[0], r) as u8, mix(pixel[1], g) as u8, mix(pixel[2], b) as u8];
+        }
+    }
+}
+
+fn glyph(c: char, weight: FontWeight) -> Option<RasterizedChar> {
+    get_raster(c, weight, HEIGHT).or_else(|| get_raster('?', weight, HEIGHT))
+}
+
+type Drawn = Result<(), DrawingErrorKind<Infallible>>;
+
+impl DrawingBackend for Paper<'_> {
+    type ErrorType = Infallible;
+
+    fn get_size(&self) -> (u32, u32) {
+        self.size
+    }
+
+    fn ensure_prepared(&mut self) -> Drawn {
+        Ok(())
+    }
+
+    fn present(&mut self) -> Drawn {
+        Ok(())
+    }
+
+    fn draw_pixel(&mut self, point: BackendCoord, color: BackendColor) -> Drawn {
+        let (r, g, b) = color.rgb;
+        self.blend(point, [r, g, b], color.alpha.clamp(0.0, 1.0));
+        Ok(())
+    }
+
+    fn estimate_text_size<S: BackendTextStyle>(
+        &self,
+        text: &str,
+        _: &S,
+    ) -> Result<(u32, u32), DrawingErrorKind<Infallible>> {
+        let width = get_raster_width(FontWeight::Regular, HEIGHT);
+        Ok(((text.chars().count() * width) as u32, TEXT))
+    }
+
+    fn draw_text<S: BackendTextStyle>(&mut self, text: &str, style: &S, pos: BackendCoord) -> Drawn {
+        let (width, height) = self.estimate_text_size(text, style)?;
+        let dx = match style.anchor().h_pos {
+            HPos::Left => 0,
+            HPos::Right => -(width as i32),
+            HPos::Center => -(width as i32) / 2,
+        };
+        let dy = match style.anchor().v_pos {
+            VPos::Top => 0,
+            VPos::Bottom => -(height as i32),
+            VPos::Center => -(height as i32) / 2,
+        };
+        let weight = if style.family().as_str() == "bold" { FontWeight::Bold } else { FontWeight::Regular };
+        let (BackendColor { alpha, rgb: (r, g, b) }, turn) = (style.color(), style.transform());
+        let mut left = dx;
+        for letter in text.chars().filter_map(|c| glyph(c, weight)) {
+            for (y, row) in letter.rows().enumerate() {
+                for (x, &ink) in row.iter().enumerate().filter(|(_, ink)| **ink > 0) {
+                    let (x, y) = turn.transform(left + x as i32, dy + y as i32);
+                    self.blend((pos.0 + x, pos.1 + y), [r, g, b], alpha * f64::from(ink) / 255.0);
+                }
+            }
+            left += letter.width() as i32;
+        }
+        Ok(())
     }
 }
 

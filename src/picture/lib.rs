@@ -1,8 +1,7 @@
 //! Pictures of surfaces, drawn without a window system and without a GPU.
 //!
-//! Purpose: [`Canvas`] takes coloured faces, in as many batches as the caller likes, lines that lie on
-//! them and dots, and becomes an [`Image`]; [`View`] is where it is seen from; [`draw_mesh`] draws a
-//! whole mesh with its edges. `chart` plots figures.
+//! Purpose: [`Canvas`] takes coloured faces, in as many batches as the caller likes, lines that lie on them and dots, and becomes
+//! an [`Image`]; [`View`] is where it is seen from; [`draw_mesh`] draws a whole mesh with its edges. `chart` plots figures.
 //! Invariant: what is hidden does not show, whatever the order of drawing, and the bytes are the same
 //! whatever the number of threads. No coordinates make it panic: a face that cannot be placed is left out.
 //! Must not know: seeds, cells, jobs, files other than the picture.
@@ -14,10 +13,8 @@
 #![warn(unreachable_pub)]
 
 pub mod chart;
-mod colour;
 mod image;
 mod raster;
-mod stroke;
 mod surface;
 mod view;
 
@@ -26,13 +23,11 @@ use std::path::PathBuf;
 use glam::DVec3;
 use rayon::prelude::*;
 
-pub use colour::{PLAIN, Rgb, distinct, of_quality};
-pub use image::Image;
+pub use image::{Image, PLAIN, Rgb, distinct, of_quality};
 pub use surface::{Paint, SOFT, draw_mesh, shading_normals, spacing};
 pub use view::{View, ViewDirection};
 
-use raster::Triangle;
-use stroke::{Ink, Stroke};
+use raster::{Ink, Stroke, Triangle};
 
 /// Side of the square of samples that makes a pixel: edges have ten levels.
 const SUPER: usize = 3;
@@ -58,7 +53,7 @@ impl Size {
         let sides = 1..=MAX_SIDE;
         match sides.contains(&width) && sides.contains(&height) && width * height <= MAX_PIXELS {
             true => Ok(Self { width, height }),
-            false => Err(PictureError::Size { width, height }),
+            false => Err(PictureError::Size(width, height)),
         }
     }
 }
@@ -73,26 +68,11 @@ impl Default for Size {
 #[derive(Debug, thiserror::Error)]
 pub enum PictureError {
     /// No such picture can be drawn.
-    #[error(
-        "{width}x{height} pixels: give sides from 1 to {MAX_SIDE}, and no more than {} million pixels",
-        MAX_PIXELS >> 20
-    )]
-    Size {
-        /// As asked for.
-        width: u32,
-        /// As asked for.
-        height: u32,
-    },
+    #[error("{0}x{1} pixels: give sides from 1 to {MAX_SIDE}, and no more than {most} million pixels", most = MAX_PIXELS >> 20)]
+    Size(u32, u32),
     /// A direction has no length or is not finite.
-    #[error("({x}, {y}, {z}) is no direction; give three finite numbers that are not all 0")]
-    Direction {
-        /// As given.
-        x: f64,
-        /// Second coordinate.
-        y: f64,
-        /// Third coordinate.
-        z: f64,
-    },
+    #[error("({}, {}, {}) is no direction; give three finite numbers that are not all 0", .0.x, .0.y, .0.z)]
+    Direction(DVec3),
     /// A plot could not be laid out.
     #[error("cannot draw the plot: {0}")]
     Plot(String),
@@ -181,7 +161,7 @@ impl Canvas {
     /// An empty canvas.
     pub fn new(view: View) -> Self {
         let (width, height) = samples(view.size());
-        let [r, g, b] = colour::BACKGROUND;
+        let [r, g, b] = image::BACKGROUND;
         Self {
             view,
             depth: vec![f32::INFINITY; width * height],
@@ -231,7 +211,7 @@ impl Canvas {
     /// Draws the lines and dots with `pens` and returns the picture.
     pub fn finish(mut self, pens: &Pens) -> Image {
         let size = samples(self.view.size());
-        stroke::draw(&self.strokes, pens, size, &self.depth, &mut self.colour);
+        raster::draw_strokes(&self.strokes, pens, size, &self.depth, &mut self.colour);
         image::resolve(self.view.size(), &self.colour, pens)
     }
 }

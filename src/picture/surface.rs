@@ -5,10 +5,11 @@
 
 use glam::DVec3;
 
-use super::colour::{self, Rgb};
-use super::{Canvas, Face, Image, Pens, View};
+use super::{Canvas, Face, Image, PLAIN, Pens, Rgb, View, distinct, of_quality};
 use geometry::mesh::TriMesh;
 use geometry::mesh::adjacency::weld;
+use geometry::mesh::csr::Csr;
+use geometry::mesh::edges::{sides, undirected};
 use geometry::mesh::measure::facet_quality;
 
 /// What the colours of a mesh say.
@@ -60,13 +61,13 @@ fn paint_facet(mesh: &TriMesh, facet: usize, paint: Paint, faces: &mut Vec<Face>
     let corners = mesh.corners(facet);
     let whole = |colour: Rgb| Face { corners, colour, normal: None };
     match paint {
-        Paint::Plain => faces.push(whole(colour::PLAIN)),
+        Paint::Plain => faces.push(whole(PLAIN)),
         Paint::Quality => {
             // Scaled, so that lengths in a tiny or huge mesh can be squared.
             let sides = corners.map(|p| p - corners[0]);
             let size = sides[1].abs().max(sides[2].abs()).max_element();
             let unit = sides.map(|p| p / size);
-            faces.push(whole(colour::of_quality(facet_quality(unit))));
+            faces.push(whole(of_quality(facet_quality(unit))));
         }
         Paint::Cell => {
             let [a, b, c] = corners.map(|p| p / 3.0);
@@ -74,7 +75,7 @@ fn paint_facet(mesh: &TriMesh, facet: usize, paint: Paint, faces: &mut Vec<Face>
             for i in 0..3 {
                 let (p, next, before) = (corners[i], corners[(i + 1) % 3], corners[(i + 2) % 3]);
                 let third = [p, 0.5 * p + 0.5 * next, middle, 0.5 * p + 0.5 * before];
-                faces.extend(Face::fan(&third, colour::distinct(mesh.facets()[facet][i]), None));
+                faces.extend(Face::fan(&third, distinct(mesh.facets()[facet][i]), None));
             }
         }
     }
@@ -82,8 +83,8 @@ fn paint_facet(mesh: &TriMesh, facet: usize, paint: Paint, faces: &mut Vec<Face>
 
 /// Each edge once, as the lower and the higher vertex.
 fn edges(mesh: &TriMesh) -> Vec<[u32; 2]> {
-    let sides = |f: &[u32; 3]| [[f[0], f[1]], [f[1], f[2]], [f[2], f[0]]].map(|[a, b]| [a.min(b), a.max(b)]);
-    let mut edges: Vec<[u32; 2]> = mesh.facets().iter().flat_map(sides).filter(|[a, b]| a != b).collect();
+    let all = mesh.facets().iter().flat_map(|&facet| sides(facet)).map(undirected);
+    let mut edges: Vec<[u32; 2]> = all.filter(|[a, b]| a != b).collect();
     edges.sort_unstable();
     edges.dedup();
     edges
@@ -103,24 +104,14 @@ pub fn shading_normals(mesh: &TriMesh) -> Vec<DVec3> {
     };
     let own: Vec<DVec3> = (0..mesh.facets().len()).map(own).collect();
     let representative = weld(mesh);
-    let point = |v: u32| representative[v as usize] as usize;
-    // Facets of each point, packed.
-    let mut first = vec![0usize; mesh.positions().len() + 1];
-    mesh.facets().iter().flatten().for_each(|&v| first[point(v) + 1] += 1);
-    (1..first.len()).for_each(|i| first[i] += first[i - 1]);
-    let (mut fill, mut around) = (first.clone(), vec![0u32; 3 * mesh.facets().len()]);
-    for (facet, corners) in mesh.facets().iter().enumerate() {
-        for &v in corners {
-            around[fill[point(v)]] = facet as u32;
-            fill[point(v)] += 1;
-        }
-    }
+    let facets: Vec<[u32; 3]> = mesh.facets().iter().map(|f| f.map(|v| representative[v as usize])).collect();
+    let around = Csr::one_rings(mesh.positions().len(), &facets);
     let smooth = |(facet, corners): (usize, &[u32; 3])| {
         let unit = own[facet].normalize_or_zero();
-        let near = corners.iter().flat_map(|&v| &around[first[point(v)]..first[point(v) + 1]]);
+        let near = corners.iter().flat_map(|&v| around.of(v));
         near.map(|&f| own[f as usize]).filter(|n| n.dot(unit) >= SOFT * n.length()).sum()
     };
-    mesh.facets().iter().enumerate().map(smooth).collect()
+    facets.iter().enumerate().map(smooth).collect()
 }
 
 #[cfg(test)]

@@ -2,7 +2,7 @@
 
 use glam::dvec3;
 
-use super::colour::{BACKGROUND, lit};
+use super::image::{BACKGROUND, lit};
 use super::*;
 use geometry::mesh::TriMesh;
 use geometry::mesh::shapes::Shape;
@@ -254,9 +254,9 @@ fn any_direction_frames_the_surface() {
     }
     for bad in [DVec3::ZERO, DVec3::NAN, DVec3::INFINITY] {
         let look = ViewDirection { toward: bad, up: DVec3::Y };
-        assert!(matches!(View::framing(&look, Size::default(), []), Err(PictureError::Direction { .. })));
+        assert!(matches!(View::framing(&look, Size::default(), []), Err(PictureError::Direction(_))));
     }
     for (width, height) in [(0, 10), (10, 0), (MAX_SIDE + 1, 1), (MAX_SIDE, MAX_SIDE)] {
-        assert!(matches!(Size::new(width, height), Err(PictureError::Size { .. })));
+        assert!(matches!(Size::new(width, height), Err(PictureError::Size(..))));
     }
 }

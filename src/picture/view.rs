@@ -1,8 +1,7 @@
 //! Where a surface is seen from: an orthographic camera that frames it.
 //!
-//! Purpose: caller's coordinates to pixels and depth. Invariant: the points that were framed lie in the
-//! picture, whatever their size and place; depth has the unit of width and height, and grows away from
-//! the viewer. Must not know: what is drawn.
+//! Purpose: caller's coordinates to pixels and depth. Invariant: the points that were framed lie in the picture, whatever their
+//! size and place; depth has the unit of width and height, and grows away from the viewer. Must not know: what is drawn.
 
 use glam::{DMat3, DVec3, dvec3};
 
@@ -44,7 +43,7 @@ fn direction(v: DVec3) -> Result<DVec3, PictureError> {
     let unit = (v / v.abs().max_element()).normalize_or_zero();
     match unit.is_finite() && unit != DVec3::ZERO {
         true => Ok(unit),
-        false => Err(PictureError::Direction { x: v.x, y: v.y, z: v.z }),
+        false => Err(PictureError::Direction(v)),
     }
 }
 
@@ -94,9 +93,8 @@ impl View {
         self.size
     }
 
-    /// Where `p` is in the picture: pixels from the left and the top edge, and depth in pixels away from
-    /// the viewer. Not finite where `p` is not, or is beyond the range of double precision from the
-    /// framed points.
+    /// Where `p` is in the picture: pixels from the left and the top edge, and depth in pixels away from the viewer.
+    /// Not finite where `p` is not, or is beyond the range of double precision from the framed points.
     pub fn place(&self, p: DVec3) -> DVec3 {
         let q = (self.turned(p) - self.middle) * self.scale;
         dvec3(0.5 * f64::from(self.size.width) + q.x, 0.5 * f64::from(self.size.height) - q.y, -q.z)

@@ -30,10 +30,14 @@ pub struct Adjacency {
     representative: Vec<u32>,
     kinds: Vec<EdgeKind>,
     opposites: Vec<usize>,
-    edges: usize,
-    boundary: usize,
-    inconsistent: usize,
-    non_manifold: usize,
+    /// Different edges.
+    pub edges: usize,
+    /// Edges with one facet.
+    pub boundary_edges: usize,
+    /// Edges whose two facets traverse them in the same direction.
+    pub inconsistent_edges: usize,
+    /// Edges with more than two facets.
+    pub non_manifold_edges: usize,
 }
 
 const NONE: usize = usize::MAX;
@@ -60,7 +64,7 @@ impl Adjacency {
         let number = |half: Half| 3 * half.facet as usize + half.side;
         let mut kinds = vec![EdgeKind::Collapsed; halves];
         let mut opposites = vec![NONE; halves];
-        let (mut edges, mut boundary, mut inconsistent, mut non_manifold) = (0, 0, 0, 0);
+        let [mut edges, mut boundary_edges, mut inconsistent_edges, mut non_manifold_edges] = [0; 4];
         groups.for_each(|low, edge| {
             edges += 1;
             let kind = match *edge {
@@ -74,13 +78,13 @@ impl Adjacency {
             };
             edge.iter().for_each(|&half| kinds[number(half)] = kind);
             match kind {
-                EdgeKind::Boundary => boundary += 1,
-                EdgeKind::Inconsistent => inconsistent += 1,
-                EdgeKind::NonManifold => non_manifold += 1,
+                EdgeKind::Boundary => boundary_edges += 1,
+                EdgeKind::Inconsistent => inconsistent_edges += 1,
+                EdgeKind::NonManifold => non_manifold_edges += 1,
                 EdgeKind::Manifold | EdgeKind::Collapsed => {}
             }
         });
-        Self { representative, kinds, opposites, edges, boundary, inconsistent, non_manifold }
+        Self { representative, kinds, opposites, edges, boundary_edges, inconsistent_edges, non_manifold_edges }
     }
 
     /// The half-edge across an edge with exactly two facets, whichever way they run.
@@ -102,26 +106,6 @@ impl Adjacency {
     pub fn representative(&self) -> &[u32] {
         &self.representative
     }
-
-    /// Different edges.
-    pub fn edges(&self) -> usize {
-        self.edges
-    }
-
-    /// Edges with one facet.
-    pub fn boundary_edges(&self) -> usize {
-        self.boundary
-    }
-
-    /// Edges whose two facets traverse them in the same direction.
-    pub fn inconsistent_edges(&self) -> usize {
-        self.inconsistent
-    }
-
-    /// Edges with more than two facets.
-    pub fn non_manifold_edges(&self) -> usize {
-        self.non_manifold
-    }
 }
 
 #[cfg(test)]
@@ -137,18 +121,18 @@ mod tests {
     #[test]
     fn kinds_and_opposites() {
         let two = Adjacency::new(&mesh(&[[0, 1, 2], [2, 1, 3]]));
-        assert_eq!((two.edges(), two.boundary_edges()), (5, 4));
+        assert_eq!((two.edges, two.boundary_edges), (5, 4));
         assert_eq!((two.kind(1), two.opposite(1), two.opposite(3)), (EdgeKind::Manifold, Some(3), Some(1)));
         assert_eq!((two.kind(0), two.opposite(0)), (EdgeKind::Boundary, None));
 
         let turned = Adjacency::new(&mesh(&[[0, 1, 2], [1, 2, 3]]));
         assert_eq!(
-            (turned.inconsistent_edges(), turned.kind(1), turned.opposite(1)),
+            (turned.inconsistent_edges, turned.kind(1), turned.opposite(1)),
             (1, EdgeKind::Inconsistent, Some(3))
         );
 
         let three = Adjacency::new(&mesh(&[[0, 1, 2], [2, 1, 3], [1, 2, 4]]));
-        assert_eq!((three.non_manifold_edges(), three.kind(1), three.opposite(1)), (1, EdgeKind::NonManifold, None));
+        assert_eq!((three.non_manifold_edges, three.kind(1), three.opposite(1)), (1, EdgeKind::NonManifold, None));
     }
 
     #[test]
@@ -158,6 +142,6 @@ mod tests {
         let adjacency = Adjacency::new(&split);
         assert_eq!(adjacency.opposite(2), Some(3));
         assert!(adjacency.is_collapsed(2) && !adjacency.is_collapsed(0));
-        assert_eq!(adjacency.edges(), 5);
+        assert_eq!(adjacency.edges, 5);
     }
 }

@@ -1,8 +1,7 @@
 //! Parts of a surface, set apart.
 //!
-//! Purpose: [`Apart::of`] translates the connected components of a surface until none is near another. Distances within a
-//! component do not change, so that algorithms by distance treat each component alone: a seed's cell does not reach a
-//! neighbouring shell.
+//! Purpose: [`Apart::of`] translates the connected components of a surface until none is near another. Distances within a component
+//! do not change, so that algorithms by distance treat each component alone: a seed's cell does not reach a neighbouring shell.
 //! Invariant: vertices and facets keep their numbers; moving back restores places, and vertices to the bit.
 //! Must not know: seeds, diagrams.
 
@@ -11,7 +10,7 @@ use std::collections::HashMap;
 use glam::DVec3;
 
 use super::adjacency::weld;
-use super::disjoint::DisjointSets;
+use super::edges::DisjointSets;
 use super::{MeshError, TriMesh};
 
 /// Most components that are moved: a surface with more is a list of triangles, or dust.
@@ -107,10 +106,7 @@ impl Apart {
         p - parts[part].1
     }
 
-    /// A surface beside this one, where it was.
-    ///
-    /// # Errors
-    /// None if the surface moved back is still valid.
+    /// A surface beside this one, where it was; no error if it is still valid there.
     pub(crate) fn mesh_back(&self, mesh: &TriMesh) -> Result<TriMesh, MeshError> {
         TriMesh::new(mesh.positions().iter().map(|&p| self.back(p)).collect(), mesh.facets().to_vec())
     }

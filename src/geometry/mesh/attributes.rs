@@ -129,7 +129,8 @@ pub enum AttributeError {
     },
 }
 
-/// The attributes of a mesh; see the module's head. Empty at first.
+/// The attributes of a mesh; see the module's head. Empty at first. What would break the invariant is refused, with its name and
+/// the index of the value.
 ///
 /// ```
 /// use tessera::mesh::attributes::{AttributeError, Attributes};
@@ -168,11 +169,7 @@ impl Attributes {
         }
     }
 
-    /// Takes normals, of any length but infinite; they are made unit. A normal of length 0 means that none is
-    /// known there.
-    ///
-    /// # Errors
-    /// `Count`, `NonFinite`, `IndexOutOfRange`, `TooLarge`.
+    /// Takes normals, of any length but infinite; they are made unit. A normal of length 0 means that none is known there.
     pub fn set_normals(&mut self, mut normals: Normals) -> Result<(), AttributeError> {
         match &normals {
             Normals::PerVertex(values) => check_count(NORMALS, values.len(), self.vertices, "vertices")?,
@@ -186,9 +183,6 @@ impl Attributes {
     }
 
     /// Takes texture coordinates: u and v of each corner.
-    ///
-    /// # Errors
-    /// `Count`, `NonFinite`, `IndexOutOfRange`, `TooLarge`.
     pub fn set_texture(&mut self, texture: PerCorner<DVec2>) -> Result<(), AttributeError> {
         self.check_corners(TEXTURE, &texture)?;
         check_finite(TEXTURE, &texture.values, |uv| uv.is_finite())?;
@@ -197,9 +191,6 @@ impl Attributes {
     }
 
     /// Takes colours.
-    ///
-    /// # Errors
-    /// `Count`, `NonFinite`.
     pub fn set_colours(&mut self, colours: Colours) -> Result<(), AttributeError> {
         check_count(COLOURS, colours.values.len(), self.vertices, "vertices")?;
         check_finite(COLOURS, &colours.values, |c| c.iter().all(|x| x.is_finite()))?;
@@ -208,9 +199,6 @@ impl Attributes {
     }
 
     /// Takes one more scalar.
-    ///
-    /// # Errors
-    /// `Name`, `Count`, `NonFinite`.
     pub fn add_scalar(&mut self, name: impl Into<String>, values: Vec<f64>) -> Result<(), AttributeError> {
         let name = name.into();
         check_name(&name)?;
@@ -250,9 +238,6 @@ impl Attributes {
     }
 
     /// Checks that they can be `mesh`'s.
-    ///
-    /// # Errors
-    /// `OtherMesh`.
     pub fn check_mesh(&self, mesh: &TriMesh) -> Result<(), AttributeError> {
         if (self.vertices, self.facets) == (mesh.positions().len(), mesh.facets().len()) {
             return Ok(());
@@ -302,9 +287,6 @@ pub fn unit(v: DVec3) -> DVec3 {
 }
 
 /// Whether a scalar can have this name.
-///
-/// # Errors
-/// `Name`.
 pub fn check_name(name: &str) -> Result<(), AttributeError> {
     let reason = if name.is_empty() {
         "give it one"

@@ -107,9 +107,8 @@ impl Bvh {
     }
 }
 
-/// Sorts items so that neighbours are adjacent: each eight of a node, each eight such nodes, and so on, are one part of
-/// items that were halved across their longest extent. `place` gives the place of an item. Coincident items keep their
-/// order.
+/// Sorts items so that neighbours are adjacent: each eight of a node, each eight such nodes, and so on, are one part of items that
+/// were halved across their longest extent. `place` gives the place of an item. Coincident items keep their order.
 pub(crate) fn arrange<T: Copy + Send + Sync>(items: &mut Vec<T>, place: &(dyn Fn(&T) -> DVec3 + Sync)) {
     let mut placed: Vec<(DVec3, u32)> = items.par_iter().enumerate().map(|(i, item)| (place(item), i as u32)).collect();
     halve(&mut placed);
@@ -197,6 +196,21 @@ fn below(x: f64) -> f32 {
 
 fn above(x: f64) -> f32 {
     -below(-x)
+}
+
+/// The Morton code (1966) of a point with coordinates in [-1, 1]: its order keeps neighbours
+/// close in memory. There are 2²⁰ cells per axis, and points outside are clamped to the box.
+pub(crate) fn morton(unit: DVec3) -> u64 {
+    let spread = |x: f64| {
+        // The cast saturates.
+        let mut bits = (((x + 1.0) * (1u64 << 20) as f64) as u64).min((1 << 21) - 1);
+        bits = (bits | bits << 32) & 0x001f_0000_0000_ffff;
+        bits = (bits | bits << 16) & 0x001f_0000_ff00_00ff;
+        bits = (bits | bits << 8) & 0x100f_00f0_0f00_f00f;
+        bits = (bits | bits << 4) & 0x10c3_0c30_c30c_30c3;
+        (bits | bits << 2) & 0x1249_2492_4924_9249
+    };
+    spread(unit.x) | spread(unit.y) << 1 | spread(unit.z) << 2
 }
 
 #[cfg(test)]

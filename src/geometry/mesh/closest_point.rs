@@ -1,7 +1,6 @@
 //! The closest point of a surface.
 //!
-//! Purpose: [`ClosestPoint`] finds the point of a surface nearest to a given one, with its facet and barycentric
-//! coordinates.
+//! Purpose: [`ClosestPoint`] finds the point of a surface nearest to a given one, with its facet and barycentric coordinates.
 //! Invariant: an answer is a point of the surface, is the nearest up to rounding, and among facets at the same distance
 //! names the lowest; it does not depend on the shape of the hierarchy. Facets without area are ignored. Queries are `Sync`.
 //! Must not know: samples, quality.
@@ -12,9 +11,8 @@ use rayon::prelude::*;
 
 use super::TriMesh;
 use super::adjacency::weld;
-use super::bvh::{self, Bvh};
+use super::bvh::{self, Bvh, morton};
 use super::csr::Csr;
-use super::morton;
 use crate::token::{Pace, Stopped, Token};
 
 /// A point of a surface.
@@ -101,7 +99,7 @@ impl ClosestPoint {
         token: &Token,
         answer: impl Fn(Nearest) -> T + Sync,
     ) -> Result<Vec<T>, Stopped> {
-        let place = |(i, &p): (usize, &DVec3)| (morton::code(self.to_unit(p)), i);
+        let place = |(i, &p): (usize, &DVec3)| (morton(self.to_unit(p)), i);
         let mut order: Vec<(u64, usize)> = points.par_iter().enumerate().map(place).collect();
         order.par_sort_unstable();
         let run = |run: &[(u64, usize)]| {
@@ -220,9 +218,8 @@ fn distinct_facets(mesh: &TriMesh) -> Vec<([u32; 3], u32)> {
     facets.filter(is_solid).filter(|&f| !again[f]).map(|f| (mesh.facets()[f], f as u32)).collect()
 }
 
-/// A barycentric coordinate is off by a few roundings times the product of the lengths that it was computed from, by
-/// the facet's area. While that is less than the root of the first it is less than the second, and says on which side of
-/// an edge a point is.
+/// A barycentric coordinate is off by a few roundings times the product of the lengths that it was computed from, by the facet's
+/// area. While that is less than the root of the first it is less than the second, and says on which side of an edge a point is.
 const SURE: f64 = 1e16;
 const SEEN: f64 = 1e-6;
 

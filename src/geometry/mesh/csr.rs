@@ -1,20 +1,19 @@
 //! Compressed sparse rows (CSR).
 //!
-//! Purpose: [`Csr`] holds a list for each row in two flat arrays. The row is a vertex in most uses: the facets of its
-//! one-ring ([`Csr::one_rings`]), samples that belong to it ([`Csr::group`]).
+//! Purpose: [`Csr`] holds a list for each row in two flat arrays. The row is a vertex in most uses: the facets of its one-ring
+//! ([`Csr::one_rings`]), samples that belong to it ([`Csr::group`]). [`OneRings`] follows edits of a triangulation.
 //! Invariant: the items of a row keep their order, for any number of threads.
 //! Must not know: the items.
 
-use std::ops::Range;
-
 use rayon::prelude::*;
+use std::ops::Range;
 
 /// Items per parallel task.
 const ITEMS_PER_TASK: usize = 1024;
 
-/// See the module's head.
+/// A list for each row.
 #[derive(Clone, Debug, Default)]
-pub(crate) struct Csr<T> {
+pub struct Csr<T> {
     /// Where each row begins in `items`; and their number.
     first: Vec<u32>,
     items: Vec<T>,
@@ -38,7 +37,7 @@ fn sorted(rows: usize, owners: impl Iterator<Item = u32> + Clone) -> (Vec<u32>, 
 
 impl Csr<u32> {
     /// The facets around each vertex, ascending.
-    pub(crate) fn one_rings(vertices: usize, facets: &[[u32; 3]]) -> Self {
+    pub fn one_rings(vertices: usize, facets: &[[u32; 3]]) -> Self {
         let (first, corners) = sorted(vertices, facets.as_flattened().iter().copied());
         Self { first, items: corners.into_iter().map(|corner| corner / 3).collect() }
     }
@@ -63,7 +62,7 @@ impl<T: Copy> Csr<T> {
 
 impl<T> Csr<T> {
     /// The items of a row.
-    pub(crate) fn of(&self, row: u32) -> &[T] {
+    pub fn of(&self, row: u32) -> &[T] {
         &self.items[self.range(row)]
     }
 
@@ -77,10 +76,61 @@ impl<T> Csr<T> {
         &self.items
     }
 
-    /// All items, mutable.
     pub(crate) fn all_mut(&mut self) -> &mut [T] {
         &mut self.items
     }
+}
+
+/// Marks a vertex with unchanged facets.
+const UNCHANGED: u32 = u32::MAX;
+
+/// One-rings as of [`Csr::one_rings`], of a triangulation that changes in places.
+#[derive(Clone, Debug)]
+pub(crate) struct OneRings {
+    base: Csr<u32>,
+    /// For each vertex the list of `changed` with its facets.
+    list: Vec<u32>,
+    changed: Vec<Vec<u32>>,
+}
+
+impl OneRings {
+    pub(crate) fn new(vertices: usize, facets: &[[u32; 3]]) -> Self {
+        Self { list: vec![UNCHANGED; vertices], base: Csr::one_rings(vertices, facets), changed: Vec::new() }
+    }
+
+    /// Facets around vertex `v`, ascending.
+    pub(crate) fn of(&self, v: u32) -> &[u32] {
+        self.changed.get(self.list[v as usize] as usize).map_or_else(|| self.base.of(v), Vec::as_slice)
+    }
+
+    /// Facet `f` had the corners `old` and has the corners `new`.
+    pub(crate) fn replace(&mut self, f: u32, old: [u32; 3], new: [u32; 3]) {
+        for v in old {
+            self.facets_mut(v).retain(|&g| g != f);
+        }
+        for v in new {
+            let facets = self.facets_mut(v);
+            let at = facets.partition_point(|&g| g < f);
+            facets.insert(at, f);
+        }
+    }
+
+    fn facets_mut(&mut self, v: u32) -> &mut Vec<u32> {
+        let list = &mut self.list[v as usize];
+        if *list == UNCHANGED {
+            *list = self.changed.len() as u32;
+            self.changed.push(self.base.of(v).to_vec());
+        }
+        &mut self.changed[*list as usize]
+    }
+}
+
+/// Numbers in ascending order, each once.
+pub(crate) fn ascending(numbers: impl IntoIterator<Item = u32>) -> Vec<u32> {
+    let mut numbers: Vec<u32> = numbers.into_iter().collect();
+    numbers.sort_unstable();
+    numbers.dedup();
+    numbers
 }
 
 #[cfg(test)]
@@ -103,5 +153,13 @@ mod tests {
             [0, 1, 2, 3, 4].map(|v| rings.of(v).to_vec()),
             [vec![0, 2], vec![0, 1], vec![0, 1, 2], vec![1, 2], vec![]]
         );
+    }
+
+    #[test]
+    fn a_flip_changes_four_one_rings() {
+        let mut rings = OneRings::new(4, &[[0, 1, 2], [1, 0, 3]]);
+        rings.replace(0, [0, 1, 2], [0, 3, 2]);
+        rings.replace(1, [1, 0, 3], [3, 1, 2]);
+        assert_eq!([0, 1, 2, 3].map(|v| rings.of(v).to_vec()), [vec![0], vec![1], vec![0, 1], vec![0, 1]]);
     }
 }

@@ -13,8 +13,7 @@ use serde::Serialize;
 
 use super::TriMesh;
 use super::adjacency::weld;
-use super::disjoint::DisjointSets;
-use super::edges::{EdgeGroups, sides};
+use super::edges::{DisjointSets, EdgeGroups, sides};
 use crate::token::{Stopped, Token};
 
 /// A facet's corners in ascending order, its number, and whether it runs from the lowest corner to the middle one.
@@ -28,7 +27,6 @@ struct Sorted {
 /// Facets by corners, so that duplicates of either orientation are neighbours, in ascending order.
 struct Groups {
     all: Vec<Sorted>,
-    /// Number of vertices.
     vertices: usize,
 }
 
@@ -205,7 +203,7 @@ mod tests {
         let reversed = mesh.facets().iter().enumerate().map(|(f, &t)| if f % 50 == 0 { back(t) } else { t });
         let more = mesh.facets().iter().copied().step_by(50);
         let twice = TriMesh::new(mesh.positions().to_vec(), reversed.chain(more).collect()).unwrap();
-        assert_eq!(Adjacency::new(&remove(&twice, &Token::default()).unwrap().unwrap().0).inconsistent_edges(), 0);
+        assert_eq!(Adjacency::new(&remove(&twice, &Token::default()).unwrap().unwrap().0).inconsistent_edges, 0);
         // Also where it has boundaries, and where the second one has vertices of its own.
         let sheet = Shape::Plane.build(200);
         let n = sheet.positions().len() as u32;

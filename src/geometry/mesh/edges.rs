@@ -1,24 +1,24 @@
-//! Half-edges sorted by their edge.
+//! Half-edges sorted by their edge, and sets of what edges connect.
 //!
-//! Purpose: groups the facets by edge, in time linear in the facets for bounded valences.
+//! Purpose: [`EdgeGroups`] groups the facets by edge, in time linear in the facets for bounded valences; [`DisjointSets`] joins
+//! numbers (union-find with path halving).
 //! Invariant: edges ascend by (lower vertex, higher vertex), the half-edges of an edge by (facet, side), for any number of
-//! threads.
+//! threads. The root of a set is its lowest member.
 //! Must not know: coincident vertices, kinds of edges.
 
-use rayon::prelude::*;
-
 use super::MAX_ELEMENTS;
+use rayon::prelude::*;
 
 /// Vertices that are one task.
 const RUN: usize = 2048;
 
 /// The ends of an edge, the lower one first, for both directions.
-pub(crate) fn undirected([a, b]: [u32; 2]) -> [u32; 2] {
+pub fn undirected([a, b]: [u32; 2]) -> [u32; 2] {
     [a.min(b), a.max(b)]
 }
 
 /// The sides of a facet: side e runs from corner e to the next.
-pub(crate) fn sides([a, b, c]: [u32; 3]) -> [[u32; 2]; 3] {
+pub fn sides([a, b, c]: [u32; 3]) -> [[u32; 2]; 3] {
     [[a, b], [b, c], [c, a]]
 }
 
@@ -105,6 +105,34 @@ impl EdgeGroups {
                 visit(vertex as u32, &group);
             }
         }
+    }
+}
+
+/// Sets of the numbers from 0 to n - 1, each alone at first.
+#[derive(Clone, Debug)]
+pub(crate) struct DisjointSets(Vec<usize>);
+
+impl DisjointSets {
+    pub(crate) fn new(n: usize) -> Self {
+        Self((0..n).collect())
+    }
+
+    pub(crate) fn len(&self) -> usize {
+        self.0.len()
+    }
+
+    pub(crate) fn root(&mut self, mut i: usize) -> usize {
+        while self.0[i] != i {
+            self.0[i] = self.0[self.0[i]];
+            i = self.0[i];
+        }
+        i
+    }
+
+    pub(crate) fn join(&mut self, a: usize, b: usize) {
+        let (a, b) = (self.root(a), self.root(b));
+        let (low, high) = (a.min(b), a.max(b));
+        self.0[high] = low;
     }
 }
 

@@ -9,7 +9,7 @@ use std::ops::Range;
 
 use glam::DVec3;
 
-use super::morton;
+use super::bvh::morton;
 
 /// Facets of a group, at least. Large sets have as many groups as facets in a group.
 const FACETS_PER_GROUP: usize = 8;
@@ -19,7 +19,6 @@ const SPHERE_ROUNDING: f64 = 1.0 + 1e-12;
 /// out a third farther than was measured.
 const GRID_INTERVALS: u32 = 6;
 
-/// See the module's head.
 pub(crate) struct FacetSet {
     facets: Vec<BoundedFacet>,
     /// Spheres around consecutive facets.
@@ -28,13 +27,11 @@ pub(crate) struct FacetSet {
     group_size: usize,
 }
 
-/// A facet with its bounding sphere.
 struct BoundedFacet {
     corners: [DVec3; 3],
     sphere: BoundingSphere,
 }
 
-/// A sphere around some points.
 #[derive(Clone, Copy)]
 struct BoundingSphere {
     centre: DVec3,
@@ -60,7 +57,7 @@ impl FacetSet {
     /// A set of facets with these corners. Coordinates are of the order of 1.
     pub(crate) fn new(facets: impl Iterator<Item = [DVec3; 3]>) -> Self {
         let bounded = |corners: [DVec3; 3]| BoundedFacet { corners, sphere: BoundingSphere::around(&corners) };
-        let along_curve = |facet: BoundedFacet| (morton::code(facet.sphere.centre), facet);
+        let along_curve = |facet: BoundedFacet| (morton(facet.sphere.centre), facet);
         let mut all: Vec<(u64, BoundedFacet)> = facets.map(bounded).map(along_curve).collect();
         // Stable: of two facets in one place the first stays first.
         all.sort_by_key(|r| r.0);
@@ -73,12 +70,10 @@ impl FacetSet {
         Self { facets, groups, group_size }
     }
 
-    /// The facets' corners.
     pub(crate) fn corners(&self) -> impl Iterator<Item = [DVec3; 3]> + '_ {
         self.facets.iter().map(|facet| facet.corners)
     }
 
-    /// All groups.
     pub(crate) fn all_groups(&self) -> Vec<u32> {
         (0..self.groups.len() as u32).collect()
     }

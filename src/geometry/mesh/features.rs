@@ -8,9 +8,7 @@
 //! Must not know: seeds, diagrams.
 
 mod chains;
-mod close_corners;
 mod graph;
-mod ridges;
 
 use std::collections::HashSet;
 
@@ -18,12 +16,10 @@ use glam::DVec3;
 
 use super::TriMesh;
 use super::adjacency::{Adjacency, EdgeKind, weld};
-use super::disjoint::DisjointSets;
-use super::edges::{EdgeGroups, Half, undirected};
+use super::edges::{DisjointSets, EdgeGroups, Half, undirected};
 use crate::token::{Stopped, Token};
-use close_corners::CornerMerge;
-use graph::{EdgeInfo, Graph};
-use ridges::DihedralAngles;
+use chains::CornerMerge;
+use graph::{DihedralAngles, EdgeInfo, Graph};
 
 /// The criteria for features. [`Default`] is boundaries alone. Lengths are in the frame of the positions.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -129,12 +125,10 @@ impl Metric<'_> {
         self.positions[v as usize]
     }
 
-    /// Length of an edge.
     fn edge(&self, a: u32, b: u32) -> f64 {
         self.at(a).distance(self.at(b)) * (0.5 * (self.resolution(a) + self.resolution(b)))
     }
 
-    /// Length of a chain of edges.
     fn chain(&self, chain: &[u32]) -> f64 {
         chain.windows(2).map(|p| self.edge(p[0], p[1])).sum()
     }
@@ -196,9 +190,6 @@ impl Features {
     }
 
     /// Checks that an angle makes sense and that `given` edges are there.
-    ///
-    /// # Errors
-    /// [`FeatureError::NoSuchEdge`].
     pub fn check(mesh: &TriMesh, crease_angle_deg: f64, given: &[[u32; 2]], token: &Token) -> Result<(), FeatureError> {
         if !(0.0..=180.0).contains(&crease_angle_deg) {
             return Err(FeatureError::BadAngle(crease_angle_deg));
@@ -232,9 +223,8 @@ impl Features {
         let welded = |t: &[u32; 3]| t.map(|v| class[v as usize]);
         let mut curves = HashSet::new();
         for c in &self.curves {
-            let ends = c.vertices.windows(2).map(|w| [w[0], w[1]]);
-            let last = if c.closed { c.vertices.last().map(|&v| [v, c.vertices[0]]) } else { None };
-            curves.extend(ends.chain(last).map(|e| undirected(e.map(|v| class[v as usize]))));
+            let chain: Vec<u32> = c.round().map(|v| class[v as usize]).collect();
+            curves.extend(chain.windows(2).map(|w| undirected([w[0], w[1]])));
         }
         let mut regions = DisjointSets::new(mesh.facets().len());
         let facets = mesh.facets().iter().map(welded).enumerate();

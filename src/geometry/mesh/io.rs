@@ -20,9 +20,6 @@ mod off;
 mod packed;
 mod ply;
 mod polygons;
-mod recognition;
-mod room;
-mod single;
 mod stl;
 mod vtk;
 
@@ -33,8 +30,8 @@ use glam::DVec3;
 use super::attributes::{AttributeError, Attributes};
 use super::{MeshError, TriMesh};
 use held::{Held, Holds, Raw};
+use packed::Signature;
 use polygons::Fan;
-use recognition::Signature;
 
 pub use packed::limit as unpacked_limit;
 pub use packed::{Measure, UNPACKED_RATIO, are_packed, pack_for, unpack, unpacked_wrong, unpacker};
@@ -55,7 +52,6 @@ macro_rules! formats {
             /// All formats.
             pub const ALL: [Self; [$($number),*].len()] = [$(Self::$name),*];
 
-            /// Its description.
             fn codec(self) -> &'static Codec {
                 match self {
                     $(Self::$name => &$codec,)*
@@ -113,7 +109,7 @@ impl Format {
 
     /// The format of a file, by its bytes, packed by gzip or not.
     pub fn of_bytes(bytes: &[u8]) -> Option<Self> {
-        recognition::recognize(bytes)
+        packed::recognize(bytes)
     }
 
     /// The extension, lower case, without the dot.
@@ -149,7 +145,6 @@ struct Codec {
     media_types: &'static [&'static str],
     /// See [`Format::facet_bytes`].
     facet_bytes: u64,
-    /// How its files begin.
     signature: Signature,
     /// Reads the surface, and its attributes if they are wanted.
     decode: fn(bytes: &[u8], wanted: bool) -> Result<Soup, DataError>,
@@ -169,12 +164,6 @@ pub struct Counts {
     pub facets: u64,
     /// Bytes that reading makes of what is packed in the file, or named in it several times.
     pub made_bytes: u64,
-}
-
-impl From<(u64, u64)> for Counts {
-    fn from((vertices, facets): (u64, u64)) -> Self {
-        Self { vertices, facets, made_bytes: 0 }
-    }
 }
 
 /// How vertices of a file are numbered in the surface that is read from it.
@@ -219,13 +208,6 @@ pub enum FileError {
         /// The defect and its place.
         cause: DataError,
     },
-}
-
-impl FileError {
-    /// Whether the file's content is at fault, rather than its name or the file system.
-    pub fn is_bad_data(&self) -> bool {
-        matches!(self, Self::Data { .. })
-    }
 }
 
 /// A defect of the content of a file.
@@ -325,8 +307,7 @@ fn read_as<T>(path: &Path, decode: fn(Format, &[u8]) -> Result<T, DataError>) ->
     decode(format, &bytes).map_err(|cause| FileError::Data { path: path.to_path_buf(), cause })
 }
 
-/// Writes a surface; the format is the extension's, and a name that ends in `.gz` is packed. An
-/// existing file is replaced.
+/// Writes a surface; the format is the extension's, and a name that ends in `.gz` is packed. An existing file is replaced.
 ///
 /// Vertices and facets keep their numbers (except in STL, which has none), and coordinates
 /// their bits (except in STL, which rounds them to single precision).
@@ -451,8 +432,7 @@ pub fn encode(format: Format, mesh: &TriMesh) -> Result<Vec<u8>, DataError> {
     (format.codec().encode)(mesh, &Held::default())
 }
 
-/// The bytes of a file that holds `mesh` and of `attributes` what the format can hold, and the names of
-/// the others.
+/// The bytes of a file that holds `mesh` and of `attributes` what the format can hold, and the names of the others.
 ///
 /// | | normals | texture coordinates | colours | scalars |
 /// | --- | --- | --- | --- | --- |
@@ -489,8 +469,7 @@ struct Soup {
 }
 
 impl Soup {
-    /// Adds a polygon as a fan around its first corner. The message says what is wrong with it;
-    /// the caller knows where it stands.
+    /// Adds a polygon as a fan around its first corner. The message says what is wrong with it; the caller knows where it stands.
     fn push_polygon(&mut self, corners: &[i64]) -> Result<(), String> {
         if corners.len() < 3 {
             return Err(format!("a face needs at least 3 corners and has {}", corners.len()));

@@ -11,8 +11,7 @@ use serde::Serialize;
 
 use super::adjacency::{Adjacency, EdgeKind};
 use super::closest_point::{ClosestPoint, SurfacePoint};
-use super::disjoint::DisjointSets;
-use super::edges::{sides, undirected};
+use super::edges::{DisjointSets, sides, undirected};
 use super::sample::sample;
 use super::{TriMesh, coincident};
 use crate::token::{Stopped, Token};
@@ -117,11 +116,11 @@ pub fn topology_unless(mesh: &TriMesh, adjacency: &Adjacency, token: &Token) -> 
     token.check()?;
 
     Ok(Topology {
-        euler: vertices as i64 - adjacency.edges() as i64 + live.len() as i64,
+        euler: vertices as i64 - adjacency.edges as i64 + live.len() as i64,
         components,
         boundary_loops: boundary_loops(adjacency, &mut fans, vertex),
-        boundary_edges: adjacency.boundary_edges(),
-        non_manifold_edges: adjacency.non_manifold_edges(),
+        boundary_edges: adjacency.boundary_edges,
+        non_manifold_edges: adjacency.non_manifold_edges,
         non_manifold_vertices: fans_at.into_iter().filter(|&fans| fans > 1).count(),
     })
 }

@@ -20,8 +20,8 @@ use super::distance::InputSamples;
 use super::features::envelope::CurveSample;
 use super::manifold::LocalMesh;
 use super::triangle::{Wanted, unit_normal};
+use crate::mesh::csr::ascending;
 use crate::mesh::measure::facet_quality;
-use crate::mesh::one_rings::ascending;
 use crate::token::Token;
 use normal_equations::NormalEquations;
 

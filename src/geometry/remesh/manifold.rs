@@ -17,8 +17,8 @@ use rayon::prelude::*;
 
 use super::constants::{FLIPPED_COSINE, REGULAR_VALENCE, VALENCES};
 use super::triangle::unit_normal;
+use crate::mesh::csr::{OneRings, ascending};
 use crate::mesh::edges::undirected;
-use crate::mesh::one_rings::{OneRings, ascending};
 
 #[derive(Clone, Debug)]
 pub(crate) struct LocalMesh {

@@ -34,14 +34,14 @@ use super::attributes::{self, Provenance};
 use super::report::{CountFigures, InputFigures, MemoryFigures, Report, ResultFigures, Timings};
 use super::{Limits, Observer, Placement, Refine, Remesh, RemeshError, RemeshOptions, Seeds, Tolerance};
 use crate::cvt::density::{Count, DensitySource, Plan};
+use crate::mesh::TriMesh;
 use crate::mesh::adjacency::Adjacency;
 use crate::mesh::apart::Apart;
 use crate::mesh::attributes::Attributes;
 use crate::mesh::closest_point::{ClosestPoint, SurfacePoint};
-use crate::mesh::lost::{self, LostParts};
+use crate::mesh::comparison::{LostParts, lost_parts};
+use crate::mesh::input::{draw_in, outliers};
 use crate::mesh::measure::{Quality, Topology, coincident_vertices, quality_and_distances, topology_unless};
-use crate::mesh::outliers::find;
-use crate::mesh::{TriMesh, outliers};
 use crate::rvd::{Backend, RvdError, on_threads_of};
 use crate::token::{Stopped, Token};
 use prepare::{Prepared, prepare, preprocess, separation};
@@ -68,7 +68,7 @@ pub fn remesh(
         // Vertices far off the surface take all the points: without their spikes, which are put back afterwards. Given seeds are
         // where they are, whatever takes them.
         Err(error @ (RemeshError::TooFewSeeds { .. } | RemeshError::Rvd(RvdError::NoArea))) => {
-            let near = outliers::draw_in(given).filter(|_| !matches!(options.seeds, Seeds::Given(_)));
+            let near = draw_in(given).filter(|_| !matches!(options.seeds, Seeds::Given(_)));
             let Some(near) = near else { return Err(error) };
             let mut done = run_stages(&near, options, backend, observer, token)?;
             put_back_spikes(&mut done, given, &near, token)?;
@@ -187,7 +187,7 @@ fn compare(
     token: &Token,
 ) -> Result<(Quality, LostParts), Stopped> {
     let (quality, distances) = quality_and_distances(mesh, closest, result, token)?;
-    Ok((quality, lost::find(mesh, result, &distances, token)?))
+    Ok((quality, lost_parts(mesh, result, &distances, token)?))
 }
 
 /// Measures the result against `clean` and writes the report. Attributes and provenance are left empty.
@@ -308,7 +308,7 @@ pub(super) fn put_back_spikes(
     near: &TriMesh,
     token: &Token,
 ) -> Result<(), RemeshError> {
-    let far = find(given);
+    let far = outliers(given);
     let closest = ClosestPoint::new(near);
     let back = |p: DVec3, SurfacePoint { position, facet, barycentric }: SurfacePoint| {
         let corners = given.facets()[facet as usize];

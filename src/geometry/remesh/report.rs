@@ -8,9 +8,9 @@ use serde::Serialize;
 
 use crate::cvt::density::DensityFigures;
 pub use crate::cvt::figures::{DeviceFigures, FinalFigures, IterationFigures};
+pub use crate::mesh::comparison::{LostPart, LostParts, LostReason};
 pub use crate::mesh::duplicates::InputKind;
 pub use crate::mesh::input::InputFigures;
-pub use crate::mesh::lost::{LostPart, LostParts, LostReason};
 use crate::mesh::measure::{Quality, Topology};
 pub use crate::rvd::RvdFigures;
 

@@ -15,7 +15,7 @@ use glam::DVec3;
 use rayon::prelude::*;
 
 use super::{PassStats, PieceBatch, RvdError, Session, Surface};
-use crate::mesh::disjoint::DisjointSets;
+use crate::mesh::edges::DisjointSets;
 use crate::token::Token;
 use pieces::Pieces;
 

@@ -1,15 +1,20 @@
 //! Curves between corners, made of the graph of feature edges.
 //!
-//! Purpose: [`curves`] follows chains of edges through vertices of degree two, and cuts them where they turn sharply.
-//! Invariant: every edge of the graph is part of one curve. Must not know: why an edge is a feature.
+//! Purpose: [`curves`] follows chains of edges through vertices of degree two, and cuts them where they turn sharply. Where a
+//! crease meets a boundary close to the end of another crease, or a boundary has two corners in a short step, a vertex at each
+//! would make an edge that is far too short, and triangles with small angles. [`merge_corners`] removes one of the two where the curves
+//! hardly change: they continue along the boundary between the two, and end at the other one. Creases that are too close to each
+//! other can be left out instead, and are where they are short.
+//! Invariant: every edge of the graph is part of one curve, and a boundary stays one; a corner is merged only if the chords from
+//! the remaining one leave the curves by little. Must not know: why an edge is a feature, seeds, facets.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 
 use glam::DVec3;
 
-use super::close_corners::{self, CornerMerge};
 use super::graph::Graph;
 use super::{Curve, CurveKind, Metric};
+use crate::mesh::closest_point::distance_to_segment;
 use crate::mesh::edges::undirected;
 use crate::token::{Stopped, Token};
 
@@ -58,7 +63,7 @@ pub(super) fn curves(
         curve.ends_deg = [mean_angle(&chain[..few]), mean_angle(&chain[chain.len() - few..])];
     }
     token.check()?;
-    let joined = close_corners::merge(&mut curves, &mut corners, metric, merge, token)?;
+    let joined = merge_corners(&mut curves, &mut corners, metric, merge, token)?;
     token.check()?;
     curves.sort_by(|a: &Curve, b| a.vertices.cmp(&b.vertices));
     Ok((curves, corners.into_iter().collect(), joined))
@@ -135,4 +140,248 @@ fn sharp_turns(
         }
     }
     Ok(taken.into_iter().collect())
+}
+
+/// Which corners are merged. Lengths are multiplied by [`super::FeatureOptions::resolution`].
+#[derive(Clone, Copy)]
+pub(super) struct CornerMerge {
+    /// Corners whose curve is shorter than this may be merged.
+    pub(super) length: f64,
+    /// Length of the chords that decide whether corners are merged.
+    pub(super) reach: f64,
+    /// Largest deviation of such a chord from a boundary; [`CREASE_FACTOR`] times as much from a crease.
+    pub(super) off: f64,
+}
+
+/// Factor for creases: a crease may end slightly beside its old end, while a boundary is the only trace of a hole.
+const CREASE_FACTOR: f64 = 2.0;
+/// Least length of a loop, in chords.
+const MIN_LOOP: f64 = 3.0;
+
+/// The curves, the curves at each corner, and all lengths.
+struct Merger<'a> {
+    curves: &'a mut [Curve],
+    /// Empty for one that has become part of others.
+    at: BTreeMap<u32, Vec<usize>>,
+    metric: Metric<'a>,
+    merge: CornerMerge,
+}
+
+/// Merges corners that are close along a boundary, the shortest distance first. Returns how many were removed.
+fn merge_corners(
+    curves: &mut Vec<Curve>,
+    corners: &mut BTreeSet<u32>,
+    metric: Metric<'_>,
+    merge: CornerMerge,
+    token: &Token,
+) -> Result<usize, Stopped> {
+    let mut short: Vec<(f64, usize)> = (0..curves.len())
+        .filter(|&c| !curves[c].closed && curves[c].kind == CurveKind::Boundary)
+        .map(|c| (metric.chain(&curves[c].vertices), c))
+        .filter(|(length, _)| *length < merge.length)
+        .collect();
+    if short.is_empty() {
+        return Ok(0);
+    }
+    short.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+    let mut at: BTreeMap<u32, Vec<usize>> = BTreeMap::new();
+    for (c, curve) in curves.iter().enumerate().filter(|(_, curve)| !curve.closed) {
+        ends(curve).into_iter().for_each(|v| at.entry(v).or_default().push(c));
+    }
+    token.check()?;
+    let mut merger = Merger { curves, at, metric, merge };
+    let mut removed: Vec<u32> = Vec::new();
+    for (_, c) in short {
+        token.check()?;
+        removed.extend(merger.merge(c));
+    }
+    removed.iter().for_each(|corner| _ = corners.remove(corner));
+    curves.retain(|curve| !curve.vertices.is_empty());
+    Ok(removed.len())
+}
+
+fn ends(curve: &Curve) -> [u32; 2] {
+    [curve.vertices[0], curve.vertices[curve.vertices.len() - 1]]
+}
+
+impl Merger<'_> {
+    /// Makes one corner of the two ends of a curve, if that can be. Returns the one that is none any more.
+    fn merge(&mut self, c: usize) -> Option<u32> {
+        let curve = &self.curves[c];
+        // It may have become longer since.
+        if self.is_as_long_as(&curve.vertices, self.merge.length) {
+            return None;
+        }
+        let [a, b] = ends(curve);
+        if a == b {
+            return None;
+        }
+        let (removed, stays) = match (self.off(c, a, b), self.off(c, b, a)) {
+            (Some(first), Some(second)) if second < first => (b, a),
+            (Some(_), _) => (a, b),
+            (None, Some(_)) => (b, a),
+            (None, None) => return None,
+        };
+        let mut way = std::mem::take(&mut self.curves[c].vertices);
+        if way[0] != removed {
+            way.reverse();
+        }
+        for other in self.at.remove(&removed).unwrap_or_default() {
+            if other == c {
+                continue;
+            }
+            let vertices = &mut self.curves[other].vertices;
+            if vertices[0] == removed {
+                vertices.splice(0..1, way.iter().rev().copied());
+            } else {
+                vertices.extend(&way[1..]);
+            }
+            self.at.entry(stays).or_default().push(other);
+        }
+        self.at.entry(stays).or_default().retain(|&other| other != c);
+        Some(removed)
+    }
+
+    /// Largest deviation of chords from `stays` from the curves that end in `removed`, once these continue along curve `c`;
+    /// `None` where they may not, or by too much.
+    fn off(&self, c: usize, removed: u32, stays: u32) -> Option<f64> {
+        let others: Vec<&Curve> = self.at[&removed].iter().filter(|&&o| o != c).map(|&o| &self.curves[o]).collect();
+        // A boundary does not divide.
+        let goes_on = others.iter().filter(|o| o.kind == CurveKind::Boundary).count() == 1;
+        // A curve that returns to its start needs room for a loop.
+        let loops =
+            |o: &Curve| ends(o).contains(&stays) && self.is_as_long_as(&o.vertices, MIN_LOOP * self.merge.reach);
+        let returns = |o: &&Curve| ends(o) == [removed; 2] || ends(o).contains(&stays) && !loops(o);
+        if !goes_on || others.iter().any(returns) {
+            return None;
+        }
+        let from = self.metric.at(stays);
+        let resolution = self.metric.resolution(removed);
+        let passed = |to: DVec3| {
+            let way = self.curves[c].vertices.iter().map(|&v| self.metric.at(v));
+            way.map(|p| distance_to_segment(p, [from, to])).fold(0.0, f64::max) * resolution
+        };
+        let mut farthest = 0.0f64;
+        for other in others {
+            let off = passed(self.ahead(other, removed));
+            let most = if other.kind == CurveKind::Crease { CREASE_FACTOR * self.merge.off } else { self.merge.off };
+            if off > most {
+                return None;
+            }
+            farthest = farthest.max(off);
+        }
+        Some(farthest)
+    }
+
+    /// The place on a curve where a chord from its end `v` ends.
+    fn ahead(&self, curve: &Curve, v: u32) -> DVec3 {
+        let chain = &curve.vertices;
+        let last = chain.len() - 1;
+        let forward = chain[0] == v;
+        // The k-th from that end: no copy, since a curve may be long and have many others beside it.
+        let vertex = |k: usize| if forward { chain[k] } else { chain[last - k] };
+        let mut left = self.merge.reach;
+        for k in 0..last {
+            let (from, to) = (vertex(k), vertex(k + 1));
+            let length = self.metric.edge(from, to);
+            if length >= left && length > 0.0 {
+                return self.metric.at(from).lerp(self.metric.at(to), left / length);
+            }
+            left -= length;
+        }
+        self.metric.at(vertex(last))
+    }
+
+    /// Whether a chain has at least the length `least`; stops as soon as it does.
+    fn is_as_long_as(&self, chain: &[u32], least: f64) -> bool {
+        let mut length = 0.0;
+        let mut parts = chain.windows(2).map(|p| self.metric.edge(p[0], p[1]));
+        least <= 0.0
+            || parts.any(|part| {
+                length += part;
+                length >= least
+            })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn curve(kind: CurveKind, vertices: &[u32]) -> Curve {
+        Curve { kind, vertices: vertices.to_vec(), closed: false, angle_deg: 180.0, ends_deg: [180.0; 2] }
+    }
+
+    fn merged(positions: &[DVec3], mut curves: Vec<Curve>) -> (Vec<Curve>, Vec<u32>) {
+        let mut corners: BTreeSet<u32> = curves.iter().flat_map(ends).collect();
+        let metric = Metric { positions, resolution: &[] };
+        let before = corners.len();
+        let merged = merge_corners(
+            &mut curves,
+            &mut corners,
+            metric,
+            CornerMerge { length: 0.4, reach: 1.0, off: 0.1 },
+            &Token::default(),
+        )
+        .unwrap();
+        assert_eq!(corners.len() + merged, before);
+        (curves, corners.into_iter().collect())
+    }
+
+    use CurveKind::{Boundary, Crease};
+
+    /// A straight boundary from 0 to 3, that two creases meet in 1 and 2.
+    fn two_creases(apart: f64) -> (Vec<DVec3>, Vec<Curve>) {
+        let at = |x: f64, y: f64| DVec3::new(x, y, 0.0);
+        let positions = vec![at(-2.0, 0.0), at(0.0, 0.0), at(apart, 0.0), at(2.0, 0.0), at(-1.0, 2.0), at(1.0, 2.0)];
+        let rim = [[0, 1], [1, 2], [2, 3]].map(|ends| curve(Boundary, &ends));
+        (positions, [&rim[..], &[curve(Crease, &[1, 4]), curve(Crease, &[5, 2])]].concat())
+    }
+
+    #[test]
+    fn creases_that_meet_a_boundary_side_by_side_meet_it_in_one_corner() {
+        let (positions, curves) = two_creases(0.1);
+        let (curves, corners) = merged(&positions, curves);
+        assert_eq!(corners, [0, 2, 3, 4, 5]);
+        let ways: Vec<&[u32]> = curves.iter().map(|c| &c.vertices[..]).collect();
+        assert_eq!(ways, [&[0, 1, 2][..], &[2, 3], &[2, 1, 4], &[5, 2]]);
+        let (positions, curves) = two_creases(0.5);
+        assert_eq!(merged(&positions, curves.clone()), (curves, vec![0, 1, 2, 3, 4, 5]));
+    }
+
+    #[test]
+    fn corners_that_would_be_cut_off_stay() {
+        // A step of a boundary: a chord would leave it by about 0.27.
+        let at = |x: f64, y: f64| DVec3::new(x, y, 0.0);
+        let positions = [at(-2.0, 0.0), at(0.0, 0.0), at(0.0, 0.3), at(2.0, 0.3)];
+        let curves = [[0, 1], [1, 2], [2, 3]].map(|ends| curve(Boundary, &ends)).to_vec();
+        assert_eq!(merged(&positions, curves.clone()).0, curves);
+        // A low corner is removed.
+        let positions = [at(-2.0, 0.0), at(0.0, 0.0), at(0.0, 0.05), at(2.0, 0.05)];
+        let (curves, corners) = merged(&positions, curves);
+        assert_eq!((curves.len(), corners.len()), (2, 3));
+    }
+
+    #[test]
+    fn only_corners_along_a_boundary_that_does_not_divide_are_joined() {
+        // Two creases that meet others side by side, and two boundaries that meet in two corners.
+        let (positions, mut curves) = two_creases(0.1);
+        curves.iter_mut().for_each(|curve| curve.kind = Crease);
+        assert_eq!(merged(&positions, curves.clone()), (curves.clone(), vec![0, 1, 2, 3, 4, 5]));
+        curves.iter_mut().for_each(|curve| curve.kind = Boundary);
+        assert_eq!(merged(&positions, curves.clone()), (curves, vec![0, 1, 2, 3, 4, 5]));
+    }
+
+    #[test]
+    fn what_closes_on_itself_is_large_enough() {
+        // A loop between two corners that are near, too small for one corner, and one that is not.
+        let at = |x: f64, y: f64| DVec3::new(x, y, 0.0);
+        let positions = |size: f64| [at(0.0, 0.0), at(0.1, 0.0), at(0.0, size)];
+        let curves = vec![curve(Boundary, &[0, 1]), curve(Boundary, &[1, 2, 0])];
+        assert_eq!(merged(&positions(1.4), curves.clone()), (curves.clone(), vec![0, 1]));
+        // A small loop where three boundaries meet, as they do where facets are oriented unlike each other.
+        let odd = vec![curve(Boundary, &[0, 1, 0]), curve(Boundary, &[0, 2])];
+        assert_eq!(merged(&positions(1.6), odd.clone()), (odd, vec![0, 2]));
+        assert_eq!(merged(&positions(1.6), curves), (vec![curve(Boundary, &[1, 2, 0, 1])], vec![1]));
+    }
 }

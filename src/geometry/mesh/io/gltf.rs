@@ -18,25 +18,22 @@ use std::collections::{HashMap, HashSet};
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
 use glam::{DMat4, DVec2, DVec3};
-use rayon::prelude::*;
 
 use self::document::{Accessor, Document, Primitive, Text};
-use super::held::{By, Held, Holds, eight_bit};
+use super::held::{By, Held, Holds, check_single, eight_bit, firsts, numbered};
 use super::numbers::{Cursor, Encoding, Kind, Order, cut};
-use super::single;
 use super::{Codec, Counts, DataError, Soup, VertexNumbers, unpacked_limit};
 use crate::mesh::TriMesh;
 use crate::mesh::attributes::{ColourDepth, Colours, Normals, PerCorner};
 
 const HOLDS: Holds = Holds { normals: By::Corner, texture: By::Corner, colours: true, opacity: true, scalars: false };
 
-/// See [`Codec`].
 pub(super) const BINARY: Codec = Codec {
     extension: "glb",
     media_types: &["model/gltf-binary"],
     // Half a vertex of three floats, and three indices.
     facet_bytes: 18,
-    signature: super::recognition::Signature::Start(|head| head.bytes.starts_with(MAGIC)),
+    signature: super::packed::Signature::Start(|head| head.bytes.starts_with(MAGIC)),
     decode: |bytes, wanted| parts(bytes).and_then(|(json, binary)| surface(json, binary, bytes.len(), wanted)),
     encode: encode_binary,
     counts: |bytes| parts(bytes).ok().and_then(|(json, binary)| counts(json, binary, bytes.len())),
@@ -44,13 +41,12 @@ pub(super) const BINARY: Codec = Codec {
     vertices: VertexNumbers::Absent,
 };
 
-/// See [`Codec`].
 pub(super) const TEXT: Codec = Codec {
     extension: "gltf",
     media_types: &["model/gltf+json"],
     // Half a vertex of three floats, and three indices, in base64.
     facet_bytes: 24,
-    signature: super::recognition::Signature::Start(|head| head.is_document(b'{', b"\"asset\"")),
+    signature: super::packed::Signature::Start(|head| head.is_document(b'{', b"\"asset\"")),
     decode: |bytes, wanted| surface(bytes, None, bytes.len(), wanted),
     encode: encode_text,
     counts: |bytes| counts(bytes, None, bytes.len()),
@@ -420,39 +416,9 @@ fn add<T: Copy + Default + Sync, K: Ord>(
     to.corners.extend(facets.iter().map(|&t| turned(t).map(|i| index[i as usize])));
 }
 
-/// For each element the first with the same key.
-fn firsts<K: Ord>(count: usize, key: impl Fn(usize) -> K + Sync) -> Vec<u32> {
-    let mut sorted: Vec<u32> = (0..count as u32).collect();
-    sorted.par_sort_unstable_by(|&a, &b| key(a as usize).cmp(&key(b as usize)).then(a.cmp(&b)));
-    let mut firsts = vec![0; count];
-    let mut first = 0;
-    for (k, &i) in sorted.iter().enumerate() {
-        if k == 0 || key(i as usize) != key(sorted[k - 1] as usize) {
-            first = i;
-        }
-        firsts[i as usize] = first;
-    }
-    firsts
-}
-
-/// Numbers elements from `next` on, the equal ones alike, and hands out the first of each.
-fn numbered(mut firsts: Vec<u32>, mut next: usize, mut new: impl FnMut(usize)) -> Vec<u32> {
-    for i in 0..firsts.len() {
-        let first = firsts[i] as usize;
-        firsts[i] = if first == i {
-            new(i);
-            next += 1;
-            next as u32 - 1
-        } else {
-            firsts[first]
-        };
-    }
-    firsts
-}
-
 /// JSON without its end, and the bytes that it names.
 fn scene(mesh: &TriMesh, held: &Held<'_>) -> Result<(String, Vec<u8>), DataError> {
-    single::check(mesh)?;
+    check_single(mesh)?;
     // A vertex for each normal and place in the texture that its corners have; the first of each keeps its number.
     let corner = |f: usize, k: usize| {
         let normal = held.corner_normals.map_or(0, |n| n.corners[f][k]);

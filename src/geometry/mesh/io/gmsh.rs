@@ -13,13 +13,12 @@ use super::{Codec, Counts, DataError, Soup, VertexNumbers, volumes};
 use crate::mesh::TriMesh;
 use crate::mesh::attributes::Scalar;
 
-/// See [`Codec`].
 pub(super) const CODEC: Codec = Codec {
     extension: "msh",
     media_types: &["application/x-gmsh", "model/gmsh", "model/x-gmsh"],
     // Half a node of three doubles and its number, and an element of three nodes with its own and its tags.
     facet_bytes: 30,
-    signature: super::recognition::Signature::Words(&["$MeshFormat"]),
+    signature: super::packed::Signature::Words(&["$MeshFormat"]),
     decode,
     encode,
     counts: |bytes| read(bytes, false, true).ok().map(|reader| reader.counts),
@@ -173,7 +172,6 @@ impl Reader<'_> {
         self.end(b"$MeshFormat")
     }
 
-    /// The end of a section.
     fn end(&mut self, section: &[u8]) -> Result<(), DataError> {
         let name = section.strip_prefix(b"$").unwrap_or(section);
         match self.cursor.word() {
@@ -188,20 +186,13 @@ impl Reader<'_> {
     /// A number of text in either encoding, at the end of its line.
     fn heading(&mut self, what: &str) -> Result<usize, DataError> {
         let count = self.cursor.parsed(what)?;
-        self.begin();
+        self.cursor.begin_data();
         Ok(count)
-    }
-
-    /// Binary data begin right after the line.
-    fn begin(&mut self) {
-        if self.cursor.encoding != Encoding::Text {
-            self.cursor.end_line();
-        }
     }
 
     /// Begins a section of version 4 in blocks: a number of these, and three others.
     fn blocks(&mut self) -> Result<usize, DataError> {
-        self.begin();
+        self.cursor.begin_data();
         let blocks = self.size("a number of blocks")?;
         for _ in 0..3 {
             self.size("a number of nodes or elements")?;
@@ -364,7 +355,7 @@ impl Reader<'_> {
             }
         }
         let [_, components, count] = given;
-        self.begin();
+        self.cursor.begin_data();
         let keep = self.wanted && components == 1 && count == self.soup.positions.len();
         let mut values = vec![f64::NAN; if keep { count } else { 0 }];
         let left = self.cursor.rest.len();

@@ -1,13 +1,14 @@
-//! Attributes in files.
+//! What formats hold of a surface.
 //!
-//! Purpose: [`Raw`] has the attributes that a reader finds, [`Held`] those that a writer takes.
+//! Purpose: [`Raw`] has the attributes that a reader finds, [`Held`] those that a writer takes. [`check_single`] refuses what
+//! rounding to single precision would spoil.
 //! Invariant: attributes that a format cannot hold, or that cannot be used, are named. Must not know: the syntax of a format.
 
-use glam::{DVec2, DVec3};
-
-use super::polygons;
+use super::{DataError, polygons};
 use crate::mesh::TriMesh;
 use crate::mesh::attributes::{AttributeError, Attributes, Colours, Normals, PerCorner, Scalar};
+use glam::{DVec2, DVec3};
+use rayon::prelude::*;
 
 /// The most scalars of a surface: each name is compared with all others.
 const MOST_SCALARS: usize = 4096;
@@ -69,7 +70,6 @@ impl Raw {
     }
 }
 
-/// The attributes that a format can hold.
 pub(super) struct Holds {
     pub(super) normals: By,
     pub(super) texture: By,
@@ -78,7 +78,6 @@ pub(super) struct Holds {
     pub(super) scalars: bool,
 }
 
-/// The elements that values belong to.
 pub(super) enum By {
     None,
     Vertex,
@@ -148,10 +147,70 @@ impl<'a> Held<'a> {
     }
 }
 
-/// A colour's component in eight bits.
+/// For each element the first with the same key.
+pub(super) fn firsts<K: Ord>(count: usize, key: impl Fn(usize) -> K + Sync) -> Vec<u32> {
+    let mut sorted: Vec<u32> = (0..count as u32).collect();
+    sorted.par_sort_unstable_by(|&a, &b| key(a as usize).cmp(&key(b as usize)).then(a.cmp(&b)));
+    let mut firsts = vec![0; count];
+    let mut first = 0;
+    for (k, &i) in sorted.iter().enumerate() {
+        if k == 0 || key(i as usize) != key(sorted[k - 1] as usize) {
+            first = i;
+        }
+        firsts[i as usize] = first;
+    }
+    firsts
+}
+
+/// Numbers elements from `next` on, the equal ones alike, and hands out the first of each.
+pub(super) fn numbered(mut firsts: Vec<u32>, mut next: usize, mut new: impl FnMut(usize)) -> Vec<u32> {
+    for i in 0..firsts.len() {
+        let first = firsts[i] as usize;
+        firsts[i] = if first == i {
+            new(i);
+            next += 1;
+            next as u32 - 1
+        } else {
+            firsts[first]
+        };
+    }
+    firsts
+}
+
 pub(super) fn eight_bit(component: f64) -> u8 {
     // The cast saturates.
     (component * 255.0).round() as u8
+}
+
+/// Facets that single precision makes lines or points of may have this share of the area.
+const LOSS: f64 = 1e-3;
+
+/// Refuses what rounding to single precision would spoil.
+pub(super) fn check_single(mesh: &TriMesh) -> Result<(), DataError> {
+    let limit = f64::from(f32::MAX);
+    if let Some(vertex) = mesh.positions().iter().position(|p| p.abs().max_element() > limit) {
+        return Err(DataError::SinglePrecision { vertex, position: mesh.positions()[vertex] });
+    }
+    let joined = |p: DVec3, q: DVec3| p != q && p.as_vec3() == q.as_vec3();
+    let collapses = |&facet: &usize| {
+        let [a, b, c] = mesh.corners(facet);
+        joined(a, b) || joined(b, c) || joined(c, a)
+    };
+    let collapsed: Vec<usize> = (0..mesh.facets().len()).filter(collapses).collect();
+    if let Some(&facet) = collapsed.first() {
+        // Scaled, so that no square vanishes. Slivers are no loss.
+        let (low, high) = mesh.bounds();
+        let extent = (high - low).max_element();
+        let area = |facet: usize| {
+            let [a, b, c] = mesh.corners(facet).map(|p| (p - low) / extent);
+            (b - a).cross(c - a).length()
+        };
+        let all: f64 = (0..mesh.facets().len()).map(area).sum();
+        if collapsed.into_iter().map(area).sum::<f64>() > LOSS * all {
+            return Err(DataError::Collapsed { facet });
+        }
+    }
+    Ok(())
 }
 
 #[cfg(test)]

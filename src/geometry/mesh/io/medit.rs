@@ -16,13 +16,12 @@ use crate::mesh::TriMesh;
 
 const NOTHING: Holds = Holds { normals: By::None, texture: By::None, colours: false, opacity: false, scalars: false };
 
-/// See [`Codec`].
 pub(super) const TEXT: Codec = Codec {
     extension: "mesh",
     media_types: &["application/x-medit", "model/medit", "model/x-medit"],
     // Half a vertex of three short numbers, and a face of three indices.
     facet_bytes: 30,
-    signature: super::recognition::Signature::Start(|head| head.word().eq_ignore_ascii_case(VERSION)),
+    signature: super::packed::Signature::Start(|head| head.word().eq_ignore_ascii_case(VERSION)),
     decode: |bytes, _| surface(read_text(bytes, false)?),
     encode: encode_text,
     counts: |bytes| read_text(bytes, true).ok().map(|reader| reader.counts),
@@ -30,13 +29,12 @@ pub(super) const TEXT: Codec = Codec {
     vertices: VertexNumbers::Kept,
 };
 
-/// See [`Codec`].
 pub(super) const BINARY: Codec = Codec {
     extension: "meshb",
     media_types: &["application/x-medit-binary", "model/x-medit-binary"],
     // Half a vertex of three floats, and a face of four numbers.
     facet_bytes: 22,
-    signature: super::recognition::Signature::Start(is_binary),
+    signature: super::packed::Signature::Start(is_binary),
     decode: |bytes, _| surface(read_binary(bytes, false)?),
     encode: encode_binary,
     counts: |bytes| read_binary(bytes, true).ok().map(|reader| reader.counts),
@@ -45,7 +43,7 @@ pub(super) const BINARY: Codec = Codec {
 };
 
 /// Whether a file begins with a 1 in either byte order and a version from 1 to 4.
-fn is_binary(head: &super::recognition::Head<'_>) -> bool {
+fn is_binary(head: &super::packed::Head<'_>) -> bool {
     matches!(head.bytes.first_chunk(), Some([1, 0, 0, 0, 1..=4, 0, 0, 0] | [0, 0, 0, 1, 0, 0, 0, 1..=4]))
 }
 

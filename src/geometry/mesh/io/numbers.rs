@@ -28,7 +28,6 @@ pub(super) enum Order {
     Big,
 }
 
-/// How numbers are written.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Encoding {
     Text,
@@ -111,7 +110,6 @@ pub(super) fn plain(text: &str, most: usize) -> String {
     text.chars().map(|c| if c.is_control() { ' ' } else { c }).take(most).collect()
 }
 
-/// See the module's head.
 #[derive(Clone)]
 pub(super) struct Cursor<'a> {
     pub(super) rest: &'a [u8],
@@ -159,7 +157,13 @@ impl<'a> Cursor<'a> {
         line.trim_ascii()
     }
 
-    /// Passes over blanks and line breaks.
+    /// Binary data begin right after the line.
+    pub(super) fn begin_data(&mut self) {
+        if self.encoding != Encoding::Text {
+            self.end_line();
+        }
+    }
+
     pub(super) fn pass_blank(&mut self) {
         let rest = self.rest.trim_ascii_start();
         let blank = &self.rest[..self.rest.len() - rest.len()];
@@ -222,7 +226,6 @@ impl<'a> Cursor<'a> {
         self.array((count, kind, what), Kind::floats, |cursor| cursor.any_float(kind, what))
     }
 
-    /// Passes over numbers.
     pub(super) fn pass(&mut self, count: usize, kind: Kind, what: &str) -> Result<(), DataError> {
         let bytes = self.check(count, kind, what)?;
         let passed = match self.encoding {
@@ -232,7 +235,6 @@ impl<'a> Cursor<'a> {
         passed.ok_or_else(|| cut(what))
     }
 
-    /// One number.
     pub(super) fn float(&mut self, kind: Kind, what: &str) -> Result<f64, DataError> {
         match self.encoding {
             Encoding::Text => self.parsed(what),
@@ -248,7 +250,6 @@ impl<'a> Cursor<'a> {
         }
     }
 
-    /// One whole number.
     pub(super) fn integer(&mut self, kind: Kind, what: &str) -> Result<i64, DataError> {
         match self.encoding {
             Encoding::Text => self.parsed(what),

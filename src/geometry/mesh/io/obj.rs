@@ -21,16 +21,15 @@ use super::{Codec, Counts, DataError, Soup, VertexNumbers, VertexOrder};
 use crate::mesh::TriMesh;
 use crate::mesh::attributes::{ColourDepth, Colours, Normals, PerCorner};
 
-/// See [`Codec`].
 pub(super) const CODEC: Codec = Codec {
     extension: "obj",
     media_types: &["model/obj", "application/x-obj", "model/x-obj"],
     // Half a vertex of three short numbers, and a face of three indices.
     facet_bytes: 30,
-    signature: super::recognition::Signature::Words(&["v", "vn", "vt", "f", "o", "g", "s", "usemtl", "mtllib"]),
+    signature: super::packed::Signature::Words(&["v", "vn", "vt", "f", "o", "g", "s", "usemtl", "mtllib"]),
     decode,
     encode,
-    counts: |bytes| counts(bytes).map(Counts::from),
+    counts,
     holds: Holds { normals: By::Corner, texture: By::Corner, colours: true, opacity: false, scalars: false },
     vertices: VertexNumbers::Reordered(vertex_order),
 };
@@ -59,7 +58,7 @@ fn vertex_order(bytes: &[u8]) -> Result<VertexOrder, DataError> {
 }
 
 /// Vertices, used or not, and facets.
-fn counts(bytes: &[u8]) -> Option<(u64, u64)> {
+fn counts(bytes: &[u8]) -> Option<Counts> {
     let (mut vertices, mut facets) = (0, 0);
     for (_, statement) in dialects::statements(bytes) {
         let mut words = dialects::Words(statement);
@@ -69,7 +68,7 @@ fn counts(bytes: &[u8]) -> Option<(u64, u64)> {
             _ => {}
         }
     }
-    Some((vertices, facets))
+    Some(Counts { vertices, facets, made_bytes: 0 })
 }
 
 /// What the statements of a file say. Indices are from 0 and count over the whole file.

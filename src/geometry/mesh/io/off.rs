@@ -15,16 +15,15 @@ use super::{Codec, Counts, DataError, Soup, VertexNumbers, syntax};
 use crate::mesh::TriMesh;
 use crate::mesh::attributes::{ColourDepth, Colours, Normals, PerCorner};
 
-/// See [`Codec`].
 pub(super) const CODEC: Codec = Codec {
     extension: "off",
     media_types: &["application/x-off", "model/off", "model/x-off"],
     // Half a vertex of three short numbers, and a face of three indices.
     facet_bytes: 30,
-    signature: super::recognition::Signature::Words(&["OFF", "COFF", "NOFF", "CNOFF", "STOFF"]),
+    signature: super::packed::Signature::Words(&["OFF", "COFF", "NOFF", "CNOFF", "STOFF"]),
     decode,
     encode,
-    counts: |bytes| counts(bytes).map(Counts::from),
+    counts,
     holds: Holds { normals: By::Vertex, texture: By::Vertex, colours: true, opacity: true, scalars: false },
     vertices: VertexNumbers::Kept,
 };
@@ -140,7 +139,7 @@ impl Carried {
 }
 
 /// Vertices and facets, of every line its first word at most.
-fn counts(bytes: &[u8]) -> Option<(u64, u64)> {
+fn counts(bytes: &[u8]) -> Option<Counts> {
     let mut lines = Lines { rest: bytes, line: 0 };
     let Header { vertices, faces, .. } = header(&mut lines).ok()?;
     for _ in 0..vertices {
@@ -153,7 +152,7 @@ fn counts(bytes: &[u8]) -> Option<(u64, u64)> {
         // A corner has two bytes at least.
         facets += corners.min(text.len() / 2).saturating_sub(2) as u64;
     }
-    Some((vertices as u64, facets))
+    Some(Counts { vertices: vertices as u64, facets, made_bytes: 0 })
 }
 
 fn encode(mesh: &TriMesh, held: &Held<'_>) -> Result<Vec<u8>, DataError> {

@@ -3,15 +3,12 @@
 //! Purpose: bytes to triangles with what they carry, in one pass over the data, and back. `vertex` needs scalar properties x, y,
 //! z; `face` a list property `vertex_indices` or `vertex_index`. Other scalar properties of vertices are attributes, and so is
 //! `texcoord`, six numbers for a triangle, of faces, which is how seams are stored. All else is skipped.
-//! How: data of records of one size, as nearly all files have them, are read at once ([`records`]), all others number by number
-//! ([`rows`]).
 //! Invariant: declared counts are checked against the bytes that are there before anything is read.
 //! Must not know: other formats.
 
 mod carried;
+mod data;
 mod header;
-mod records;
-mod rows;
 
 use super::held::{By, Held, Holds, eight_bit};
 use super::numbers::Encoding;
@@ -19,46 +16,43 @@ use super::{Codec, Counts, DataError, Soup, VertexNumbers};
 use crate::mesh::TriMesh;
 use crate::mesh::attributes::{ColourDepth, Colours};
 use carried::{Carried, PREFIX, TAKEN};
-use header::{Header, Parted};
+use header::Header;
 
-/// See [`Codec`].
 pub(super) const CODEC: Codec = Codec {
     extension: "ply",
     media_types: &["application/x-ply", "model/ply", "model/x-ply", "application/ply"],
     // Half a vertex of three floats, and a face of a byte and three indices.
     facet_bytes: 19,
-    signature: super::recognition::Signature::Start(|head| {
+    signature: super::packed::Signature::Start(|head| {
         head.bytes.starts_with(b"ply\n") || head.bytes.starts_with(b"ply\r")
     }),
     decode,
     encode,
-    counts: |bytes| counts(bytes).map(Counts::from),
+    counts,
     holds: Holds { normals: By::Vertex, texture: By::VertexOrCorner, colours: true, opacity: true, scalars: true },
     vertices: VertexNumbers::Kept,
 };
 
 /// Reads a surface; its attributes only if they are `wanted`.
 fn decode(bytes: &[u8], wanted: bool) -> Result<Soup, DataError> {
-    let Parted { header, data, line } = header::read(bytes)?;
-    check_header(&header, data.len())?;
+    let header = header::read(bytes)?;
+    check_header(&header)?;
     let mut carried = if wanted { Carried::of(&header) } else { Carried::default() };
-    let mut soup = match records::read(data, &header, &mut carried) {
-        Some(soup) => soup,
-        None => rows::read(data, line, &header, &mut carried)?,
-    };
+    let mut soup = data::read(&header, &mut carried)?;
     soup.raw = carried.finish(&soup.facets);
     Ok(soup)
 }
 
 /// Vertices and facets; nothing where the data end before what is declared.
-fn counts(bytes: &[u8]) -> Option<(u64, u64)> {
-    let Parted { header, data, line } = header::read(bytes).ok()?;
-    check_header(&header, data.len()).ok()?;
-    rows::counts(data, line, &header)
+fn counts(bytes: &[u8]) -> Option<Counts> {
+    let header = header::read(bytes).ok()?;
+    check_header(&header).ok()?;
+    data::counts(&header)
 }
 
 /// Refuses headers without a surface, and counts that the remaining bytes cannot hold.
-fn check_header(header: &Header, remaining: usize) -> Result<(), DataError> {
+fn check_header(header: &Header<'_>) -> Result<(), DataError> {
+    let remaining = header.data.len();
     let element = |name: &str| {
         header.element(name).ok_or_else(|| {
             let strips = header.element("tristrips").is_some();

@@ -19,7 +19,6 @@ const MOST: u32 = 1 << 14;
 /// A fan's triangle is turned over if it is so by more than rounding: this share of the polygon's area.
 const TURNED: f64 = 1e-9;
 
-/// How a polygon is cut.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Cut {
     first: u32,

@@ -8,17 +8,15 @@
 //! Must not know: other formats.
 
 use std::collections::HashMap;
-use std::hash::{BuildHasher, Hasher, RandomState};
 use std::io::{Cursor, ErrorKind, Read, Seek};
 
 use glam::DVec3;
 use stl_io::{Normal, Triangle, Vertex};
 
-use super::held::{By, Held, Holds};
-use super::{Codec, Counts, DataError, Soup, VertexNumbers, single};
+use super::held::{By, Held, Holds, check_single};
+use super::{Codec, Counts, DataError, Soup, VertexNumbers};
 use crate::mesh::TriMesh;
 
-/// See [`Codec`].
 pub(super) const CODEC: Codec = Codec {
     extension: "stl",
     media_types: &[
@@ -29,10 +27,10 @@ pub(super) const CODEC: Codec = Codec {
         "application/vnd.ms-pki.stl",
     ],
     facet_bytes: RECORD as u64,
-    signature: super::recognition::Signature::Start(|head| is_binary(head) || is_solid(head.text())),
+    signature: super::packed::Signature::Start(|head| is_binary(head) || is_solid(head.text())),
     decode,
     encode,
-    counts: |bytes| counts(bytes).map(Counts::from),
+    counts,
     holds: Holds { normals: By::None, texture: By::None, colours: false, opacity: false, scalars: false },
     vertices: VertexNumbers::Absent,
 };
@@ -47,7 +45,7 @@ fn is_solid(text: &[u8]) -> bool {
 }
 
 /// Whether the file is as long as its count of facets says.
-fn is_binary(head: &super::recognition::Head<'_>) -> bool {
+fn is_binary(head: &super::packed::Head<'_>) -> bool {
     let count = head.bytes.get(80..).and_then(<[u8]>::first_chunk).map(|count| u32::from_le_bytes(*count));
     count.is_some_and(|count| head.has_length(HEADER as u64 + RECORD as u64 * u64::from(count)))
 }
@@ -76,18 +74,18 @@ fn decode(bytes: &[u8], _wanted: bool) -> Result<Soup, DataError> {
 }
 
 /// Vertices and facets: three vertices each, since it is not looked which are the same.
-fn counts(bytes: &[u8]) -> Option<(u64, u64)> {
+fn counts(bytes: &[u8]) -> Option<Counts> {
     let facets = if is_ascii(bytes) {
         let begins = |line: &&[u8]| line.trim_ascii_start().get(..5).is_some_and(|w| w.eq_ignore_ascii_case(b"facet"));
         bytes.split(|&b| b == b'\n').filter(begins).count()
     } else {
         declared_facets(bytes).filter(|&declared| declared <= bytes.len().saturating_sub(HEADER) / RECORD)?
     } as u64;
-    Some((3 * facets, facets))
+    Some(Counts { vertices: 3 * facets, facets, made_bytes: 0 })
 }
 
 fn encode(mesh: &TriMesh, _held: &Held<'_>) -> Result<Vec<u8>, DataError> {
-    single::check(mesh)?;
+    check_single(mesh)?;
     let triangles: Vec<Triangle> = (0..mesh.facets().len())
         .map(|facet| {
             let [a, b, c] = mesh.corners(facet);
@@ -152,42 +150,8 @@ fn solids(text: &[u8]) -> Vec<Vec<u8>> {
 #[derive(Default)]
 struct Welder {
     soup: Soup,
-    numbers: HashMap<[u32; 3], u32, Keyed>,
-}
-
-/// Hashes the bits of positions, three multiplications each. Another key each time, so that nobody can send
-/// positions that all fall into one slot; no result depends on it.
-struct Keyed(u64);
-
-impl Default for Keyed {
-    fn default() -> Self {
-        Self(RandomState::new().hash_one(0))
-    }
-}
-
-impl BuildHasher for Keyed {
-    type Hasher = Mixed;
-
-    fn build_hasher(&self) -> Mixed {
-        Mixed(self.0)
-    }
-}
-
-struct Mixed(u64);
-
-impl Hasher for Mixed {
-    fn write(&mut self, bytes: &[u8]) {
-        for word in bytes.chunks(8) {
-            let mut padded = [0; 8];
-            padded[..word.len()].copy_from_slice(word);
-            let product = u128::from(self.0 ^ u64::from_le_bytes(padded)) * 0x9e37_79b9_7f4a_7c15;
-            self.0 = (product >> 64) as u64 ^ product as u64;
-        }
-    }
-
-    fn finish(&self) -> u64 {
-        self.0
-    }
+    /// By the bits of positions. The hash has another key each time, so that nobody can send positions that all fall into one slot.
+    numbers: HashMap<[u32; 3], u32, foldhash::fast::RandomState>,
 }
 
 impl Welder {

@@ -10,7 +10,7 @@ pub(super) mod xml;
 
 use glam::{DVec2, DVec3};
 
-use super::held::{Held, Raw, eight_bit};
+use super::held::{Held, eight_bit};
 use super::numbers::{Kind, plain};
 use super::{DataError, Soup};
 use crate::mesh::attributes::{ColourDepth, Colours, Normals, PerCorner, Scalar};
@@ -29,7 +29,6 @@ const KINDS: [(&str, &str, Kind); 10] = [
     ("double", "Float64", Kind::F64),
 ];
 
-/// What an array of points holds.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Role {
     Normals,
@@ -41,7 +40,6 @@ enum Role {
     None,
 }
 
-/// An array of the points.
 #[derive(Debug)]
 struct Array {
     name: String,
@@ -66,9 +64,11 @@ impl Array {
     }
 }
 
-/// Makes attributes of arrays, for a surface of these facets. The first array of a role has it.
-fn carried(arrays: Vec<Array>, facets: &[[u32; 3]]) -> Raw {
-    let mut raw = Raw::default();
+/// Makes attributes of arrays, for a surface. The first array of a role has it.
+fn carried(arrays: Vec<Array>, soup: &mut Soup) {
+    let facets = &soup.facets;
+    let raw = &mut soup.raw;
+    let aside = std::mem::take(&mut raw.unreadable);
     for array in arrays {
         let (role, values, n) = (array.role(), &array.values, array.components);
         match role {
@@ -100,51 +100,39 @@ fn carried(arrays: Vec<Array>, facets: &[[u32; 3]]) -> Raw {
             }
         }
     }
-    raw
+    raw.unreadable.extend(aside);
 }
 
-/// An array to be written.
-struct Written {
-    name: String,
-    role: Role,
-    components: usize,
-    values: Numbers,
-}
-
-enum Numbers {
-    Bytes(Vec<u8>),
-    Doubles(Vec<f64>),
-}
-
-/// Attributes as arrays.
-fn written(held: &Held<'_>) -> Vec<Written> {
+fn written(held: &Held<'_>) -> Vec<Array> {
     let mut arrays = Vec::new();
     let mut add = |name: &str, role, components, values| {
-        arrays.push(Written { name: name.to_owned(), role, components, values });
+        arrays.push(Array { name: name.to_owned(), role, components, eight: false, values });
     };
     if let Some(normals) = &held.normals {
-        add("Normals", Role::Normals, 3, Numbers::Doubles(normals.iter().flat_map(|n| n.to_array()).collect()));
+        add("Normals", Role::Normals, 3, normals.iter().flat_map(|n| n.to_array()).collect());
     }
     if let Some(uv) = &held.uv {
-        add("TCoords", Role::Texture, 2, Numbers::Doubles(uv.iter().flat_map(|t| t.to_array()).collect()));
+        add("TCoords", Role::Texture, 2, uv.iter().flat_map(|t| t.to_array()).collect());
     }
     if let Some(colours) = held.colours {
         let opaque = colours.values.iter().all(|c| c[3] == 1.0);
         let (name, n) = if opaque { ("RGB", 3) } else { ("RGBA", 4) };
-        let numbers = colours.values.iter().flat_map(|c| c[..n].iter().copied());
-        let values = match colours.depth {
-            ColourDepth::Eight => Numbers::Bytes(numbers.map(eight_bit).collect()),
-            ColourDepth::Float => Numbers::Doubles(numbers.collect()),
-        };
-        add(name, Role::Colours, n, values);
+        let eight = colours.depth == ColourDepth::Eight;
+        let number = |&x: &f64| if eight { f64::from(eight_bit(x)) } else { x };
+        let values = colours.values.iter().flat_map(|c| c[..n].iter().map(number)).collect();
+        arrays.push(Array { name: name.to_owned(), role: Role::Colours, components: n, eight, values });
     }
-    for scalar in held.scalars {
-        add(&scalar.name, Role::Any, 1, Numbers::Doubles(scalar.values.clone()));
-    }
+    let scalar = |s: &Scalar| Array {
+        name: s.name.clone(),
+        role: Role::Any,
+        components: 1,
+        eight: false,
+        values: s.values.clone(),
+    };
+    arrays.extend(held.scalars.iter().map(scalar));
     arrays
 }
 
-/// The shape of a cell.
 enum Cell {
     Polygon,
     /// A polygon of its first points; the others lie on its edges.
@@ -202,11 +190,6 @@ impl Cell {
         }
         Ok(false)
     }
-}
-
-/// Reports cells that are volumes as left aside; an error if there is nothing else.
-fn volumes(soup: &mut Soup, cells: usize) -> Result<(), DataError> {
-    super::volumes(soup, cells, "extract the surface first, as ParaView's filter \"Extract Surface\" does")
 }
 
 /// Adds cells, each from the end of the one before to its own end in `points`. Returns how many are volumes.

@@ -20,7 +20,7 @@ use crate::mesh::TriMesh;
 use crate::mesh::adjacency::{Adjacency, EdgeKind};
 use crate::mesh::attributes::PerCorner;
 use crate::mesh::closest_point::{ClosestPoint, closest_on_facet};
-use crate::mesh::disjoint::DisjointSets;
+use crate::mesh::edges::DisjointSets;
 use crate::remesh::constants::{LONG_SEAM_REACH, MAX_SEAM_FACETS, MOST_STRETCH, SEAM_END_REACH, SEAM_REACH};
 
 /// Where a corner of the result takes its value.

@@ -12,8 +12,8 @@ use glam::DVec3;
 
 use super::Context;
 use super::Steps;
+use crate::mesh::csr::ascending;
 use crate::mesh::facet_set::{FacetSet, sample_points, squared_distance};
-use crate::mesh::one_rings::ascending;
 use crate::remesh::constants::{
     FARTHEST_MOVE, LONG_EDGE, MAX_FACETS, MEASURED_COSINE, MIDPOINT_REACH, SHARPEST_COSINE,
 };

@@ -16,8 +16,8 @@ use rayon::prelude::*;
 
 use super::objective::ShapeCost;
 use super::{Place, Queue, Steps, cheapest, places_around};
+use crate::mesh::csr::ascending;
 use crate::mesh::measure::facet_quality;
-use crate::mesh::one_rings::ascending;
 use crate::remesh::constants::{
     BACKTRACKING, DIRECTIONS, FARTHEST_ACROSS, FARTHEST_OF_CORNER, FARTHEST_OF_END, FARTHEST_TANGENTIAL,
     FARTHEST_TIGHTENED, FIRST_STEP, FIRST_TIGHTENING_STEP, LEAST_GAIN, LEAST_GAIN_OF_PASS, LEAST_SCORE,

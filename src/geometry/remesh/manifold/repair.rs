@@ -13,8 +13,7 @@ use glam::DVec3;
 use rayon::prelude::*;
 
 use crate::mesh::coincident;
-use crate::mesh::disjoint::DisjointSets;
-use crate::mesh::edges::{EdgeGroups, Half};
+use crate::mesh::edges::{DisjointSets, EdgeGroups, Half};
 use crate::remesh::constants::{MAX_SEPARATION_ROUNDS, SIDE_STEP, STEP_BACK};
 use crate::remesh::report::RepairFigures;
 use crate::remesh::triangle::unit_normal;

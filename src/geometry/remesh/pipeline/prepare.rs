@@ -11,7 +11,8 @@ use std::sync::Arc;
 use crate::cvt::density::{self, DensityOptions, DensitySource, Plan};
 use crate::mesh::adjacency::Adjacency;
 use crate::mesh::closest_point::ClosestPoint;
-use crate::mesh::{TriMesh, duplicates, orient, stitch};
+use crate::mesh::input::{make_consistent, stitch_boundaries};
+use crate::mesh::{TriMesh, duplicates};
 use crate::remesh::constants::{POINTS_PER_COMPONENT, SEPARATION_DIAGONAL, SEPARATION_EDGES};
 use crate::remesh::features::KeptCurves;
 use crate::remesh::report::InputFigures;
@@ -72,7 +73,7 @@ pub(super) fn separation(clean: &TriMesh, components: usize, options: &RemeshOpt
 pub(super) fn preprocess(given: &TriMesh, token: &Token) -> Result<(InputFigures, Option<TriMesh>), Stopped> {
     let adjacency = Adjacency::new(given);
     token.check()?;
-    let (mut figures, mut changed) = match stitch::boundaries(given, &adjacency, token)? {
+    let (mut figures, mut changed) = match stitch_boundaries(given, &adjacency, token)? {
         Some((stitched, moved)) => {
             (InputFigures { stitched_vertices: moved, ..InputFigures::of(&stitched, token)? }, Some(stitched))
         }
@@ -88,7 +89,7 @@ pub(super) fn preprocess(given: &TriMesh, token: &Token) -> Result<(InputFigures
     }
     token.check()?;
     if figures.inconsistent_edges > 0
-        && let Some((consistent, flipped)) = orient::make_consistent(changed.as_ref().unwrap_or(given), token)?
+        && let Some((consistent, flipped)) = make_consistent(changed.as_ref().unwrap_or(given), token)?
     {
         figures.reoriented_facets = flipped;
         changed = Some(consistent);

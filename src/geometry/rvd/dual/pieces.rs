@@ -9,8 +9,7 @@ use rayon::prelude::*;
 
 use super::{Component, Dual, Piece};
 use super::{Crossing, Stretch};
-use crate::mesh::disjoint::DisjointSets;
-use crate::mesh::edges::{EdgeGroups, Half};
+use crate::mesh::edges::{DisjointSets, EdgeGroups, Half};
 use crate::rvd::cells::facet_edge;
 use crate::rvd::{PieceBatch, Surface};
 use crate::token::{Stopped, Token};

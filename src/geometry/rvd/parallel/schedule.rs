@@ -13,7 +13,7 @@ use glam::DVec3;
 use rayon::prelude::*;
 
 use super::divide::facets::MEMBERS;
-use crate::mesh::morton;
+use crate::mesh::bvh::morton;
 use crate::rvd::Surface;
 use crate::rvd::clip::Integrals;
 use crate::rvd::incident::Diagram;
@@ -229,7 +229,7 @@ impl Order {
         }
         let all = (0..surface.facets().len() as u32).into_par_iter().with_min_len(CHUNK);
         let with_area = all.filter(|&f| !surface.skips(f as usize));
-        let mut places: Vec<(u64, u32)> = with_area.map(|f| (morton::code(surface.centroid(f)), f)).collect();
+        let mut places: Vec<(u64, u32)> = with_area.map(|f| (morton(surface.centroid(f)), f)).collect();
         places.par_sort_unstable();
         places.into_par_iter().with_min_len(CHUNK).map(|(_, facet)| facet).collect_into_vec(&mut self.facets);
         let mut new = vec![u32::MAX; surface.positions().len()];

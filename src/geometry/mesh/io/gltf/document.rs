@@ -12,13 +12,12 @@ use serde::Deserialize;
 use serde::de::{DeserializeSeed, Deserializer, Error, IgnoredAny, MapAccess, SeqAccess, Visitor};
 
 use crate::mesh::io::numbers::plain;
-use crate::mesh::io::room::Room;
+use crate::mesh::io::packed::Room;
 use crate::mesh::io::{DataError, syntax};
 
 /// No element.
 const NONE: u32 = u32::MAX;
 
-/// See the module's head.
 #[derive(Debug, Default)]
 pub(super) struct Document<'a> {
     scene: u32,
@@ -59,7 +58,6 @@ pub(super) struct Primitive {
     mode: Option<u32>,
 }
 
-/// Accessors of a primitive's vertices.
 #[derive(Debug, Default, Deserialize)]
 #[serde(default, rename_all = "SCREAMING_SNAKE_CASE")]
 pub(super) struct Names {
@@ -138,10 +136,6 @@ pub(super) struct Buffer<'a> {
 pub(super) struct Text<'a>(#[serde(borrow)] pub(super) Cow<'a, str>);
 
 impl<'a> Document<'a> {
-    /// Reads the JSON.
-    ///
-    /// # Errors
-    /// `Truncated`, `Syntax`; `Header` if the data are packed.
     pub(super) fn read(json: &'a [u8]) -> Result<Self, DataError> {
         let mut document = Self { room: Room::of(json.len()), ..Self::default() };
         let mut reader = serde_json::Deserializer::from_slice(json);
@@ -158,7 +152,6 @@ impl<'a> Document<'a> {
         }
     }
 
-    /// Bytes that the lists take.
     pub(super) fn bytes(&self) -> usize {
         self.room.taken()
     }
@@ -188,7 +181,6 @@ impl<'a> Document<'a> {
         Some(self.nodes[node].mesh).filter(|&mesh| mesh != NONE).map(|mesh| mesh as usize)
     }
 
-    /// The primitives of a mesh.
     pub(super) fn primitives(&self, mesh: usize) -> Option<&[Primitive]> {
         (mesh < self.mesh_ends.len()).then(|| within(&self.primitives, &self.mesh_ends, mesh))
     }
@@ -252,7 +244,6 @@ struct Placed {
     scale: Option<[f64; 3]>,
 }
 
-/// A part of the document.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum At {
     Root,

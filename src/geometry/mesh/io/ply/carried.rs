@@ -8,7 +8,7 @@ use glam::{DVec2, DVec3};
 
 use super::header::{Element, Header, Property};
 use crate::mesh::attributes::{ColourDepth, Colours, Normals, PerCorner, Scalar};
-use crate::mesh::io::held::Raw;
+use crate::mesh::io::held::{Raw, firsts, numbered};
 use crate::mesh::io::numbers::Kind;
 
 /// Names of what is no scalar; a scalar of such a name is written with [`PREFIX`].
@@ -16,26 +16,18 @@ pub(super) const TAKEN: [&str; 16] =
     ["x", "y", "z", "nx", "ny", "nz", "red", "green", "blue", "alpha", "s", "t", "u", "v", "texture_u", "texture_v"];
 pub(super) const PREFIX: &str = "scalar_";
 
-/// The use of a property.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Role {
     /// A coordinate of a vertex.
     Axis(usize),
-    /// Corners of a face.
     Corners,
-    /// See [`Carried::push`].
-    Carried(Carry),
+    /// A scalar of a vertex; see [`Carried::push`].
+    Column(usize),
+    /// Texture coordinates of a face's corners.
+    Wedges,
     Skipped,
 }
 
-/// Where a number goes.
-#[derive(Clone, Copy, Debug)]
-pub(super) enum Carry {
-    Column(usize),
-    Wedges,
-}
-
-/// One scalar property of the vertices.
 struct Column {
     name: String,
     kind: Kind,
@@ -52,7 +44,7 @@ pub(super) struct Carried {
 
 impl Carried {
     /// All attributes that a header declares.
-    pub(super) fn of(header: &Header) -> Self {
+    pub(super) fn of(header: &Header<'_>) -> Self {
         let column = |p: &Property| Column { name: p.name.clone(), kind: p.item, values: Vec::new() };
         let is_column = |p: &&Property| p.length.is_none() && !matches!(p.name.as_str(), "x" | "y" | "z");
         let columns = header.element("vertex").map(|vertex| vertex.properties.iter().filter(is_column).map(column));
@@ -65,19 +57,19 @@ impl Carried {
         match (element.name.as_str(), property.length) {
             ("vertex", None) => match ["x", "y", "z"].iter().position(|&axis| axis == name) {
                 Some(axis) => Role::Axis(axis),
-                None => self.find(name).map_or(Role::Skipped, |column| Role::Carried(Carry::Column(column))),
+                None => self.find(name).map_or(Role::Skipped, Role::Column),
             },
             ("face", Some(_)) if property.is_corners() => Role::Corners,
-            ("face", Some(_)) if self.wedges.is_some() && is_wedges(property) => Role::Carried(Carry::Wedges),
+            ("face", Some(_)) if self.wedges.is_some() && is_wedges(property) => Role::Wedges,
             _ => Role::Skipped,
         }
     }
 
-    pub(super) fn push(&mut self, to: Carry, value: f64) {
+    pub(super) fn push(&mut self, to: Role, value: f64) {
         match (to, &mut self.wedges) {
-            (Carry::Column(column), _) => self.columns[column].values.push(value),
-            (Carry::Wedges, Some(wedges)) => wedges.face.push(value),
-            (Carry::Wedges, None) => {}
+            (Role::Column(column), _) => self.columns[column].values.push(value),
+            (Role::Wedges, Some(wedges)) => wedges.face.push(value),
+            _ => {}
         }
     }
 
@@ -88,12 +80,10 @@ impl Carried {
         }
     }
 
-    /// The names of the columns.
     pub(super) fn columns(&self) -> impl Iterator<Item = &str> {
         self.columns.iter().map(|column| column.name.as_str())
     }
 
-    /// All columns at once.
     pub(super) fn take_columns(&mut self, values: Vec<Vec<f64>>) {
         self.columns.iter_mut().zip(values).for_each(|(column, values)| column.values = values);
     }
@@ -199,29 +189,12 @@ fn shared(facets: &[[u32; 3]], given: PerCorner<DVec2>) -> PerCorner<DVec2> {
     if given.corners.len() != facets.len() {
         return given;
     }
-    let bits = |i: u32| given.values.get(i as usize).map(|uv| uv.to_array().map(f64::to_bits));
-    let mut named: Vec<(u32, Option<[u64; 2]>, usize)> = facets
-        .iter()
-        .flatten()
-        .zip(given.corners.iter().flatten())
-        .zip(0usize..)
-        .map(|((&vertex, &i), corner)| (vertex, bits(i), corner))
-        .collect();
-    named.sort_unstable();
-    // Each group is known by its first corner; values are numbered in the order of those.
-    let mut group = vec![0usize; named.len()];
-    for same in named.chunk_by(|a, b| (a.0, a.1) == (b.0, b.1)) {
-        same.iter().for_each(|corner| group[corner.2] = same[0].2);
-    }
-    let mut number = vec![0u32; group.len()];
+    let index = |corner: usize| given.corners.as_flattened()[corner] as usize;
+    let bits = |corner: usize| given.values.get(index(corner)).map(|uv| uv.to_array().map(f64::to_bits));
+    let vertices = facets.as_flattened();
     let mut values = Vec::new();
-    for (corner, &first) in group.iter().enumerate() {
-        if corner == first {
-            number[corner] = values.len() as u32;
-            let index = given.corners[corner / 3][corner % 3];
-            values.push(given.values.get(index as usize).copied().unwrap_or(DVec2::NAN));
-        }
-    }
-    let corners = group.as_chunks::<3>().0.iter().map(|f| f.map(|first| number[first])).collect();
-    PerCorner { values, corners }
+    let corners = numbered(firsts(vertices.len(), |corner| (vertices[corner], bits(corner))), 0, |corner| {
+        values.push(given.values.get(index(corner)).copied().unwrap_or(DVec2::NAN));
+    });
+    PerCorner { values, corners: corners.as_chunks::<3>().0.to_vec() }
 }

@@ -14,7 +14,6 @@ const LONGEST: usize = 4096;
 /// Elements and properties of one header, together. Files in use have dozens.
 const MOST_NAMES: usize = 4096;
 
-/// The type of a number.
 fn kind(name: &str) -> Option<Kind> {
     Some(match name {
         "char" | "int8" => Kind::I8,
@@ -55,38 +54,34 @@ pub(super) struct Element {
     pub(super) properties: Vec<Property>,
 }
 
-/// The declarations of a header.
-#[derive(Debug)]
-pub(super) struct Header {
+/// The declarations of a header, and what comes after it.
+pub(super) struct Header<'a> {
     pub(super) encoding: Encoding,
     pub(super) elements: Vec<Element>,
-}
-
-impl Header {
-    pub(super) fn element(&self, name: &str) -> Option<&Element> {
-        self.elements.iter().find(|element| element.name == name)
-    }
-}
-
-/// A header and what comes after it.
-pub(super) struct Parted<'a> {
-    pub(super) header: Header,
     pub(super) data: &'a [u8],
     /// The line that the data begin at, from 1.
     pub(super) line: usize,
 }
 
-/// Reads the header.
-pub(super) fn read(bytes: &[u8]) -> Result<Parted<'_>, DataError> {
-    let mut lines = Lines { rest: bytes, line_break: line_break(bytes) };
+impl Header<'_> {
+    pub(super) fn element(&self, name: &str) -> Option<&Element> {
+        self.elements.iter().find(|element| element.name == name)
+    }
+}
+
+pub(super) fn read(bytes: &[u8]) -> Result<Header<'_>, DataError> {
+    let (mut rest, line_break) = (bytes, line_break(bytes));
     let (mut encoding, mut elements) = (None, Vec::new());
     // Names of the current element, with how often each came.
     let mut names = HashMap::new();
     let mut declared = 0;
     for line in 1.. {
-        let Some(text) = lines.next() else {
-            return Err(DataError::Truncated("it ends inside the header".to_owned()));
-        };
+        if rest.is_empty() {
+            break;
+        }
+        let end = rest.iter().position(|&b| b == line_break).unwrap_or(rest.len());
+        let text = String::from_utf8_lossy(&rest[..end.min(LONGEST)]).into_owned();
+        rest = rest.get(end + 1..).unwrap_or_default();
         let syntax = |message: &str| syntax(line, message);
         let wrong = |word: &str, text: &str| syntax(&format!("\"{}\" {text}", shown(word.trim().as_bytes())));
         let words: Vec<&str> = text.split_ascii_whitespace().collect();
@@ -136,7 +131,7 @@ pub(super) fn read(bytes: &[u8]) -> Result<Parted<'_>, DataError> {
                 let Some(encoding) = encoding else {
                     return Err(DataError::Header("there is no line \"format\"".to_owned()));
                 };
-                return Ok(Parted { header: Header { encoding, elements }, data: lines.rest, line: line + 1 });
+                return Ok(Header { encoding, elements, data: rest, line: line + 1 });
             }
             _ => return Err(wrong(&text, "is no line of a header")),
         }
@@ -167,23 +162,5 @@ fn line_break(bytes: &[u8]) -> u8 {
     match bytes.iter().position(|b| matches!(b, b'\n' | b'\r')) {
         Some(at) if bytes[at] == b'\r' && bytes.get(at + 1) != Some(&b'\n') => b'\r',
         _ => b'\n',
-    }
-}
-
-struct Lines<'a> {
-    rest: &'a [u8],
-    line_break: u8,
-}
-
-impl Lines<'_> {
-    /// The next line without its break, if there is one.
-    fn next(&mut self) -> Option<String> {
-        if self.rest.is_empty() {
-            return None;
-        }
-        let end = self.rest.iter().position(|&b| b == self.line_break).unwrap_or(self.rest.len());
-        let line = &self.rest[..end];
-        self.rest = self.rest.get(end + 1..).unwrap_or_default();
-        Some(String::from_utf8_lossy(&line[..line.len().min(LONGEST)]).into_owned())
     }
 }

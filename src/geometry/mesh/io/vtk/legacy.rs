@@ -6,19 +6,18 @@
 
 use glam::DVec3;
 
-use super::{Array, Cell, KINDS, Numbers, Role, carried, push_cells, volumes, written};
+use super::{Array, Cell, KINDS, Role, carried, push_cells, written};
 use crate::mesh::TriMesh;
 use crate::mesh::io::held::{By, Held, Holds, Raw};
 use crate::mesh::io::numbers::{Cursor, Encoding, Kind, Order, cut, parse, shown};
-use crate::mesh::io::{Codec, Counts, DataError, Soup, VertexNumbers};
+use crate::mesh::io::{Codec, Counts, DataError, Soup, VertexNumbers, volumes};
 
-/// See [`Codec`].
 pub(in crate::mesh::io) const CODEC: Codec = Codec {
     extension: "vtk",
     media_types: &["application/x-vtk", "model/vtk", "model/x-vtk"],
     // Half a vertex of three floats, and a face of four numbers.
     facet_bytes: 22,
-    signature: crate::mesh::io::recognition::Signature::Start(|head| head.text().starts_with(b"# vtk DataFile")),
+    signature: crate::mesh::io::packed::Signature::Start(|head| head.text().starts_with(b"# vtk DataFile")),
     decode: |bytes, wanted| read(bytes, wanted, false).map(|(soup, _)| soup),
     encode,
     counts: |bytes| read(bytes, false, true).ok().map(|(_, counts)| counts),
@@ -82,9 +81,8 @@ fn read(bytes: &[u8], wanted: bool, counted: bool) -> Result<(Soup, Counts), Dat
     } else if let Some((ends, points)) = cells {
         grid(&mut soup, &ends, &points, &kinds)?;
     }
-    let aside = std::mem::take(&mut soup.raw.unreadable);
-    soup.raw = carried(arrays, &soup.facets);
-    soup.raw.unreadable.extend(aside.into_iter().chain(left.unreadable));
+    carried(arrays, &mut soup);
+    soup.raw.unreadable.extend(left.unreadable);
     Ok((soup, counts))
 }
 
@@ -101,7 +99,7 @@ fn grid(soup: &mut Soup, ends: &[i64], points: &[i64], kinds: &[i64]) -> Result<
         return Err(DataError::Truncated(format!("there are {} cells and {} types of cells", ends.len(), kinds.len())));
     }
     let aside = push_cells(soup, |index| Cell::of(kinds[index]), ends, points)?;
-    volumes(soup, aside)
+    volumes(soup, aside, "extract the surface first, as ParaView's filter \"Extract Surface\" does")
 }
 
 struct Reader<'a> {
@@ -129,7 +127,6 @@ impl Reader<'_> {
         self.cursor.parsed(what)
     }
 
-    /// The word of a type.
     fn kind(&mut self) -> Result<Type, DataError> {
         let word = self.cursor.word().ok_or_else(|| cut("a header"))?.to_ascii_lowercase();
         Ok(match word.as_slice() {
@@ -146,20 +143,13 @@ impl Reader<'_> {
         })
     }
 
-    /// Binary data begin right after the line.
-    fn begin(&mut self) {
-        if self.cursor.encoding != Encoding::Text {
-            self.cursor.end_line();
-        }
-    }
-
     /// Reads the points, or passes over them; gives how many there are.
     fn points(&mut self) -> Result<u64, DataError> {
         let count = self.count("a number of points")?;
         let Type::Numbers(kind) = self.kind()? else {
             return Err(self.cursor.syntax("coordinates are numbers"));
         };
-        self.begin();
+        self.cursor.begin_data();
         let all = count.saturating_mul(3);
         if self.counted {
             self.cursor.pass(all, kind, "points")?;
@@ -176,7 +166,7 @@ impl Reader<'_> {
         self.numbers = self.numbers.saturating_add(size as u64);
         if !self.cursor.peek().is_some_and(|word| word.eq_ignore_ascii_case(b"OFFSETS")) {
             // The length of each list before it. A line's end may also be part of what follows, if this is binary.
-            self.begin();
+            self.cursor.begin_data();
             if self.counted {
                 return Ok((self.ends(count, size)?, Vec::new()));
             }
@@ -202,7 +192,7 @@ impl Reader<'_> {
             let Type::Numbers(kind) = self.kind()? else {
                 return Err(self.cursor.syntax("points of cells are whole numbers"));
             };
-            self.begin();
+            self.cursor.begin_data();
             match is_kept {
                 true => self.cursor.integers(count, kind, "cells"),
                 false => self.cursor.pass(count, kind, "cells").map(|()| Vec::new()),
@@ -235,7 +225,7 @@ impl Reader<'_> {
 
     fn kinds(&mut self) -> Result<Vec<i64>, DataError> {
         let count = self.count("a number of cells")?;
-        self.begin();
+        self.cursor.begin_data();
         self.cursor.integers(count, Kind::I32, "types of cells")
     }
 
@@ -393,9 +383,7 @@ fn encode(mesh: &TriMesh, held: &Held<'_>) -> Result<Vec<u8>, DataError> {
     if !arrays.is_empty() {
         line(&mut out, format!("\nPOINT_DATA {vertices}"));
     }
-    let fields = |array: &super::Written| {
-        array.role == Role::Any || array.role == Role::Colours && matches!(array.values, Numbers::Doubles(_))
-    };
+    let fields = |array: &Array| array.role == Role::Any || array.role == Role::Colours && !array.eight;
     let in_field = arrays.iter().filter(|a| fields(a)).count();
     let others = arrays.iter().filter(|a| !fields(a));
     for (index, array) in others.chain(arrays.iter().filter(|a| fields(a))).enumerate() {
@@ -410,9 +398,9 @@ fn encode(mesh: &TriMesh, held: &Held<'_>) -> Result<Vec<u8>, DataError> {
             _ => format!("COLOR_SCALARS {name} {n}"),
         };
         line(&mut out, format!("\n{head}\n"));
-        match &array.values {
-            Numbers::Bytes(bytes) => out.extend_from_slice(bytes),
-            Numbers::Doubles(numbers) => numbers.iter().for_each(|x| out.extend_from_slice(&x.to_be_bytes())),
+        match array.eight {
+            true => out.extend(array.values.iter().map(|&x| x as u8)),
+            false => array.values.iter().for_each(|x| out.extend_from_slice(&x.to_be_bytes())),
         }
     }
     Ok(out)

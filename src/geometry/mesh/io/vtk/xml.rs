@@ -17,20 +17,19 @@ use glam::DVec3;
 use quick_xml::Reader;
 use quick_xml::events::{BytesStart, Event};
 
-use super::{Array, Cell, KINDS, Numbers, Role, carried, push_cells, written};
+use super::{Array, Cell, KINDS, Role, carried, push_cells, written};
 use crate::mesh::TriMesh;
 use crate::mesh::io::held::{By, Held, Holds};
 use crate::mesh::io::numbers::{Cursor, Encoding, Kind, Order, plain};
-use crate::mesh::io::room::Room;
+use crate::mesh::io::packed::Room;
 use crate::mesh::io::{Codec, Counts, DataError, Soup, VertexNumbers, syntax, unpacked_limit};
 
-/// See [`Codec`].
 pub(in crate::mesh::io) const CODEC: Codec = Codec {
     extension: "vtp",
     media_types: &["application/x-vtp", "model/vtp", "model/x-vtp"],
     // Half a vertex of three floats, and a face of four numbers, packed by zlib.
     facet_bytes: 7,
-    signature: crate::mesh::io::recognition::Signature::Start(|head| head.is_document(b'<', b"<VTKFile")),
+    signature: crate::mesh::io::packed::Signature::Start(|head| head.is_document(b'<', b"<VTKFile")),
     decode,
     encode,
     counts,
@@ -68,9 +67,7 @@ fn decode(bytes: &[u8], wanted: bool) -> Result<Soup, DataError> {
             file.data(&mut arrays, &mut names, &piece, first, &mut soup);
         }
     }
-    let aside = std::mem::take(&mut soup.raw.unreadable);
-    soup.raw = carried(arrays, &soup.facets);
-    soup.raw.unreadable.extend(aside);
+    carried(arrays, &mut soup);
     Ok(soup)
 }
 
@@ -106,7 +103,6 @@ fn counts(bytes: &[u8]) -> Option<Counts> {
     Some(counts)
 }
 
-/// An array's attributes and place.
 struct DataArray<'a> {
     name: String,
     role: Role,
@@ -167,7 +163,6 @@ fn number(tag: &BytesStart<'_>, name: &str) -> usize {
 }
 
 impl<'a> File<'a> {
-    /// Finds all arrays.
     fn walk(bytes: &'a [u8]) -> Result<Self, DataError> {
         let mut file = File {
             order: Order::Little,
@@ -369,9 +364,9 @@ impl<'a> File<'a> {
     /// How many bytes an array declares.
     fn length_of(&self, source: &Source<'_>) -> Result<usize, String> {
         let size = self.length.bytes();
-        match (self.packed, self.lengths(&source.first(if self.packed { 3 * size } else { size })?).as_slice()) {
+        match (self.packed, self.lengths(&source.after(0, if self.packed { 3 * size } else { size })?).as_slice()) {
             (false, &[length]) => Ok(length),
-            (true, &[blocks, block, last]) => Ok(Blocks { blocks, block, last }.bytes()),
+            (true, &[count, block, last]) => Ok(blocks([count, block, last]).1),
             _ => Err("an array is cut off".to_owned()),
         }
     }
@@ -414,7 +409,7 @@ impl<'a> File<'a> {
         let size = self.length.bytes();
         let differs = |n: usize| format!("an array has {n} bytes and should have {bytes}; write the file again");
         if !self.packed {
-            let data = source.first(bytes.saturating_add(size))?;
+            let data = source.after(0, bytes.saturating_add(size))?;
             let (head, data) = data.split_at_checked(size).ok_or("an array is cut off")?;
             return match self.lengths(head).first() {
                 Some(&n) if n == bytes && data.len() == n => Ok(data.to_vec()),
@@ -423,17 +418,16 @@ impl<'a> File<'a> {
             };
         }
         // Packed sizes of all blocks follow.
-        let head = self.lengths(&source.first(3 * size)?);
-        let &[blocks, block, last] = head.as_slice() else { return Err("an array is cut off".to_owned()) };
-        let all = Blocks { blocks, block, last };
-        let (full, whole) = (all.full(), all.bytes());
+        let head = self.lengths(&source.after(0, 3 * size)?);
+        let &[count, block, last] = head.as_slice() else { return Err("an array is cut off".to_owned()) };
+        let (full, whole) = blocks([count, block, last]);
         if whole != bytes {
             return Err(differs(whole));
         }
-        let head_bytes = blocks.saturating_add(3).saturating_mul(size);
+        let head_bytes = count.saturating_add(3).saturating_mul(size);
         self.spend(head_bytes)?;
-        let sizes = self.lengths(source.first(head_bytes)?.get(3 * size..).unwrap_or_default());
-        if sizes.len() != blocks {
+        let sizes = self.lengths(source.after(0, head_bytes)?.get(3 * size..).unwrap_or_default());
+        if sizes.len() != count {
             return Err("an array is cut off".to_owned());
         }
         let packed = sizes.iter().fold(0usize, |sum, &n| sum.saturating_add(n));
@@ -490,23 +484,11 @@ impl<'a> File<'a> {
     }
 }
 
-/// The header of packed data: the number of blocks, the size of each but the last, and of the last.
-struct Blocks {
-    blocks: usize,
-    block: usize,
-    last: usize,
-}
-
-impl Blocks {
-    /// How many are as long as the others.
-    fn full(&self) -> usize {
-        if self.last == 0 { self.blocks } else { self.blocks.saturating_sub(1) }
-    }
-
-    /// Bytes of all.
-    fn bytes(&self) -> usize {
-        self.full().saturating_mul(self.block).saturating_add(if self.blocks > 0 { self.last } else { 0 })
-    }
+/// Of packed data the number of blocks that are as long as the first, and the bytes of all, by the header: the number of blocks, the
+/// size of each but the last, and of the last.
+fn blocks([blocks, block, last]: [usize; 3]) -> (usize, usize) {
+    let full = if last == 0 { blocks } else { blocks.saturating_sub(1) };
+    (full, full.saturating_mul(block).saturating_add(if blocks > 0 { last } else { 0 }))
 }
 
 /// Bytes, as they are or to be decoded.
@@ -524,11 +506,7 @@ impl<'a> Source<'a> {
         Self::Base64(text.iter().copied().filter(|b| !b.is_ascii_whitespace()).collect::<Vec<_>>().into())
     }
 
-    /// The first bytes, fewer where the source ends.
-    fn first(&self, wanted: usize) -> Result<Vec<u8>, String> {
-        self.after(0, wanted)
-    }
-
+    /// Bytes after those passed, fewer where the source ends.
     fn after(&self, passed: usize, wanted: usize) -> Result<Vec<u8>, String> {
         let text = match self {
             Self::Raw(data) => {
@@ -616,9 +594,9 @@ fn encode(mesh: &TriMesh, held: &Held<'_>) -> Result<Vec<u8>, DataError> {
     out.push_str(">\n");
     let doubles = |numbers: &mut dyn Iterator<Item = f64>| -> Vec<u8> { numbers.flat_map(f64::to_le_bytes).collect() };
     for a in arrays {
-        let (kind, data) = match a.values {
-            Numbers::Bytes(bytes) => ("UInt8", bytes),
-            Numbers::Doubles(numbers) => ("Float64", doubles(&mut numbers.into_iter())),
+        let (kind, data) = match a.eight {
+            true => ("UInt8", a.values.iter().map(|&x| x as u8).collect()),
+            false => ("Float64", doubles(&mut a.values.into_iter())),
         };
         array(&mut out, &a.name, kind, a.components, data);
     }
