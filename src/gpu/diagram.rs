@@ -90,8 +90,7 @@ impl Gpu {
         Ok(self.device.keep_time()?)
     }
 
-    /// What the longest of the device's compute passes took since [`Self::keep_time`], by phase; each is one dispatch or
-    /// more.
+    /// What the longest compute pass of each phase took since [`Self::keep_time`]; each is one dispatch or more.
     pub fn longest_passes(&self) -> Option<PhasesMs> {
         self.device.longest_ms().map(phases)
     }
@@ -196,9 +195,7 @@ struct Context {
     pool: Arc<rayon::ThreadPool>,
     pipelines: Arc<Pipelines>,
     surface: Arc<Surface>,
-    /// Total mass of the surface.
     mass: f64,
-    /// Seeds at most.
     max_seeds: usize,
     /// First capacities.
     capacities: Capacities,

@@ -20,9 +20,7 @@ pub mod diagram;
 #[cfg(feature = "device")]
 pub mod dispatch;
 #[cfg(feature = "device")]
-#[cfg(feature = "device")]
 pub mod shader;
-#[cfg(feature = "device")]
 #[cfg(feature = "device")]
 mod submitter;
 #[cfg(feature = "device")]

@@ -13,6 +13,7 @@ mod retry;
 
 use std::collections::HashSet;
 use std::ops::Range;
+use std::sync::Arc;
 
 use super::Context;
 use super::lane;
@@ -22,7 +23,6 @@ use super::neighbours::{Neighbours, Rows};
 use super::pipelines::SLOTS;
 use super::plan::{BATCH, size};
 use super::strategy;
-use crate::buffers::write;
 use crate::dispatch::{ARGUMENTS_BYTES, Stage, run_groups, run_indirect};
 use geometry::rvd::incident::FacetWalker;
 use geometry::rvd::{Accumulate, DeviceWork, PassStats, RvdError};
@@ -40,7 +40,6 @@ pub(super) struct PassResult {
     pub repeats: Vec<Range<u32>>,
     /// Pairs in the list, repeats included.
     pub length: u32,
-    /// Pieces.
     pub pairs: u64,
     /// Polygon vertices allowed at present.
     pub polygon: u32,
@@ -71,7 +70,6 @@ pub(super) enum Wants {
 /// Which variant of the clip stage a launch uses.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Variant {
-    /// Polygon in registers.
     Registers,
     /// Polygon in many indexed slots.
     Large,
@@ -89,7 +87,6 @@ const ROOM: f64 = 1.1;
 /// Relative error of the area that single precision may have. Where nothing is lost it is below 10⁻⁷.
 const COVER: f64 = 1e-6;
 
-/// Counts the pairs that the device launched again.
 pub(super) fn count_requeued(state: &State, stats: &mut PassStats) {
     stats.relaunched_neighbours += u64::from(state.requeued - state.overflowed);
     stats.relaunched_polygon += u64::from(state.overflowed);
@@ -97,6 +94,7 @@ pub(super) fn count_requeued(state: &State, stats: &mut PassStats) {
 
 /// How a session clips, and what its passes leave.
 pub(super) struct Clip {
+    cx: Arc<Context>,
     /// Polygon vertices that a pass begins with.
     first_polygon: u32,
     /// Mean area and perimeter of a facet.
@@ -108,7 +106,6 @@ pub(super) struct Clip {
     pub divides: bool,
     /// Code in [`layout::accumulate`].
     pub accumulate: u32,
-    /// Of the fixed-point sums.
     pub scales: fixed::Scales,
     walker: FacetWalker,
     pub pass: PassResult,
@@ -117,13 +114,12 @@ pub(super) struct Clip {
     /// Clip dispatches of a pass's first submission: some more than the last pass needed.
     pub steps: u32,
     /// Facets that were divided at once, and that went pair by pair.
-    pub divided: u64,
-    pub paired: u64,
+    pub work: DeviceWork,
 }
 
 impl Clip {
     /// No seeds yet. Cells look for the facets in `near`.
-    pub(super) fn new(cx: &Context, near: by_cell::Grid, how: Accumulate) -> Self {
+    pub(super) fn new(cx: Arc<Context>, near: by_cell::Grid, how: Accumulate) -> Self {
         Self {
             first_polygon: cx.capacities.polygon.clamp(4, SLOTS) as u32,
             lengths: records::mean_facet(&cx.surface),
@@ -136,20 +132,20 @@ impl Clip {
             pass: PassResult::default(),
             shortages: Shortages::default(),
             steps: STEPS.0,
-            divided: 0,
-            paired: 0,
+            work: DeviceWork::default(),
+            cx,
         }
     }
 
     /// The seeds are others, all near the surface's box.
-    pub(super) fn seeds_changed(&mut self, cx: &Context) {
-        self.set_radius(cx, fixed::COVERING_RADIUS);
+    pub(super) fn seeds_changed(&mut self) {
+        self.set_radius(fixed::COVERING_RADIUS);
         self.walker.reset(&Token::default());
     }
 
     /// Every point of the surface's box is within `radius` of a seed.
-    pub(super) fn set_radius(&mut self, cx: &Context, radius: f64) {
-        self.scales = fixed::Scales::new(cx.mass, cx.surface.area(), radius);
+    pub(super) fn set_radius(&mut self, radius: f64) {
+        self.scales = fixed::Scales::new(self.cx.mass, self.cx.surface.area(), radius);
     }
 
     /// Begins a pass, whose pieces are to be proved if cells look for facets (`by_cell`).
@@ -157,21 +153,21 @@ impl Clip {
         self.pass = PassResult { polygon: self.first_polygon, by_cell, ..PassResult::default() };
     }
 
-    pub(super) fn params(&self, cx: &Context, memory: &Memory, neighbours: &Neighbours) -> Params {
+    pub(super) fn params(&self, memory: &Memory, neighbours: &Neighbours) -> Params {
         let window = memory.windows.facets();
         Params {
             mass_scale: self.scales.mass as f32,
             moment_scale: self.scales.moment as f32,
             energy_scale: self.scales.energy as f32,
             area_scale: self.scales.area as f32,
-            uniform_weights: u32::from(cx.surface.is_uniform()),
+            uniform_weights: u32::from(self.cx.surface.is_uniform()),
             list_capacity: memory.counts.pairs.min(u64::from(layout::INDEX)) as u32,
             batch: BATCH,
             polygon: self.pass.polygon,
             accumulate: self.accumulate,
             grid: self.near.side,
             seeds: neighbours.count as u32,
-            row: cx.capacities.neighbours.clamp(1, ROW as usize) as u32,
+            row: self.cx.capacities.neighbours.clamp(1, ROW as usize) as u32,
             side: neighbours.side,
             roots: neighbours.roots_of(&window).len() as u32,
             divided: NONE,
@@ -182,13 +178,7 @@ impl Clip {
     }
 
     /// Parameters of a pass over `facets` of the window at work.
-    pub(super) fn roots_params(
-        &self,
-        cx: &Context,
-        memory: &Memory,
-        neighbours: &Neighbours,
-        facets: &Range<u32>,
-    ) -> Params {
+    pub(super) fn roots_params(&self, memory: &Memory, neighbours: &Neighbours, facets: &Range<u32>) -> Params {
         let present = neighbours.roots_of(facets);
         let first = present.start - neighbours.roots_of(&memory.windows.facets()).start;
         let by_both = self.pass.divided && self.pass.by_cell;
@@ -198,7 +188,7 @@ impl Clip {
             enqueue_root: ROOT,
             emit_count: if self.pass.by_cell { neighbours.count as u32 } else { 0 },
             divided: if by_both { self.first_flag(memory) as u32 } else { NONE },
-            ..self.params(cx, memory, neighbours)
+            ..self.params(memory, neighbours)
         }
     }
 
@@ -243,15 +233,14 @@ impl Clip {
     /// Encodes the candidates' arrival, by facet and by cell, then `steps` times indirect arguments and clip.
     pub(super) fn encode_clip(
         &self,
-        cx: &Context,
         memory: &Memory,
         seeds: usize,
         encoder: &mut wgpu::CommandEncoder,
         launch: &Launch,
         token: &Token,
     ) -> Result<(), RvdError> {
-        let (device, limits, there) = (&cx.device, cx.limits(), memory.there()?);
-        let entries = self.entries(cx, memory, there, seeds, launch.candidates.as_ref());
+        let (device, limits, there) = (&self.cx.device, self.cx.limits(), memory.there()?);
+        let entries = self.entries(memory, there, seeds, launch.candidates.as_ref());
         let long = entries.iter().any(Stage::is_long);
         if long {
             there.encode(device, encoder, lane::CLIP, &entries, token)?;
@@ -260,26 +249,25 @@ impl Clip {
         if !long {
             entries.iter().for_each(|stage| stage.run(&mut compute, limits));
         }
-        self.run_steps(cx, memory, there, &mut compute, launch);
+        self.run_steps(memory, there, &mut compute, launch);
         Ok(())
     }
 
     fn entries<'a>(
-        &self,
-        cx: &'a Context,
+        &'a self,
         memory: &Memory,
         there: &'a OnDevice,
         seeds: usize,
         candidates: Option<&Params>,
     ) -> Vec<Stage<'a>> {
-        let (pipelines, window) = (&cx.pipelines, &there.bindings.windows[memory.windows.present]);
+        let (pipelines, window) = (&self.cx.pipelines, &there.bindings.windows[memory.windows.present]);
         let mut entries = Vec::with_capacity(2);
         let mut enter = |pipeline, bindings, items: u32, size| {
             entries.push(Stage { pipeline, bindings, items: items.into(), size, arguments: None });
         };
         if let Some(params) = candidates {
             if params.enqueue_root != 0 && self.pass.divided {
-                let (room, weighted) = (self.divide_size(cx, seeds), usize::from(!cx.surface.is_uniform()));
+                let (room, weighted) = (self.divide_size(seeds), usize::from(!self.cx.surface.is_uniform()));
                 let (divide, bindings) = (&pipelines.divide[room][weighted], &window.divide[room][weighted]);
                 let size = if room < 2 && weighted == 0 { size::FACET } else { size::SEARCH };
                 enter(divide, bindings, params.enqueue_count, size);
@@ -293,16 +281,8 @@ impl Clip {
         entries
     }
 
-    /// Takes pairs and clips them, step by step.
-    fn run_steps(
-        &self,
-        cx: &Context,
-        memory: &Memory,
-        there: &OnDevice,
-        compute: &mut wgpu::ComputePass<'_>,
-        launch: &Launch,
-    ) {
-        let (pipelines, window) = (&cx.pipelines, &there.bindings.windows[memory.windows.present]);
+    fn run_steps(&self, memory: &Memory, there: &OnDevice, compute: &mut wgpu::ComputePass<'_>, launch: &Launch) {
+        let (pipelines, window) = (&self.cx.pipelines, &there.bindings.windows[memory.windows.present]);
         let shared = self.accumulate == accumulate::TWO_PHASE;
         let (clip, bindings) = match launch.variant {
             Variant::Registers if shared => (&pipelines.clip_shared, &window.clip_shared),
@@ -333,10 +313,9 @@ impl Clip {
         }
     }
 
-    /// Which variant of `divide` suits the facets.
-    /// By the surface and the number of seeds alone: another variant may round differently.
-    fn divide_size(&self, cx: &Context, seeds: usize) -> usize {
-        let h2 = cx.surface.area() / seeds.max(1) as f64;
+    /// Which variant of `divide` suits the facets. By surface and number of seeds alone: another may round differently.
+    fn divide_size(&self, seeds: usize) -> usize {
+        let h2 = self.cx.surface.area() / seeds.max(1) as f64;
         let mean = records::mean_cells(self.lengths, h2);
         MEMBERS.iter().position(|&m| ROOM * mean <= f64::from(m)).unwrap_or(MEMBERS.len() - 1)
     }
@@ -350,15 +329,15 @@ impl Clip {
     pub(super) fn count_facets(&mut self, state: &State, roots: u32) -> DeviceWork {
         let paired_facets = if self.pass.divided { state.paired.min(roots) } else { roots }.into();
         let divided_facets = u64::from(roots) - paired_facets;
-        self.divided += divided_facets;
-        self.paired += paired_facets;
-        DeviceWork { divided_facets, paired_facets, ..DeviceWork::default() }
+        let work = DeviceWork { divided_facets, paired_facets, ..DeviceWork::default() };
+        self.work += work;
+        work
     }
 
     /// The sums of the last pass, with what the host finished, in units.
-    pub(super) fn sum_words(&self, cx: &Context, memory: &Memory, seeds: usize) -> Result<Vec<u32>, RvdError> {
+    pub(super) fn sum_words(&self, memory: &Memory, seeds: usize) -> Result<Vec<u32>, RvdError> {
         let buffers = &memory.there()?.buffers;
-        let mut words: Vec<u32> = buffers.staging.read(&cx.device, &buffers.sums, 0..seeds * SUM_WORDS)?;
+        let mut words: Vec<u32> = buffers.staging.read(&self.cx.device, &buffers.sums, 0..seeds * SUM_WORDS)?;
         for (seed, units) in &self.pass.finished {
             fixed::add(&mut words[*seed as usize * SUM_WORDS..][..SUM_WORDS], units);
         }
@@ -366,8 +345,8 @@ impl Clip {
     }
 
     /// Whether `area` is that of the facets in `facets`.
-    pub(super) fn covers(&self, cx: &Context, area: f64, facets: Range<u32>) -> bool {
-        let surface = &cx.surface;
+    pub(super) fn covers(&self, area: f64, facets: Range<u32>) -> bool {
+        let surface = &self.cx.surface;
         let whole = facets.len() == surface.facets().len();
         let expected = if whole {
             surface.area()
@@ -379,19 +358,10 @@ impl Clip {
 
     /// Units of area, as limbs, between which the pieces of all facets cover the surface; within what
     /// [`Self::covers`] says by more than a rounding.
-    pub(super) fn area_bounds(&self, cx: &Context) -> ([u32; 2], [u32; 2]) {
-        let at = |share: f64| self.scales.area * cx.surface.area() * (1.0 + 0.999 * share);
+    pub(super) fn area_bounds(&self) -> ([u32; 2], [u32; 2]) {
+        let at = |share: f64| self.scales.area * self.cx.surface.area() * (1.0 + 0.999 * share);
         let limbs = |units: u64| [units as u32, (units >> 32) as u32];
         (limbs(at(-COVER).ceil() as u64), limbs(at(COVER).floor() as u64))
-    }
-
-    /// Writes `state` to where the device counts on.
-    pub(super) fn write_state(&self, cx: &Context, memory: &Memory, state: State) -> Result<(), RvdError> {
-        Ok(write(&cx.device, &memory.there()?.buffers.state, 0, &[state])?)
-    }
-
-    pub(super) fn write_params(&self, cx: &Context, memory: &Memory, params: Params) -> Result<(), RvdError> {
-        Ok(write(&cx.device, &memory.there()?.buffers.params, 0, &[params])?)
     }
 }
 
@@ -400,6 +370,5 @@ pub(super) struct Launch {
     /// Candidates that are entered first.
     pub candidates: Option<Params>,
     pub variant: Variant,
-    /// Clip dispatches.
     pub steps: u32,
 }

@@ -12,9 +12,10 @@ mod buffers;
 pub(super) mod records;
 
 use std::ops::Range;
+use std::sync::Arc;
 
 use super::Context;
-use super::layout;
+use super::layout::{self, Params, State};
 use super::pipelines::SLOTS;
 use super::plan::{self, Counts, Need, Plan, Window};
 use crate::buffers::write;
@@ -31,7 +32,6 @@ pub(super) struct OnDevice {
 }
 
 impl OnDevice {
-    /// Encodes `stages` in their order; see [`dispatch::encode`].
     pub(super) fn encode(
         &self,
         device: &Device,
@@ -45,7 +45,7 @@ impl OnDevice {
 }
 
 pub(super) struct Memory {
-    /// Sizes.
+    cx: Arc<Context>,
     pub counts: Counts,
     pub windows: Windows,
     /// Log2 of the slots of each facet's set of cells.
@@ -61,9 +61,14 @@ fn places(facets: &Range<u32>) -> Range<usize> {
 }
 
 impl Memory {
-    /// Nothing on the device yet.
-    pub(super) fn new(counts: Counts, windows: Windows, slots_log2: Vec<u8>, facets: Vec<layout::Facet>) -> Self {
-        Self { counts, windows, slots_log2, facets, on_device: None }
+    pub(super) fn new(
+        cx: Arc<Context>,
+        counts: Counts,
+        windows: Windows,
+        slots_log2: Vec<u8>,
+        facets: Vec<layout::Facet>,
+    ) -> Self {
+        Self { cx, counts, windows, slots_log2, facets, on_device: None }
     }
 
     pub(super) fn there(&self) -> Result<&OnDevice, RvdError> {
@@ -75,14 +80,14 @@ impl Memory {
     }
 
     /// Cuts the facets into windows, for the present capacities. Whether they are more than one.
-    pub(super) fn cut(&mut self, cx: &Context) -> bool {
-        self.windows.cut(&self.slots_log2, cx.limits());
+    pub(super) fn cut(&mut self) -> bool {
+        self.windows.cut(&self.slots_log2, self.cx.limits());
         self.windows.all.len() > 1
     }
 
     /// Gives each facet's set of cells its place among its window's, and sizes all buffers. `flags`: a slot more for each
     /// facet of a window.
-    pub(super) fn lay_out(&mut self, cx: &Context, flags: bool) {
+    pub(super) fn lay_out(&mut self, flags: bool) {
         let windows = &self.windows.all;
         for window in windows {
             let places = places(&window.facets);
@@ -92,24 +97,16 @@ impl Memory {
         let (window, slots) = (most(|w| w.facets.len() as u64), most(|w| w.slots));
         let pairs = most(|w| w.pairs) + self.windows.spare();
         let flags = if flags { window } else { 0 };
-        let polygons = cx.limits().seen_bytes() / 16 / SLOTS as u64;
-        let windows = windows.len() as u64;
-        self.counts = Counts {
-            window,
-            windows,
-            slots: slots + flags,
-            pairs,
-            emitted: pairs.min(1 << 16).min(polygons.max(1)),
-            table: self.counts.table,
-            ..self.counts
-        };
+        let polygons = self.cx.limits().seen_bytes() / 16 / SLOTS as u64;
+        let (windows, emitted) = (windows.len() as u64, pairs.min(1 << 16).min(polygons.max(1)));
+        self.counts = Counts { window, windows, slots: slots + flags, pairs, emitted, ..self.counts };
     }
 
-    pub(super) fn allocate(&mut self, cx: &Context) -> Result<(), RvdError> {
-        let plan = Plan::new(self.counts, cx.limits())?;
+    pub(super) fn allocate(&mut self) -> Result<(), RvdError> {
+        let plan = Plan::new(self.counts, self.cx.limits())?;
         let facets: Vec<u64> = self.windows.all.iter().map(|w| w.facets.len() as u64).collect();
-        let buffers = Buffers::new(&cx.device, plan, &facets)?;
-        let bindings = Bindings::new(&cx.device, &cx.pipelines, &buffers)?;
+        let buffers = Buffers::new(&self.cx.device, plan, &facets)?;
+        let bindings = Bindings::new(&self.cx.device, &self.cx.pipelines, &buffers)?;
         self.on_device = Some(OnDevice { buffers, bindings });
         Ok(())
     }
@@ -133,28 +130,39 @@ impl Memory {
         window.ok_or_else(|| RvdError::Internal("no window".to_owned()))
     }
 
-    /// Uploads the records as the host has them.
-    pub(super) fn upload_facets(&self, cx: &Context) -> Result<(), RvdError> {
+    pub(super) fn upload_facets(&self) -> Result<(), RvdError> {
         for (window, to) in self.by_window() {
-            write(&cx.device, &to.facets, 0, &self.facets[places(&window.facets)])?;
+            write(&self.cx.device, &to.facets, 0, &self.facets[places(&window.facets)])?;
         }
         Ok(())
     }
 
-    /// Room for `pairs` pairs and half as many again, when buffers are allocated next.
-    pub(super) fn grow_list(&mut self, pairs: u64) {
-        let needed = 1.5 * pairs as f64 / self.counts.pairs.max(1) as f64;
-        self.windows.grow(needed);
+    pub(super) fn write_state(&self, state: State) -> Result<(), RvdError> {
+        Ok(write(&self.cx.device, &self.there()?.buffers.state, 0, &[state])?)
     }
 
-    /// Room for `entries` entries of the neighbour table and half as many again, when buffers are allocated next.
-    pub(super) fn grow_table(&mut self, cx: &Context, entries: u64) {
-        self.counts.table = (entries * 3 / 2).min(self.most_entries(cx)).max(entries);
+    pub(super) fn write_params(&self, params: Params) -> Result<(), RvdError> {
+        Ok(write(&self.cx.device, &self.there()?.buffers.params, 0, &[params])?)
+    }
+
+    /// Room for `pairs` pairs and half as many again, when buffers are allocated next.
+    pub(super) fn grow_list(&mut self, pairs: u64) {
+        self.windows.grow(1.5 * pairs as f64 / self.counts.pairs.max(1) as f64);
+    }
+
+    /// Whether the neighbour table has room for `entries` entries. If not, there is room for half as many again when buffers
+    /// are allocated next.
+    pub(super) fn has_room(&mut self, entries: u64) -> bool {
+        let fits = entries <= self.counts.table;
+        if !fits {
+            self.counts.table = (entries * 3 / 2).min(self.most_entries()).max(entries);
+        }
+        fits
     }
 
     /// Entries of the neighbour table at most.
-    pub(super) fn most_entries(&self, cx: &Context) -> u64 {
-        cx.limits().seen_bytes() / 4
+    pub(super) fn most_entries(&self) -> u64 {
+        self.cx.limits().seen_bytes() / 4
     }
 }
 
@@ -192,7 +200,6 @@ impl Windows {
         self.all.get(self.present).map_or(0..0, |w| w.facets.clone())
     }
 
-    /// The window at work is the last one.
     pub(crate) fn is_last(&self) -> bool {
         self.present + 1 >= self.all.len()
     }
@@ -209,7 +216,6 @@ impl Windows {
         self.present = 0;
     }
 
-    /// Pairs that the list has room for beside those that are expected.
     pub(crate) fn spare(&self) -> u64 {
         (SPARE_PAIRS * self.grown) as u64
     }

@@ -16,6 +16,7 @@ mod host;
 
 use std::mem::offset_of;
 use std::ops::Range;
+use std::sync::Arc;
 
 use glam::DVec3;
 
@@ -28,8 +29,7 @@ use crate::buffers::write;
 use crate::dispatch::Stage;
 use geometry::knn::NeighbourRow;
 use geometry::mesh::coincident;
-use geometry::rvd::RvdError;
-use geometry::rvd::{check_seed, take_seeds};
+use geometry::rvd::{RvdError, check_seed, take_seeds};
 use geometry::token::Token;
 pub(super) use host::{HostCopy, LONGEST_ROW};
 
@@ -47,16 +47,15 @@ pub(super) enum Place {
 /// Where the rows that the device has come from.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Rows {
-    /// There are none yet.
     Missing,
-    /// The device.
     Device,
     /// The host. `far`: seeds are farther than floats reach, so rows and distances are in the order of f64.
-    Host { far: bool },
+    Host {
+        far: bool,
+    },
 }
 
 impl Rows {
-    /// Whether the host made them.
     pub(super) fn are_of_host(self) -> bool {
         matches!(self, Self::Host { .. })
     }
@@ -65,7 +64,6 @@ impl Rows {
 /// What the device has of the facets' first cells.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum FirstCells {
-    /// Nothing.
     Missing,
     /// Those of other seeds: guesses.
     Guessed,
@@ -106,10 +104,11 @@ impl FirstCells {
 /// What came of a search on the device.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Searched {
-    /// The rows are there.
     Rows,
     /// The host has to search. `far`: seeds are farther than floats reach.
-    Nothing { far: bool },
+    Nothing {
+        far: bool,
+    },
 }
 
 /// What a search found.
@@ -129,10 +128,10 @@ pub struct Found {
 
 /// The seeds of a session, and what is known of them.
 pub(super) struct Neighbours {
+    cx: Arc<Context>,
     /// The seeds as they were set, and how many there are.
     pub seeds: Vec<DVec3>,
     pub count: usize,
-    /// Which seeds the next pass is of.
     pub place: Place,
     /// Cells along a side of the grid in which seeds are searched: of these, and at most.
     pub side: u32,
@@ -146,16 +145,15 @@ pub(super) struct Neighbours {
     pub merged: bool,
     /// (facet, first cell) of every facet that is not degenerate, by facet; cells as far as the host knows them.
     pub roots: Vec<[u32; 2]>,
-    /// What the host knows of the seeds on the device.
     pub host: HostCopy,
-    /// Times that the host searched.
     pub host_searches: u64,
 }
 
 impl Neighbours {
     /// No seeds yet, in a grid of at most `finest` cells a side, and first cells of `roots` to be found.
-    pub(super) fn new(finest: u32, roots: Vec<[u32; 2]>) -> Self {
+    pub(super) fn new(cx: Arc<Context>, finest: u32, roots: Vec<[u32; 2]>) -> Self {
         Self {
+            cx,
             seeds: Vec::new(),
             count: 0,
             place: Place::Set,
@@ -173,15 +171,15 @@ impl Neighbours {
     }
 
     /// Takes new seeds. [`Self::seeds_changed`] comes after it.
-    pub(super) fn set_seeds(&mut self, cx: &Context, seeds: &[DVec3]) -> Result<(), RvdError> {
-        take_seeds(seeds, cx.max_seeds, &mut self.seeds)?;
+    pub(super) fn set_seeds(&mut self, seeds: &[DVec3]) -> Result<(), RvdError> {
+        take_seeds(seeds, self.cx.max_seeds, &mut self.seeds)?;
         if self.count != self.seeds.len() {
             self.first_cells = FirstCells::Missing;
             self.count = self.seeds.len();
             // There are buffers for the grid of the most seeds.
-            self.side = match self.count == cx.max_seeds {
+            self.side = match self.count == self.cx.max_seeds {
                 true => self.finest,
-                false => grid::grid_side_for(&cx.surface, self.count).min(self.finest),
+                false => grid::grid_side_for(&self.cx.surface, self.count).min(self.finest),
             };
         }
         self.place = Place::Set;
@@ -197,9 +195,9 @@ impl Neighbours {
     }
 
     /// The device's memory is new. Rows of the host are uploaded again.
-    pub(super) fn memory_changed(&mut self, cx: &Context, memory: &Memory) -> Result<(), RvdError> {
+    pub(super) fn memory_changed(&mut self, memory: &Memory) -> Result<(), RvdError> {
         if self.rows.are_of_host() {
-            self.upload_rows(cx, memory)?;
+            self.upload_rows(memory)?;
         }
         self.first_cells.memory_changed();
         Ok(())
@@ -210,15 +208,14 @@ impl Neighbours {
         self.listed_for = 0;
     }
 
-    /// The seeds as set, as records for the device.
     pub(super) fn records(&self) -> Vec<layout::Seed> {
         self.seeds.iter().map(|&p| records::record(p)).collect()
     }
 
-    pub(super) fn upload_seeds(&mut self, cx: &Context, memory: &Memory) -> Result<(), RvdError> {
+    pub(super) fn upload_seeds(&mut self, memory: &Memory) -> Result<(), RvdError> {
         self.host.records.clear();
         self.host.records.extend(self.seeds.iter().map(|&p| records::record(p)));
-        Ok(write(&cx.device, &memory.there()?.buffers.seeds, 0, &self.host.records)?)
+        Ok(write(&self.cx.device, &memory.there()?.buffers.seeds, 0, &self.host.records)?)
     }
 
     /// Where the first cells of `facets` are among all.
@@ -227,36 +224,32 @@ impl Neighbours {
         at(facets.start)..at(facets.end)
     }
 
-    /// Uploads first cells as the host has them.
-    pub(super) fn upload_roots(&self, cx: &Context, memory: &Memory) -> Result<(), RvdError> {
+    pub(super) fn upload_roots(&self, memory: &Memory) -> Result<(), RvdError> {
         for (window, to) in memory.by_window() {
-            write(&cx.device, &to.candidates, 0, &self.roots[self.roots_of(&window.facets)])?;
+            write(&self.cx.device, &to.candidates, 0, &self.roots[self.roots_of(&window.facets)])?;
         }
         Ok(())
     }
 
-    /// Downloads first cells as the device has them.
-    fn download_roots(&mut self, cx: &Context, memory: &Memory) -> Result<(), RvdError> {
+    fn download_roots(&mut self, memory: &Memory) -> Result<(), RvdError> {
         let staging = &memory.there()?.buffers.staging;
         let mut roots = Vec::with_capacity(self.roots.len());
         for (window, from) in memory.by_window() {
             let count = self.roots_of(&window.facets).len();
-            roots.append(&mut staging.read(&cx.device, &from.candidates, 0..count)?);
+            roots.append(&mut staging.read(&self.cx.device, &from.candidates, 0..count)?);
         }
         self.roots = roots;
         Ok(())
     }
 
-    /// Encodes the search for the rows of the seeds that are on the device.
     pub(super) fn encode_search(
         &mut self,
-        cx: &Context,
         memory: &Memory,
         params: &Params,
         encoder: &mut wgpu::CommandEncoder,
         token: &Token,
     ) -> Result<(), RvdError> {
-        let (n, pipelines, there) = (self.count as u64, &cx.pipelines, memory.there()?);
+        let (n, pipelines, there) = (self.count as u64, &self.cx.pipelines, memory.there()?);
         let (b, bindings) = (&there.buffers, &there.bindings);
         for of_cells in [&b.cells, &b.drifts] {
             encoder.clear_buffer(of_cells, 0, Some(grid_cells(params.side) * 4));
@@ -280,7 +273,7 @@ impl Neighbours {
             chosen(&pipelines.search, &bindings.search, &b.list_state, from_grid),
             chosen(&pipelines.search_lists, &bindings.search_lists, &b.list_state, with_lists),
         ];
-        there.encode(&cx.device, encoder, lane::NEIGHBOURS, &stages, token)?;
+        there.encode(&self.cx.device, encoder, lane::NEIGHBOURS, &stages, token)?;
         self.listed_for = self.count;
         Ok(())
     }
@@ -288,7 +281,6 @@ impl Neighbours {
     /// Encodes the search for the first cells of the window at work.
     pub(super) fn encode_first_cells(
         &self,
-        cx: &Context,
         memory: &Memory,
         encoder: &mut wgpu::CommandEncoder,
         token: &Token,
@@ -298,21 +290,15 @@ impl Neighbours {
         let size = if guessed { size::FACET } else { size::FIRST_CELL };
         let there = memory.there()?;
         let bindings = &there.bindings.windows[memory.windows.present].first_cells;
-        let stage = Stage { pipeline: &cx.pipelines.first_cells, bindings, items: roots, size, arguments: None };
-        there.encode(&cx.device, encoder, lane::START, &[stage], token)
+        let stage = Stage { pipeline: &self.cx.pipelines.first_cells, bindings, items: roots, size, arguments: None };
+        there.encode(&self.cx.device, encoder, lane::START, &[stage], token)
     }
 
-    /// Takes what the device's search came to.
-    pub(super) fn take_search_result(
-        &mut self,
-        cx: &Context,
-        memory: &Memory,
-        state: &State,
-    ) -> Result<Searched, RvdError> {
+    pub(super) fn take_search_result(&mut self, memory: &Memory, state: &State) -> Result<Searched, RvdError> {
         if state.halt & halt::BAD != 0 {
             let i = (u32::MAX - state.bad) as usize;
             let b = &memory.there()?.buffers;
-            let record: Vec<layout::Seed> = b.staging.read(&cx.device, &b.seeds, i..i + 1)?;
+            let record: Vec<layout::Seed> = b.staging.read(&self.cx.device, &b.seeds, i..i + 1)?;
             let place = record.first().map_or(DVec3::NAN, |r| DVec3::from_array(r.position()));
             check_seed(i, place)?;
             // Beyond the range by a rounding.
@@ -332,24 +318,24 @@ impl Neighbours {
     }
 
     /// Takes what came of the facets' first cells. `false` if the host found some of them.
-    pub(super) fn take_first_cells(&mut self, cx: &Context, memory: &Memory, state: &State) -> Result<bool, RvdError> {
+    pub(super) fn take_first_cells(&mut self, memory: &Memory, state: &State) -> Result<bool, RvdError> {
         self.first_cells = FirstCells::Found;
         if state.unproved == 0 {
             return Ok(true);
         }
-        self.find_unproved(cx, memory)?;
+        self.find_unproved(memory)?;
         Ok(false)
     }
 
     /// Rows and first cells as they are on the device.
-    pub(super) fn found(&mut self, cx: &Context, memory: &Memory) -> Result<Found, RvdError> {
+    pub(super) fn found(&mut self, memory: &Memory) -> Result<Found, RvdError> {
         self.host.fresh = false;
-        self.view(cx, memory)?;
+        self.view(memory)?;
         let b = &memory.there()?.buffers;
         // As long as the buffer is: the counts may be those of the next one already.
         let entries = b.plan.table as usize / size_of::<u32>();
-        let table: Vec<u32> = b.staging.read(&cx.device, &b.table, 0..entries)?;
-        let list_state: Vec<ListState> = b.staging.read(&cx.device, &b.list_state, 0..1)?;
+        let table: Vec<u32> = b.staging.read(&self.cx.device, &b.table, 0..entries)?;
+        let list_state: Vec<ListState> = b.staging.read(&self.cx.device, &b.list_state, 0..1)?;
         let from_lists =
             list_state.first().filter(|s| s.mode == layout::search::FROM_LISTS && self.rows == Rows::Device);
         let row = |r: &layout::Seed| {

@@ -35,37 +35,25 @@ fn missing() -> RvdError {
     RvdError::Internal("seeds that are moved have no buffers".to_owned())
 }
 
-fn limbs(low: u32, high: u32) -> i64 {
+pub(super) fn limbs(low: u32, high: u32) -> i64 {
     ((u64::from(high) << 32) | u64::from(low)) as i64
 }
 
 pub(super) struct Optimizer {
     together: Together,
-    moving: Option<Moving>,
+    /// The state of moved seeds, once there are any.
+    pub moving: Option<Moving>,
 }
 
 impl Optimizer {
-    /// No seeds are moved yet.
     pub(super) fn new(together: Together) -> Self {
         Self { together, moving: None }
     }
 
-    /// The state of moved seeds, once there are any.
-    pub(super) fn moving(&self) -> Option<&Moving> {
-        self.moving.as_ref()
-    }
-
-    /// The same, to be changed.
-    pub(super) fn moving_mut(&mut self) -> Option<&mut Moving> {
-        self.moving.as_mut()
-    }
-
-    /// The same.
     pub(super) fn there(&mut self) -> Result<&mut Moving, RvdError> {
         self.moving.as_mut().ok_or_else(missing)
     }
 
-    /// Allocates the buffers, if there are none.
     pub(super) fn open(&mut self, cx: &Context) -> Result<(), RvdError> {
         if self.moving.is_none() {
             self.moving = Some(Moving::new(cx, self.together)?);
@@ -101,7 +89,6 @@ impl Optimizer {
         }
     }
 
-    /// The present point is another: what was known of it is of no use.
     pub(super) fn point_changed(&mut self) {
         if let Some(moving) = &mut self.moving {
             moving.history.clear();
@@ -125,7 +112,7 @@ impl Optimizer {
         let (surface, s) = (&rooms.cx.surface, &rooms.clip.scales);
         let count = rooms.neighbours.count;
         let mass = if surface.is_uniform() { s.area } else { s.mass };
-        let (least_area, most_area) = rooms.clip.area_bounds(rooms.cx);
+        let (least_area, most_area) = rooms.clip.area_bounds();
         OptimizerParams {
             seeds: count as u32,
             groups: reduction(count as u64),
@@ -219,22 +206,19 @@ impl Optimizer {
         Ok(())
     }
 
-    /// Moves the seeds to their cells' centroids.
     pub(super) fn step_to_centroids(&mut self, rooms: Rooms<'_>) -> Result<(), RvdError> {
         self.prepare(rooms, self.params(rooms))?;
         // The pass is complete, whatever its first submissions came to.
-        rooms.clip.write_state(rooms.cx, rooms.memory, layout::State::default())?;
+        rooms.memory.write_state(layout::State::default())?;
         let (cx, (_, bindings, _)) = (rooms.cx, self.bound(rooms.memory)?);
         let mut encoder = cx.device.encoder();
-        {
-            let mut compute = cx.device.pass(&mut encoder, lane::UPDATE);
-            let count = rooms.neighbours.count as u64;
-            run(&mut compute, &cx.pipelines.centroids, &bindings.centroids, count, cx.limits());
-        }
+        let mut compute = cx.device.pass(&mut encoder, lane::UPDATE);
+        let count = rooms.neighbours.count as u64;
+        run(&mut compute, &cx.pipelines.centroids, &bindings.centroids, count, cx.limits());
+        drop(compute);
         Ok(cx.device.run(encoder)?)
     }
 
-    /// Area by the totals.
     pub(super) fn area(&self, rooms: Rooms<'_>) -> f64 {
         let totals = self.moving.as_ref().map(|m| m.totals).unwrap_or_default();
         limbs(totals.area_low, totals.area_high) as f64 / rooms.clip.scales.area
@@ -258,35 +242,43 @@ impl Optimizer {
     fn learn(
         &mut self,
         rooms: Rooms<'_>,
-        mut encoder: wgpu::CommandEncoder,
+        encoder: wgpu::CommandEncoder,
         params: OptimizerParams,
     ) -> Result<(), RvdError> {
-        let (cx, (_, bindings, _)) = (rooms.cx, self.bound(rooms.memory)?);
-        {
-            let mut compute = cx.device.pass(&mut encoder, lane::UPDATE);
-            run_groups(&mut compute, &cx.pipelines.partial_dots, &bindings.partial_dots, [params.groups, 1]);
-            run_groups(&mut compute, &cx.pipelines.dots, &bindings.dots, [1, 1]);
-        }
-        let dots = self.read_dots(rooms, encoder)?;
+        let (pipelines, (_, bindings, _)) = (&rooms.cx.pipelines, self.bound(rooms.memory)?);
+        let dots = self.dots(rooms, encoder, (&pipelines.partial_dots, &bindings.partial_dots), params.groups)?;
         let moving = self.there()?;
         moving.history.learn(params.slot as usize, &dots);
         moving.gradient = Gradient::WithProducts;
         Ok(())
     }
 
-    fn read_dots(&self, rooms: Rooms<'_>, encoder: wgpu::CommandEncoder) -> Result<[f32; DOTS], RvdError> {
-        let (moving, _, there) = self.bound(rooms.memory)?;
+    /// Submits what `encoder` has, a stage that leaves parts of dot products in `groups` workgroups, and reads the sums.
+    fn dots(
+        &self,
+        rooms: Rooms<'_>,
+        mut encoder: wgpu::CommandEncoder,
+        (partial, bound): (&wgpu::ComputePipeline, &wgpu::BindGroup),
+        groups: u32,
+    ) -> Result<[f32; DOTS], RvdError> {
+        let (cx, (moving, bindings, there)) = (rooms.cx, self.bound(rooms.memory)?);
+        let mut compute = cx.device.pass(&mut encoder, lane::UPDATE);
+        run_groups(&mut compute, partial, bound, [groups, 1]);
+        run_groups(&mut compute, &cx.pipelines.dots, &bindings.dots, [1, 1]);
+        drop(compute);
         let mut dots = [0.0; DOTS];
-        there.buffers.staging.read_with(
-            &rooms.cx.device,
-            encoder,
-            &moving.buffers.dots,
-            0..DOTS,
-            |read: &[f32]| {
-                dots.copy_from_slice(read);
-            },
-        )?;
+        let take = |read: &[f32]| dots.copy_from_slice(read);
+        there.buffers.staging.read_with(&cx.device, encoder, &moving.buffers.dots, 0..DOTS, take)?;
         Ok(dots)
+    }
+
+    /// Parameters with the slot of the history's next pair. The stages are told them.
+    fn prepare_pair(&mut self, rooms: Rooms<'_>) -> Result<OptimizerParams, RvdError> {
+        let history = &self.there()?.history;
+        let slot = history.free_slot();
+        let params = OptimizerParams { slot: slot as u32, used: history.used(slot), ..self.params(rooms) };
+        self.prepare(rooms, params)?;
+        Ok(params)
     }
 
     /// The search direction and its slope. The device has gradient and sums of the present point.
@@ -294,10 +286,7 @@ impl Optimizer {
         let (cx, count) = (rooms.cx, rooms.neighbours.count as f64);
         let moving = self.there()?;
         if moving.gradient != Gradient::WithProducts && !moving.history.is_empty() {
-            let slot = moving.history.free_slot();
-            let used = moving.history.used(slot);
-            let params = OptimizerParams { slot: slot as u32, used, ..self.params(rooms) };
-            self.prepare(rooms, params)?;
+            let params = self.prepare_pair(rooms)?;
             self.learn(rooms, cx.device.encoder(), params)?;
         }
         let grain = grain(rooms);
@@ -315,14 +304,10 @@ impl Optimizer {
         }
         let params = OptimizerParams { coefficients, ..self.params(rooms) };
         self.prepare(rooms, params)?;
-        let mut encoder = cx.device.encoder();
         let (_, bindings, _) = self.bound(rooms.memory)?;
-        {
-            let mut compute = cx.device.pass(&mut encoder, lane::UPDATE);
-            run_groups(&mut compute, &cx.pipelines.direction, &bindings.direction, [params.groups, 1]);
-            run_groups(&mut compute, &cx.pipelines.dots, &bindings.dots, [1, 1]);
-        }
-        let slope = f64::from(self.read_dots(rooms, encoder)?[0]) / grain;
+        let stage = (&cx.pipelines.direction, &bindings.direction);
+        let dots = self.dots(rooms, cx.device.encoder(), stage, params.groups)?;
+        let slope = f64::from(dots[0]) / grain;
         let moving = self.there()?;
         moving.directed = true;
         moving.trial_gradient_known = false;
@@ -332,22 +317,17 @@ impl Optimizer {
     /// The trial point becomes the present one. Its rows and sums stay.
     pub(super) fn accept(&mut self, rooms: Rooms<'_>) -> Result<(), RvdError> {
         let (cx, count) = (rooms.cx, rooms.neighbours.count);
-        let moving = self.there()?;
-        let slot = moving.history.free_slot();
-        let used = moving.history.used(slot);
-        let params = OptimizerParams { slot: slot as u32, used, ..self.params(rooms) };
-        self.prepare(rooms, params)?;
+        let params = self.prepare_pair(rooms)?;
         let (moving, bindings, there) = self.bound(rooms.memory)?;
         let mut encoder = cx.device.encoder();
-        {
-            let mut compute = cx.device.pass(&mut encoder, lane::UPDATE);
-            run(&mut compute, &cx.pipelines.accept, &bindings.accept, count as u64, cx.limits());
-        }
+        let mut compute = cx.device.pass(&mut encoder, lane::UPDATE);
+        run(&mut compute, &cx.pipelines.accept, &bindings.accept, count as u64, cx.limits());
+        drop(compute);
         let bytes = (count * size_of::<layout::Seed>()) as u64;
         encoder.copy_buffer_to_buffer(&there.buffers.seeds, 0, &moving.buffers.points, 0, bytes);
         self.learn(rooms, encoder, params)?;
         let moving = self.there()?;
-        moving.history.take(slot);
+        moving.history.take(params.slot as usize);
         moving.trial_gradient_known = false;
         moving.sums_of = Some(Place::Point);
         Ok(())

@@ -1,6 +1,7 @@
 //! The stages as pipelines.
 //!
-//! Purpose: one pipeline per stage and variant, made once per device. A pipeline has the name of its stage.
+//! Purpose: one pipeline per stage and variant, made once per device. A pipeline has the name of its stage; what that does, its
+//! file says.
 //! Invariant: wgpu derives the layouts of bindings from the stage's `.wgsl`, so that a stage is described in one place only.
 //! Must not know: what is dispatched when, and on which buffers.
 
@@ -38,7 +39,6 @@ macro_rules! pipelines {
         /// The stages. [`compile`](Self::compile) composes and compiles them all.
         #[derive(Debug)]
         pub(super) struct Pipelines {
-            /// Does most facets as a whole, and enters the others' first cells.
             /// By [`MEMBERS`], then without and with weights.
             pub divide: [[wgpu::ComputePipeline; 2]; MEMBERS.len()],
             $($(#[$doc])* pub $name: wgpu::ComputePipeline,)*
@@ -64,59 +64,36 @@ macro_rules! pipelines {
 
 pipelines! {
     wide;
-    /// Enters candidates.
     enqueue: "clip/enqueue", polygons(SLOTS, 0, 0, wide);
-    /// Takes the next pairs.
     indirect_arguments: "clip/indirect_arguments", [LENGTHENING];
-    /// Clips them, polygon in registers.
+    /// With the polygon in registers.
     clip: "clip/clip", polygons(SLOTS, 0, 0, wide);
     /// The same, adding in two phases.
     clip_shared: "clip/clip", polygons(SLOTS, 0, 1, wide);
     /// The first with [`LARGE_POLYGON`] indexed slots.
     clip_large: "clip/clip", polygons(LARGE_POLYGON, 1, 0, wide);
-    /// Writes pieces.
     emit: "clip/emit", polygons(SLOTS, 0, 0, wide);
-    /// Enters pairs by cell.
     reach: "clip/reach", polygons(SLOTS, 0, 0, wide);
-    /// Proves those pairs.
     verify: "clip/verify", polygons(SLOTS, 0, 0, wide);
-    /// Counts the seeds of each grid cell.
     count: "neighbours/count", [PART];
-    /// Places the grid's cells.
     offsets: "neighbours/offsets", [PART];
-    /// Puts seeds into them.
     scatter: "neighbours/scatter", [];
-    /// Finds seeds on one another.
     duplicates: "neighbours/duplicates", [];
-    /// Takes rows from Verlet lists.
     from_lists: "neighbours/from_lists", search(LIST);
-    /// Finds every seed's nearest.
     search: "neighbours/search", search(ROW);
-    /// The same, and makes lists.
+    /// That makes lists too.
     search_lists: "neighbours/search", search(LIST);
-    /// Makes rows longer that pairs found too short, and puts these to the end of the list again.
     lengthen: "neighbours/lengthen", [("ROW", ROW.into()), ("LONGER", LONGER.into()), MOST];
-    /// Takes pairs once more that need the variant with more slots.
     overflow: "clip/overflow", [MOST, LENGTHENING];
-    /// Finds every facet's first cell.
     first_cells: "neighbours/first_cells", [];
-    /// Seeds along the direction.
     trial: "optimizer/trial", [];
-    /// Seeds to their cells' centroids.
     centroids: "optimizer/centroids", [];
-    /// Gradient, and parts of the totals.
     gradient: "optimizer/gradient", [];
-    /// The totals.
     totals: "optimizer/totals", [];
-    /// Whether a step may follow at once.
     may_step: "optimizer/may_step", [];
-    /// Accepts the trial point.
     accept: "optimizer/accept", [];
-    /// Parts of dot products.
     partial_dots: "optimizer/partial_dots", [HISTORY];
-    /// Dot products.
     dots: "optimizer/dots", [("DOTS", DOTS as i64)];
-    /// The direction.
     direction: "optimizer/direction", [HISTORY];
 }
 

@@ -20,7 +20,7 @@ use glam::DVec3;
 
 use super::Context;
 use super::clip::{Clip, by_cell, fixed};
-use super::layout::{LONGER, MOST_REQUEUED, NONE, Params, STRIDE};
+use super::layout::{BY_CELL, LONGER, MOST_REQUEUED, NONE, Params, STRIDE};
 use super::memory::{Memory, Windows, records};
 use super::neighbours::{Neighbours, Place, grid};
 use super::optimizer::Optimizer;
@@ -36,7 +36,7 @@ use geometry::rvd::{
 use geometry::token::Token;
 
 pub(super) struct GpuSession {
-    cx: Context,
+    cx: Arc<Context>,
     memory: Memory,
     neighbours: Neighbours,
     pub(super) clip: Clip,
@@ -62,7 +62,7 @@ impl GpuSession {
     /// Plans a session for at most `options.max_seeds` seeds on `surface`.
     pub(super) fn new(gpu: &Gpu, surface: Arc<Surface>, options: SessionOptions) -> Self {
         let SessionOptions { max_seeds, capacities, tuning, flat_pieces: _ } = options;
-        let cx = Context {
+        let cx = Arc::new(Context {
             device: Arc::clone(&gpu.device),
             pool: Arc::clone(&gpu.pool),
             pipelines: Arc::clone(&gpu.pipelines),
@@ -70,13 +70,15 @@ impl GpuSession {
             surface,
             max_seeds,
             capacities,
-        };
+        });
         let (surface, limits) = (&cx.surface, cx.limits());
         let expected = records::expected_cells(surface, max_seeds);
         let slots_log2 = records::first_slots(&expected, capacities.cells, Capacities::default().cells);
         let mut facets = records::facets(surface, &slots_log2);
         let by_cell = strategy::by_cell(&expected, tuning.strategy);
-        by_cell::mark(&mut facets, &by_cell);
+        for &f in &by_cell {
+            facets[f as usize].slot_mask |= BY_CELL;
+        }
         let near = by_cell::Grid::new(surface, &by_cell, max_seeds);
         let k = capacities.neighbours.clamp(1, max_seeds.max(1)) as u64;
         // Rows by the device or by the host, and a quarter for longer ones where there is room for it; of these as many
@@ -99,16 +101,15 @@ impl GpuSession {
         let live = (0..facets.len()).filter(|&f| !surface.skips(f));
         let roots = live.map(|f| [f as u32, NONE]).collect();
         Self {
-            memory: Memory::new(counts, windows, slots_log2, facets),
-            neighbours: Neighbours::new(side, roots),
-            clip: Clip::new(&cx, near, tuning.accumulate),
+            memory: Memory::new(Arc::clone(&cx), counts, windows, slots_log2, facets),
+            neighbours: Neighbours::new(Arc::clone(&cx), side, roots),
+            clip: Clip::new(Arc::clone(&cx), near, tuning.accumulate),
             optimizer: Optimizer::new(tuning.together),
             opened: cx.device.traffic(),
             cx,
         }
     }
 
-    /// Does work on the host's threads.
     fn on_pool<R: Send>(&mut self, work: impl FnOnce(&mut Self) -> R + Send) -> R {
         let pool = Arc::clone(&self.cx.pool);
         pool.install(|| work(self))
@@ -119,16 +120,16 @@ impl GpuSession {
         if self.memory.is_allocated() {
             return Ok(());
         }
-        if self.memory.cut(&self.cx) && self.clip.near.side > 0 {
+        if self.memory.cut() && self.clip.near.side > 0 {
             // A seed would look for facets of all windows.
             self.clip.leave_all_to_propagation(&mut self.memory);
         }
-        self.memory.lay_out(&self.cx, self.clip.near.side > 0);
-        self.memory.allocate(&self.cx)?;
-        self.clip.upload_near(&self.cx, &self.memory)?;
-        self.neighbours.memory_changed(&self.cx, &self.memory)?;
-        self.memory.upload_facets(&self.cx)?;
-        self.neighbours.upload_roots(&self.cx, &self.memory)
+        self.memory.lay_out(self.clip.near.side > 0);
+        self.memory.allocate()?;
+        self.clip.upload_near(&self.memory)?;
+        self.neighbours.memory_changed(&self.memory)?;
+        self.memory.upload_facets()?;
+        self.neighbours.upload_roots(&self.memory)
     }
 
     /// Frees the buffers; [`Self::ensure_memory`] makes larger ones. What the device found is found again.
@@ -146,11 +147,11 @@ impl GpuSession {
     /// The seeds are others than those of the last pass.
     fn seeds_changed(&mut self) {
         self.neighbours.seeds_changed();
-        self.clip.seeds_changed(&self.cx);
+        self.clip.seeds_changed();
     }
 
     fn params(&self) -> Params {
-        self.clip.params(&self.cx, &self.memory, &self.neighbours)
+        self.clip.params(&self.memory, &self.neighbours)
     }
 
     fn facets(&self) -> Range<u32> {
@@ -185,16 +186,14 @@ impl GpuSession {
         let now = self.cx.device.traffic();
         DeviceWork {
             host_searches: self.neighbours.host_searches,
-            divided_facets: self.clip.divided,
-            paired_facets: self.clip.paired,
             device_submissions: now.submissions - self.opened.submissions,
             device_allocations: now.allocations - self.opened.allocations,
             uploaded_bytes: now.uploaded_bytes - self.opened.uploaded_bytes,
             read_back_bytes: now.read_bytes - self.opened.read_bytes,
+            ..self.clip.work
         }
     }
 
-    /// Adds what was done since `before`.
     fn meter(&self, before: &DeviceWork, stats: &mut PassStats) {
         stats.device += self.work().since(before);
     }
@@ -209,8 +208,8 @@ impl GpuSession {
         self.download_sums(out)?;
         stats.update_ms += elapsed_ms(begin);
         let area = out.area.iter().sum();
-        if self.neighbours.merged || !self.clip.covers(&self.cx, area, self.facets()) {
-            stats = self.sums_in_f64(out, stats, token)?;
+        if self.neighbours.merged || !self.clip.covers(area, self.facets()) {
+            stats = finished(stats, self.in_f64()?.sums(out, token)?);
         }
         self.meter(&before, &mut stats);
         Ok(stats)
@@ -219,7 +218,7 @@ impl GpuSession {
     /// The sums of the last pass, with what the host finished.
     fn download_sums(&mut self, out: &mut CellSums) -> Result<(), RvdError> {
         self.ensure_memory()?;
-        let words = self.clip.sum_words(&self.cx, &self.memory, self.neighbours.count)?;
+        let words = self.clip.sum_words(&self.memory, self.neighbours.count)?;
         out.reset(self.neighbours.count);
         fixed::decode(&words, self.cx.surface.is_uniform(), &self.clip.scales, out);
         Ok(())
@@ -243,7 +242,7 @@ impl GpuSession {
             next = self.run_pairs(next..facets.end, token, &mut stats)?;
             stats.clip_ms += elapsed_ms(begin);
             let begin = Instant::now();
-            self.clip.emit_all(&self.cx, &self.memory, &mut self.neighbours, out, token)?;
+            self.clip.emit_all(&self.memory, &mut self.neighbours, out, token)?;
             stats.update_ms += elapsed_ms(begin);
         }
         let begin = Instant::now();
@@ -251,8 +250,8 @@ impl GpuSession {
         stats.pairs = out.len() as u64;
         stats.update_ms += elapsed_ms(begin);
         let area = (0..out.len()).map(|i| out.area(i)).sum();
-        if self.neighbours.merged || !self.clip.covers(&self.cx, area, facets.clone()) {
-            stats = self.pieces_in_f64(facets, out, stats, token)?;
+        if self.neighbours.merged || !self.clip.covers(area, facets.clone()) {
+            stats = finished(stats, self.in_f64()?.pieces(facets, out, token)?);
         }
         self.meter(&before, &mut stats);
         Ok(stats)
@@ -261,7 +260,7 @@ impl GpuSession {
 
 impl Session for GpuSession {
     fn set_seeds(&mut self, seeds: &[DVec3]) -> Result<(), RvdError> {
-        self.neighbours.set_seeds(&self.cx, seeds)?;
+        self.neighbours.set_seeds(seeds)?;
         self.seeds_changed();
         Ok(())
     }
@@ -292,27 +291,7 @@ impl Session for GpuSession {
 }
 
 impl GpuSession {
-    /// The sums again, in f64. `lost` is what the device's pass did.
-    pub(super) fn sums_in_f64(
-        &mut self,
-        out: &mut CellSums,
-        lost: PassStats,
-        token: &Token,
-    ) -> Result<PassStats, RvdError> {
-        Ok(finished(lost, self.in_f64()?.sums(out, token)?))
-    }
-
-    /// The pieces again, in f64.
-    pub(super) fn pieces_in_f64(
-        &mut self,
-        facets: Range<u32>,
-        out: &mut PieceBatch,
-        lost: PassStats,
-        token: &Token,
-    ) -> Result<PassStats, RvdError> {
-        Ok(finished(lost, self.in_f64()?.pieces(facets, out, token)?))
-    }
-
+    /// A session for the pass again, in f64.
     fn in_f64(&mut self) -> Result<Box<dyn Session>, RvdError> {
         // With capacities of its own: these may show in the last bits.
         let options = SessionOptions::new(self.cx.max_seeds);
@@ -327,7 +306,7 @@ impl GpuSession {
     }
 }
 
-/// The figures of both passes; every pair was finished in f64.
+/// The figures of the device's pass and of the one that was `done` after it; every pair was finished in f64.
 fn finished(lost: PassStats, done: PassStats) -> PassStats {
     let mut stats = lost;
     stats.add(&done);

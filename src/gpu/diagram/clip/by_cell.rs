@@ -15,9 +15,8 @@
 
 use super::Clip;
 use crate::buffers::write;
-use crate::diagram::Context;
 use crate::diagram::lane;
-use crate::diagram::layout::{self, BY_CELL, Params, State, failure};
+use crate::diagram::layout::{BY_CELL, Params, State, failure};
 use crate::diagram::memory::Memory;
 use crate::diagram::neighbours::Neighbours;
 use crate::diagram::plan::size;
@@ -77,7 +76,6 @@ impl Clip {
     /// Leaves `facets` to propagation. For these seeds only: other seeds may be proved.
     pub(crate) fn leave_to_propagation(
         &mut self,
-        cx: &Context,
         memory: &mut Memory,
         mut facets: Vec<u32>,
         stats: &mut PassStats,
@@ -89,41 +87,40 @@ impl Clip {
             memory.facets[f as usize].slot_mask &= !BY_CELL;
         }
         self.demoted.extend(facets);
-        memory.upload_facets(cx)
+        memory.upload_facets()
     }
 
     /// Gives all that [`Self::leave_to_propagation`] took back to the cells.
-    pub(crate) fn promote(&mut self, cx: &Context, memory: &mut Memory) -> Result<(), RvdError> {
+    pub(crate) fn promote(&mut self, memory: &mut Memory) -> Result<(), RvdError> {
         if self.demoted.is_empty() {
             return Ok(());
         }
         for f in std::mem::take(&mut self.demoted) {
             memory.facets[f as usize].slot_mask |= BY_CELL;
         }
-        memory.upload_facets(cx)
+        memory.upload_facets()
     }
 
-    pub(crate) fn upload_near(&self, cx: &Context, memory: &Memory) -> Result<(), RvdError> {
-        Ok(write(&cx.device, &memory.there()?.buffers.near, 0, &self.near.near)?)
+    pub(crate) fn upload_near(&self, memory: &Memory) -> Result<(), RvdError> {
+        Ok(write(&self.cx.device, &memory.there()?.buffers.near, 0, &self.near.near)?)
     }
 
     /// Facets with pieces that cells entered and that are not proved, after a pass that ended with `state`.
     pub(crate) fn unproved(
         &self,
-        cx: &Context,
         memory: &Memory,
         neighbours: &Neighbours,
         state: State,
         token: &Token,
     ) -> Result<Vec<u32>, RvdError> {
-        let params = Params { emit_count: state.length, ..self.params(cx, memory, neighbours) };
-        let (device, there) = (&cx.device, memory.there()?);
+        let params = Params { emit_count: state.length, ..self.params(memory, neighbours) };
+        let (device, there) = (&self.cx.device, memory.there()?);
         let buffers = &there.buffers;
-        self.write_params(cx, memory, params)?;
-        self.write_state(cx, memory, State { failures: 0, ..state })?;
+        memory.write_params(params)?;
+        memory.write_state(State { failures: 0, ..state })?;
         let mut encoder = device.encoder();
         let bindings = &there.bindings.windows[memory.windows.present].verify;
-        let (pipeline, items) = (&cx.pipelines.verify, state.length.into());
+        let (pipeline, items) = (&self.cx.pipelines.verify, state.length.into());
         let stage = Stage { pipeline, bindings, items, size: size::ITEM, arguments: None };
         there.encode(device, &mut encoder, lane::CLIP, &[stage], token)?;
         let mut unproved = 0;
@@ -131,7 +128,7 @@ impl Clip {
         if unproved == 0 {
             return Ok(Vec::new());
         }
-        let failures = self.read_failures(cx, memory, unproved)?;
+        let failures = self.read_failures(memory, unproved)?;
         Ok(failures.iter().filter_map(|&e| failure(e)).map(|f| f.0).collect())
     }
 
@@ -148,13 +145,6 @@ impl Clip {
 /// Whether `facet` is found by cell in the present pass.
 pub(crate) fn is_by_cell(memory: &Memory, facet: u32) -> bool {
     memory.facets[facet as usize].slot_mask & BY_CELL != 0
-}
-
-/// Marks `by_cell` in the records.
-pub(crate) fn mark(records: &mut [layout::Facet], by_cell: &[u32]) {
-    for &f in by_cell {
-        records[f as usize].slot_mask |= BY_CELL;
-    }
 }
 
 #[cfg(test)]

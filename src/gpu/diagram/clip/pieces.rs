@@ -8,7 +8,6 @@
 use glam::{DVec3, dvec3};
 
 use super::Clip;
-use crate::diagram::Context;
 use crate::diagram::lane;
 use crate::diagram::layout::Params;
 use crate::diagram::memory::Memory;
@@ -16,6 +15,7 @@ use crate::diagram::neighbours::{Neighbours, Place};
 use crate::diagram::pipelines::SLOTS;
 use crate::dispatch::run;
 use geometry::rvd::cells::PieceBatch;
+use geometry::rvd::clip::Vertex;
 use geometry::rvd::{PassStats, RvdError};
 use geometry::token::Token;
 
@@ -32,7 +32,6 @@ impl Clip {
     /// Adds all pieces of the list to `out`.
     pub(crate) fn emit_all(
         &mut self,
-        cx: &Context,
         memory: &Memory,
         neighbours: &mut Neighbours,
         out: &mut PieceBatch,
@@ -44,36 +43,24 @@ impl Clip {
         while first < length {
             token.check()?;
             let count = batch.min(length - first);
-            let emitted = self.emit(cx, memory, neighbours, first, count)?;
-            self.collect(cx, memory, neighbours, first, &emitted, out)?;
+            let emitted = self.emit(memory, neighbours, first, count)?;
+            self.collect(memory, neighbours, first, &emitted, out)?;
             first += count;
         }
-        self.collect_walked(cx, memory, neighbours, out)
+        self.collect_walked(memory, neighbours, out)
     }
 
-    fn emit(
-        &self,
-        cx: &Context,
-        memory: &Memory,
-        neighbours: &Neighbours,
-        first: u32,
-        count: u32,
-    ) -> Result<Emitted, RvdError> {
-        let params = Params {
-            emit_begin: first,
-            emit_count: count,
-            polygon: SLOTS as u32,
-            ..self.params(cx, memory, neighbours)
-        };
-        let (device, there) = (&cx.device, memory.there()?);
+    fn emit(&self, memory: &Memory, neighbours: &Neighbours, first: u32, count: u32) -> Result<Emitted, RvdError> {
+        let params =
+            Params { emit_begin: first, emit_count: count, polygon: SLOTS as u32, ..self.params(memory, neighbours) };
+        let (device, there) = (&self.cx.device, memory.there()?);
         let buffers = &there.buffers;
-        self.write_params(cx, memory, params)?;
+        memory.write_params(params)?;
         let mut encoder = device.encoder();
-        {
-            let mut compute = device.pass(&mut encoder, lane::CLIP);
-            let bindings = &there.bindings.windows[memory.windows.present].emit;
-            run(&mut compute, &cx.pipelines.emit, bindings, count.into(), cx.limits());
-        }
+        let mut compute = device.pass(&mut encoder, lane::CLIP);
+        let bindings = &there.bindings.windows[memory.windows.present].emit;
+        run(&mut compute, &self.cx.pipelines.emit, bindings, count.into(), self.cx.limits());
+        drop(compute);
         device.run(encoder)?;
         let vertices = count as usize * SLOTS;
         Ok(Emitted {
@@ -85,7 +72,6 @@ impl Clip {
 
     fn collect(
         &mut self,
-        cx: &Context,
         memory: &Memory,
         neighbours: &mut Neighbours,
         first: u32,
@@ -93,7 +79,7 @@ impl Clip {
         out: &mut PieceBatch,
     ) -> Result<(), RvdError> {
         if neighbours.place != Place::Set {
-            neighbours.view(cx, memory)?;
+            neighbours.view(memory)?;
         }
         for (k, &[facet, seed, size, status]) in emitted.heads.iter().enumerate() {
             let at = first + k as u32;
@@ -101,7 +87,7 @@ impl Clip {
                 continue;
             }
             if status != DONE {
-                self.collect_pair(cx, memory, neighbours, (facet, seed), out)?;
+                self.collect_pair(memory, neighbours, (facet, seed), out)?;
                 continue;
             }
             if size == 0 {
@@ -109,15 +95,11 @@ impl Clip {
             }
             let set = if neighbours.place == Place::Set { &neighbours.seeds } else { &neighbours.host.seen };
             let origin = set[seed as usize];
-            let vertices = k * SLOTS..k * SLOTS + size as usize;
-            out.push(
-                facet,
-                seed,
-                vertices.map(|v| {
-                    let [x, y, z, w] = emitted.vertices[v].map(f64::from);
-                    (origin + dvec3(x, y, z), w, emitted.labels[v])
-                }),
-            );
+            let vertices = (k * SLOTS..k * SLOTS + size as usize).map(|v| {
+                let [x, y, z, w] = emitted.vertices[v].map(f64::from);
+                (origin + dvec3(x, y, z), w, emitted.labels[v])
+            });
+            out.push(facet, seed, vertices);
         }
         Ok(())
     }
@@ -125,22 +107,20 @@ impl Clip {
     /// A pair that the device cannot write: too many vertices for the slots, or finished in f64.
     fn collect_pair(
         &mut self,
-        cx: &Context,
         memory: &Memory,
         neighbours: &mut Neighbours,
         (facet, seed): (u32, u32),
         out: &mut PieceBatch,
     ) -> Result<(), RvdError> {
-        neighbours.view(cx, memory)?;
+        neighbours.view(memory)?;
         let mut ignored = PassStats::default();
-        self.walker.clip(None, neighbours.diagram(cx), facet, seed, &mut ignored);
+        self.walker.clip(None, neighbours.diagram(), facet, seed, &mut ignored);
         push(facet, seed, neighbours.host.seen[seed as usize], self.walker.clipper().polygon(), out);
         Ok(())
     }
 
     fn collect_walked(
         &mut self,
-        cx: &Context,
         memory: &Memory,
         neighbours: &mut Neighbours,
         out: &mut PieceBatch,
@@ -148,11 +128,11 @@ impl Clip {
         if self.pass.walked.is_empty() {
             return Ok(());
         }
-        neighbours.view(cx, memory)?;
+        neighbours.view(memory)?;
         let mut ignored = PassStats::default();
         for &facet in &self.pass.walked {
             let start = neighbours.host.first[facet as usize];
-            let diagram = neighbours.diagram(cx);
+            let diagram = neighbours.diagram();
             self.walker.walk(None, diagram, facet, start, &mut ignored, |i, clipper| {
                 push(facet, i, neighbours.host.seen[i as usize], clipper.polygon(), out);
             });
@@ -161,13 +141,7 @@ impl Clip {
     }
 }
 
-pub(super) fn push(
-    facet: u32,
-    seed: u32,
-    origin: DVec3,
-    polygon: &[geometry::rvd::clip::Vertex],
-    out: &mut PieceBatch,
-) {
+fn push(facet: u32, seed: u32, origin: DVec3, polygon: &[Vertex], out: &mut PieceBatch) {
     if !polygon.is_empty() {
         out.push(facet, seed, polygon.iter().map(|v| (origin + v.p, v.w, v.edge)));
     }

@@ -11,7 +11,6 @@ use std::collections::{HashMap, HashSet};
 use rayon::prelude::*;
 
 use super::{Clip, Variant, fixed};
-use crate::diagram::Context;
 use crate::diagram::layout::{INDEX, State, code, failure};
 use crate::diagram::memory::Memory;
 use crate::diagram::neighbours::{LONGEST_ROW, Neighbours};
@@ -26,11 +25,9 @@ pub(crate) type Pair = (u32, u32);
 /// What is to be done with the pairs that failed.
 #[derive(Default)]
 pub(crate) struct Retries {
-    /// Launched again.
     pub again: Vec<Pair>,
     /// Launched again with more slots.
     pub large: Vec<Pair>,
-    /// Finished in f64.
     pub finish: Vec<Pair>,
     /// Seeds that get longer rows.
     pub rows: Vec<u32>,
@@ -49,16 +46,14 @@ struct Ended {
 }
 
 impl Clip {
-    /// Reads the first `count` entries of the list of failures.
-    pub(crate) fn read_failures(&self, cx: &Context, memory: &Memory, count: u32) -> Result<Vec<[u32; 2]>, RvdError> {
+    pub(crate) fn read_failures(&self, memory: &Memory, count: u32) -> Result<Vec<[u32; 2]>, RvdError> {
         let buffers = &memory.there()?.buffers;
-        Ok(buffers.staging.read(&cx.device, &buffers.failures, 0..count as usize)?)
+        Ok(buffers.staging.read(&self.cx.device, &buffers.failures, 0..count as usize)?)
     }
 
-    /// What is to be done with `failures`. `variants` has the pairs whose polygons were too large before.
+    /// `variants` has the pairs whose polygons were too large before.
     pub(crate) fn sort_out(
         &mut self,
-        cx: &Context,
         memory: &Memory,
         neighbours: &Neighbours,
         failures: &[[u32; 2]],
@@ -90,7 +85,7 @@ impl Clip {
         retries.rows.dedup();
         let entries = neighbours.host.packed_end as u64
             + retries.rows.iter().map(|&i| u64::from(neighbours.longer(i))).sum::<u64>();
-        if entries <= memory.most_entries(cx) {
+        if entries <= memory.most_entries() {
             retries.short = short.len() as u64;
             for pair in short {
                 let large = variants.get(&pair) == Some(&Variant::Large);
@@ -112,14 +107,13 @@ impl Clip {
     /// that began its facet is finished with the whole facet: the device found nothing there.
     pub(crate) fn finish(
         &mut self,
-        cx: &Context,
         neighbours: &Neighbours,
         pairs: &[Pair],
         token: &Token,
     ) -> Result<Vec<[u32; 2]>, RvdError> {
         let end = |walker: &mut FacetWalker, &pair: &Pair| {
             token.check()?;
-            Ok(self.end_pair(cx, neighbours, walker, pair))
+            Ok(self.end_pair(neighbours, walker, pair))
         };
         let ended: Result<Vec<Ended>, RvdError> = pairs.par_iter().map_init(FacetWalker::default, end).collect();
         let mut candidates = Vec::new();
@@ -133,11 +127,11 @@ impl Clip {
         Ok(candidates)
     }
 
-    fn end_pair(&self, cx: &Context, neighbours: &Neighbours, walker: &mut FacetWalker, (facet, seed): Pair) -> Ended {
+    fn end_pair(&self, neighbours: &Neighbours, walker: &mut FacetWalker, (facet, seed): Pair) -> Ended {
         // The walker counts what it does again; the device's relaunches are what is reported.
         let mut ignored = PassStats::default();
         let mut ended = Ended::default();
-        let diagram = neighbours.diagram(cx);
+        let diagram = neighbours.diagram();
         if neighbours.host.first[facet as usize] == seed {
             walker.walk(None, diagram, facet, seed, &mut ignored, |i, clipper| {
                 ended.sums.push((i, fixed::encode(&clipper.integrals(), &self.scales)));
@@ -158,7 +152,6 @@ impl Clip {
     /// More slots for the facets whose sets were full, a longer list if it was, when buffers are allocated next.
     pub(crate) fn grow(
         &self,
-        cx: &Context,
         memory: &mut Memory,
         seeds: usize,
         state: State,
@@ -167,7 +160,7 @@ impl Clip {
         stats.relaunched_cells += u64::from(state.cells_overflow) + u64::from(state.list_overflow);
         if state.cells_overflow > 0 {
             let stored = u64::from(state.failures).min(memory.counts.pairs) as u32;
-            let failures = self.read_failures(cx, memory, stored)?;
+            let failures = self.read_failures(memory, stored)?;
             let full: HashSet<u32> =
                 failures.iter().filter_map(|&e| failure(e)).filter(|f| f.2 == code::CELLS).map(|f| f.0).collect();
             for facet in full {

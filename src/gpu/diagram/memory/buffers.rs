@@ -56,7 +56,6 @@ optimizer_buffers!(buffers);
 /// Buffers of the facets of a window.
 #[derive(Debug)]
 pub(crate) struct WindowBuffers {
-    /// Facet records.
     pub facets: wgpu::Buffer,
     pub candidates: wgpu::Buffer,
 }
@@ -86,7 +85,6 @@ impl Buffers {
 }
 
 impl OptimizerBuffers {
-    /// Allocates everything, zeroed.
     pub(crate) fn new(device: &Device, plan: OptimizerPlan) -> Result<Self, GpuError> {
         Self::make(device, plan, Allocation::new(device, plan.total_bytes()), ())
     }

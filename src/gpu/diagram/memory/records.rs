@@ -14,29 +14,26 @@ use geometry::rvd::Surface;
 /// 1 + a / h² + 0.9 p / h cells of spacing h (measured within a few percent on relaxed seeds).
 pub(crate) fn expected_cells(surface: &Surface, seeds: usize) -> Vec<f64> {
     let h2 = surface.area() / seeds.max(1) as f64;
-    let h = h2.sqrt();
     let estimate = |f: usize| {
         if surface.skips(f) {
             return 0.0;
         }
-        let [a, b, c] = surface.facets()[f].map(|v| surface.positions()[v as usize]);
-        let area = surface.facet_area(f as u32);
-        let perimeter = a.distance(b) + b.distance(c) + c.distance(a);
         // No facet meets more cells than there are seeds.
-        (1.0 + area / h2 + 0.9 * perimeter / h).min(seeds as f64)
+        mean_cells((surface.facet_area(f as u32), perimeter(surface, f)), h2).min(seeds as f64)
     };
     (0..surface.facets().len()).into_par_iter().map(estimate).collect()
+}
+
+fn perimeter(surface: &Surface, f: usize) -> f64 {
+    let [a, b, c] = surface.facets()[f].map(|v| surface.positions()[v as usize]);
+    a.distance(b) + b.distance(c) + c.distance(a)
 }
 
 /// Mean area and mean perimeter of the facets that have an area.
 pub(crate) fn mean_facet(surface: &Surface) -> (f64, f64) {
     let live: Vec<usize> = (0..surface.facets().len()).filter(|&f| !surface.skips(f)).collect();
-    let perimeter = |&f: &usize| {
-        let [a, b, c] = surface.facets()[f].map(|v| surface.positions()[v as usize]);
-        a.distance(b) + b.distance(c) + c.distance(a)
-    };
     let count = live.len().max(1) as f64;
-    (surface.area() / count, live.iter().map(perimeter).sum::<f64>() / count)
+    (surface.area() / count, live.iter().map(|&f| perimeter(surface, f)).sum::<f64>() / count)
 }
 
 /// Cells of spacing `h2.sqrt()` that a facet of the mean area and perimeter meets.
@@ -107,7 +104,7 @@ fn facet(surface: &Surface, f: usize) -> layout::Facet {
     }
 }
 
-/// One seed record, its row not known yet.
+/// Its row is not known yet.
 pub(crate) fn record(seed: DVec3) -> layout::Seed {
     let (hi, lo) = split(seed.to_array());
     layout::Seed { hi, row_begin: 0, lo, row_length: 0 }

@@ -8,21 +8,18 @@ use rayon::prelude::*;
 
 use super::{Neighbours, Place, Rows};
 use crate::buffers::write;
-use crate::diagram::Context;
 use crate::diagram::layout::{self, COMPLETE, INDEX, NONE, STRIDE};
 use crate::diagram::memory::Memory;
 pub(super) use geometry::knn::{NeighbourRow, NeighbourTable, SeedIndex, Threads};
 use geometry::mesh::coincident;
 use geometry::rvd::RvdError;
-use geometry::rvd::incident::Diagram;
-use geometry::rvd::incident::Starts;
+use geometry::rvd::incident::{Diagram, Starts};
 use geometry::token::{Stopped, Token};
 
 /// The longest row that is sent to the device.
 pub(crate) const LONGEST_ROW: u32 = 4096;
 
-/// What the host knows of the seeds on the device. Of no use while not fresh, but for `starts`,
-/// which are guesses.
+/// What the host knows of the seeds on the device. Of no use while not fresh, but for `starts`, which are guesses.
 pub(crate) struct HostCopy {
     /// It is of the present seeds.
     pub fresh: bool,
@@ -30,7 +27,6 @@ pub(crate) struct HostCopy {
     pub records: Vec<layout::Seed>,
     /// Positions. Those that the device sees, unless seeds are far.
     pub seen: Vec<DVec3>,
-    /// Their tree.
     pub index: SeedIndex,
     /// Rows of the host's search; without rows if the device made them.
     pub table: NeighbourTable,
@@ -40,7 +36,6 @@ pub(crate) struct HostCopy {
     pub packed_end: usize,
     /// First cell of every facet.
     pub first: Vec<u32>,
-    /// Guesses at first cells.
     pub starts: Starts,
 }
 
@@ -77,22 +72,16 @@ pub(super) fn in_device_order(i: u32, records: &[layout::Seed], row: &mut Neighb
 
 impl Neighbours {
     /// For the pairs that the host does; [`Self::view`] comes before.
-    pub(crate) fn diagram<'a>(&'a self, cx: &'a Context) -> Diagram<'a> {
+    pub(crate) fn diagram(&self) -> Diagram<'_> {
         let HostCopy { seen, index, table, .. } = &self.host;
-        Diagram { surface: &cx.surface, seeds: seen, index, table, capacities: cx.capacities }
+        Diagram { surface: &self.cx.surface, seeds: seen, index, table, capacities: self.cx.capacities }
     }
 
     /// Rows and first cells by the host's tree. Whether the table has room for them; if so, they are to be uploaded.
     /// `far`: seeds are farther than floats reach.
-    pub(crate) fn search_on_host(
-        &mut self,
-        cx: &Context,
-        memory: &mut Memory,
-        far: bool,
-        token: &Token,
-    ) -> Result<bool, RvdError> {
+    pub(crate) fn search_on_host(&mut self, memory: &mut Memory, far: bool, token: &Token) -> Result<bool, RvdError> {
         self.host_searches += 1;
-        self.fetch_records(cx, memory)?;
+        self.fetch_records(memory)?;
         let seeds = &self.seeds;
         let host = &mut self.host;
         host.seen.clear();
@@ -102,7 +91,7 @@ impl Neighbours {
             _ => host.seen.extend(host.records.iter().map(|r| DVec3::from_array(r.position()))),
         }
         host.index = SeedIndex::new(&host.seen);
-        if !host.table.fill(&host.index, cx.capacities.neighbours, Threads::Pool, &|| token.is_stopped()) {
+        if !host.table.fill(&host.index, self.cx.capacities.neighbours, Threads::Pool, &|| token.is_stopped()) {
             return Err(RvdError::Stopped(Stopped::Cancelled));
         }
         self.duplicates = host.index.duplicates() as u64;
@@ -131,7 +120,7 @@ impl Neighbours {
         let facets = memory.facets.len() as u32;
         let mut starts = std::mem::take(&mut self.host.starts);
         self.host.first.clear();
-        self.host.first.extend_from_slice(starts.find(self.diagram(cx), 0..facets, token));
+        self.host.first.extend_from_slice(starts.find(self.diagram(), 0..facets, token));
         self.host.starts = starts;
         for root in &mut self.roots {
             root[1] = self.host.first[root[0] as usize];
@@ -139,52 +128,45 @@ impl Neighbours {
         self.rows = Rows::Host { far };
         self.first_cells.by_host();
         self.host.fresh = true;
-        let entries = self.host.packed.len() as u64;
-        if entries > memory.counts.table {
-            memory.grow_table(cx, entries);
-            return Ok(false);
-        }
-        Ok(true)
+        Ok(memory.has_room(self.host.packed.len() as u64))
     }
 
-    pub(crate) fn upload_rows(&self, cx: &Context, memory: &Memory) -> Result<(), RvdError> {
+    pub(crate) fn upload_rows(&self, memory: &Memory) -> Result<(), RvdError> {
         let buffers = &memory.there()?.buffers;
-        write(&cx.device, &buffers.seeds, 0, &self.host.records)?;
-        write(&cx.device, &buffers.table, 0, &self.host.packed)?;
-        Ok(())
+        write(&self.cx.device, &buffers.seeds, 0, &self.host.records)?;
+        Ok(write(&self.cx.device, &buffers.table, 0, &self.host.packed)?)
     }
 
     /// Nearest seeds of facets whose first cell the device could not prove.
-    pub(crate) fn find_unproved(&mut self, cx: &Context, memory: &Memory) -> Result<(), RvdError> {
+    pub(crate) fn find_unproved(&mut self, memory: &Memory) -> Result<(), RvdError> {
         self.host_searches += 1;
         self.host.fresh = false;
-        self.view(cx, memory)?;
+        self.view(memory)?;
         let HostCopy { index, first, .. } = &mut self.host;
-        let surface = &cx.surface;
+        let surface = &self.cx.surface;
         self.roots.par_iter_mut().filter(|root| root[1] == NONE).for_each(|root| {
             root[1] = index.nearest(surface.centroid(root[0]));
         });
         for root in &self.roots {
             first[root[0] as usize] = root[1];
         }
-        self.upload_roots(cx, memory)
+        self.upload_roots(memory)
     }
 
-    /// Fetches the records as they are on the device.
-    fn fetch_records(&mut self, cx: &Context, memory: &Memory) -> Result<(), RvdError> {
+    fn fetch_records(&mut self, memory: &Memory) -> Result<(), RvdError> {
         let buffers = &memory.there()?.buffers;
-        self.host.records = buffers.staging.read(&cx.device, &buffers.seeds, 0..self.count)?;
+        self.host.records = buffers.staging.read(&self.cx.device, &buffers.seeds, 0..self.count)?;
         Ok(())
     }
 
     /// Brings what the host knows of the device's seeds, rows and first cells up to date: for pairs
     /// that the device could not end.
-    pub(crate) fn view(&mut self, cx: &Context, memory: &Memory) -> Result<(), RvdError> {
+    pub(crate) fn view(&mut self, memory: &Memory) -> Result<(), RvdError> {
         if self.host.fresh {
             return Ok(());
         }
-        self.fetch_records(cx, memory)?;
-        self.download_roots(cx, memory)?;
+        self.fetch_records(memory)?;
+        self.download_roots(memory)?;
         let host = &mut self.host;
         host.first.clear();
         host.first.resize(memory.facets.len(), 0);
@@ -208,7 +190,7 @@ impl Neighbours {
     }
 
     /// Four times longer rows for `seeds`, behind the table. Whether the table has room for them.
-    pub(crate) fn lengthen(&mut self, cx: &Context, memory: &mut Memory, seeds: &[u32]) -> Result<bool, RvdError> {
+    pub(crate) fn lengthen(&mut self, memory: &mut Memory, seeds: &[u32]) -> Result<bool, RvdError> {
         let HostCopy { index, records, .. } = &self.host;
         let far = self.rows == Rows::Host { far: true };
         let query = |&i: &u32| {
@@ -241,19 +223,17 @@ impl Neighbours {
         if self.rows.are_of_host() {
             self.host.packed.extend_from_slice(&tail);
         }
-        let entries = self.host.packed_end as u64;
-        if entries > memory.counts.table {
-            memory.grow_table(cx, entries);
+        if !memory.has_room(self.host.packed_end as u64) {
             return Ok(false);
         }
         let buffers = &memory.there()?.buffers;
-        write(&cx.device, &buffers.table, first, &tail)?;
+        write(&self.cx.device, &buffers.table, first, &tail)?;
         // One write costs as much as copying a few hundred records.
         if seeds.len() * 256 > self.host.records.len() {
-            write(&cx.device, &buffers.seeds, 0, &self.host.records)?;
+            write(&self.cx.device, &buffers.seeds, 0, &self.host.records)?;
         } else {
             for &i in seeds {
-                write(&cx.device, &buffers.seeds, i as usize, &[self.host.records[i as usize]])?;
+                write(&self.cx.device, &buffers.seeds, i as usize, &[self.host.records[i as usize]])?;
             }
         }
         Ok(true)

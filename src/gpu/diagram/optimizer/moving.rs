@@ -17,7 +17,6 @@ use geometry::rvd::{RvdError, Together};
 /// What is known of the gradient at the present point.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Gradient {
-    /// Nothing.
     Unknown,
     /// The device has it.
     Known,
@@ -28,11 +27,9 @@ pub(super) enum Gradient {
 /// Whether a step follows a pass at once.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum Step {
-    /// It does not.
     No,
     /// It is to, if the pass ends with its first submission.
     Wanted,
-    /// It has.
     Taken,
 }
 
@@ -53,7 +50,6 @@ pub(crate) struct Moving {
     pub(super) totals_of: Option<Place>,
     /// Whether a step follows the present pass.
     pub step: Step,
-    /// How many passes a submission may have.
     pub batch: Batch,
     /// As read last.
     pub totals: Totals,
@@ -114,7 +110,6 @@ impl Moving {
         self.trial_gradient_known && self.gradient != Gradient::Unknown
     }
 
-    /// A pass at `place` begins.
     pub(crate) fn begin_pass(&mut self, place: Place) {
         self.sums_of = None;
         if place == Place::Point {

@@ -96,7 +96,7 @@ impl GpuSession {
         // Of a part of the surface most cells are elsewhere.
         let by_cell = self.clip.near.side > 0 && facets.len() == self.memory.facets.len();
         if self.neighbours.rows == Rows::Missing {
-            self.clip.promote(&self.cx, &mut self.memory)?;
+            self.clip.promote(&mut self.memory)?;
         }
         self.clip.begin(by_cell);
         let Some(mut state) = self.launch_roots(facets, wants, token)? else { return Ok(false) };
@@ -104,7 +104,7 @@ impl GpuSession {
         count_requeued(&state, stats);
         loop {
             if state.list_overflow + state.cells_overflow > 0 {
-                self.clip.grow(&self.cx, &mut self.memory, self.neighbours.count, state, stats)?;
+                self.clip.grow(&mut self.memory, self.neighbours.count, state, stats)?;
                 self.release()?;
                 return Ok(false);
             }
@@ -112,10 +112,8 @@ impl GpuSession {
             if state.failures == state.requeued {
                 break;
             }
-            match self.relaunch(state, &mut variants, token, stats)? {
-                Some(next) => state = next,
-                None => return Ok(false),
-            }
+            let Some(next) = self.relaunch(state, &mut variants, token, stats)? else { return Ok(false) };
+            state = next;
         }
         if self.clip.pass.by_cell && !self.verify(state, stats, token)? {
             return Ok(false);
@@ -129,12 +127,12 @@ impl GpuSession {
     fn launch_roots(&mut self, facets: Range<u32>, wants: Wants, token: &Token) -> Result<Option<State>, RvdError> {
         self.ensure_memory()?;
         self.clip.choose(wants, self.neighbours.rows);
-        let roots = self.clip.roots_params(&self.cx, &self.memory, &self.neighbours, &facets);
+        let roots = self.clip.roots_params(&self.memory, &self.neighbours, &facets);
         let mut encoder = self.cx.device.encoder();
         let begins = wants == Wants::Sums && self.memory.windows.present == 0;
         let sums = begins.then_some(self.neighbours.count);
         self.clip.encode_clears(&self.memory, &mut encoder, &facets, sums)?;
-        self.clip.write_state(&self.cx, &self.memory, State::default())?;
+        self.memory.write_state(State::default())?;
         if roots.enqueue_count == 0 {
             return self.read_summary(encoder).map(Some);
         }
@@ -187,20 +185,20 @@ impl GpuSession {
     ) -> Result<Option<State>, RvdError> {
         let params = launch.candidates.unwrap_or_else(|| self.params());
         self.ensure_memory()?;
-        self.clip.write_params(&self.cx, &self.memory, params)?;
+        self.memory.write_params(params)?;
         let search = self.neighbours.rows == Rows::Missing;
         let start = !self.neighbours.first_cells.are_known();
         if search {
             self.encode_search(&mut encoder, token)?;
         }
         if start {
-            self.neighbours.encode_first_cells(&self.cx, &self.memory, &mut encoder, token)?;
+            self.neighbours.encode_first_cells(&self.memory, &mut encoder, token)?;
         }
         let seeds = self.neighbours.count;
-        self.clip.encode_clip(&self.cx, &self.memory, seeds, &mut encoder, launch, token)?;
+        self.clip.encode_clip(&self.memory, seeds, &mut encoder, launch, token)?;
         let state = self.read_summary(encoder)?;
         let done = (!search || self.take_search_result(&state, token)?)
-            && (!start || self.neighbours.take_first_cells(&self.cx, &self.memory, &state)?);
+            && (!start || self.neighbours.take_first_cells(&self.memory, &state)?);
         Ok(done.then_some(state))
     }
 
@@ -208,11 +206,11 @@ impl GpuSession {
     /// propagation and the pass begins anew.
     fn verify(&mut self, state: State, stats: &mut PassStats, token: &Token) -> Result<bool, RvdError> {
         self.ensure_memory()?;
-        let unproved = self.clip.unproved(&self.cx, &self.memory, &self.neighbours, state, token)?;
+        let unproved = self.clip.unproved(&self.memory, &self.neighbours, state, token)?;
         if unproved.is_empty() {
             return Ok(true);
         }
-        self.clip.leave_to_propagation(&self.cx, &mut self.memory, unproved, stats)?;
+        self.clip.leave_to_propagation(&mut self.memory, unproved, stats)?;
         Ok(false)
     }
 }
@@ -228,14 +226,14 @@ impl GpuSession {
         stats: &mut PassStats,
     ) -> Result<Option<State>, RvdError> {
         self.view()?;
-        let failures = self.clip.read_failures(&self.cx, &self.memory, state.failures)?;
-        let retries = self.clip.sort_out(&self.cx, &self.memory, &self.neighbours, &failures, variants);
+        let failures = self.clip.read_failures(&self.memory, state.failures)?;
+        let retries = self.clip.sort_out(&self.memory, &self.neighbours, &failures, variants);
         // The device's proof covers only what the device clips.
         let finished = retries.finish.iter().map(|pair| pair.0);
         let unproved: Vec<u32> =
             finished.filter(|&f| self.clip.pass.by_cell && by_cell::is_by_cell(&self.memory, f)).collect();
         if !unproved.is_empty() {
-            self.clip.leave_to_propagation(&self.cx, &mut self.memory, unproved, stats)?;
+            self.clip.leave_to_propagation(&mut self.memory, unproved, stats)?;
             return Ok(None);
         }
         stats.relaunched_neighbours += retries.short;
@@ -243,12 +241,12 @@ impl GpuSession {
         self.clip.shortages.neighbours |= retries.short > 0;
         self.clip.shortages.slots |= !retries.large.is_empty();
         stats.relaunched_polygon += retries.overflowed;
-        if !self.neighbours.lengthen(&self.cx, &mut self.memory, &retries.rows)? {
+        if !self.neighbours.lengthen(&mut self.memory, &retries.rows)? {
             self.release()?;
             return Ok(None);
         }
         let pieces = self.clip.pass.finished.len();
-        let candidates = self.clip.finish(&self.cx, &self.neighbours, &retries.finish, token)?;
+        let candidates = self.clip.finish(&self.neighbours, &retries.finish, token)?;
         stats.f64_finished += (self.clip.pass.finished.len() - pieces) as u64;
 
         let mut state = State { failures: 0, requeued: 0, overflowed: 0, ..state };
@@ -257,19 +255,15 @@ impl GpuSession {
         let again = retries.again.chunks(usize::MAX).map(|p| (p, Variant::Registers));
         let large = retries.large.chunks(LARGE_BATCH).map(|p| (p, Variant::Large));
         for (pairs, variant) in again.chain(large) {
-            match self.launch_again(state, pairs, variant, token)? {
-                Some(next) => state = next,
-                None => return Ok(None),
-            }
+            let Some(next) = self.launch_again(state, pairs, variant, token)? else { return Ok(None) };
+            state = next;
             if state.list_overflow + state.cells_overflow > 0 {
                 return Ok(Some(state));
             }
         }
         for part in candidates.chunks(EXTRA_CANDIDATES as usize) {
-            match self.launch_candidates(part, state, token)? {
-                Some(next) => state = next,
-                None => return Ok(None),
-            }
+            let Some(next) = self.launch_candidates(part, state, token)? else { return Ok(None) };
+            state = next;
             if state.list_overflow + state.cells_overflow > 0 {
                 break;
             }
@@ -296,7 +290,7 @@ impl GpuSession {
         let next = State { head: state.length, length: end as u32, ..state };
         self.ensure_memory()?;
         write(&self.cx.device, &self.memory.there()?.buffers.list, state.length as usize, &entries)?;
-        self.clip.write_state(&self.cx, &self.memory, next)?;
+        self.memory.write_state(next)?;
         self.clip.pass.repeats.push(state.length..end as u32);
         let encoder = self.cx.device.encoder();
         self.drain(encoder, None, variant, token)
@@ -319,7 +313,7 @@ impl GpuSession {
         self.ensure_memory()?;
         write(&self.cx.device, &self.memory.window()?.candidates, first, candidates)?;
         // The failures were read; the device's count of them was not reset if nothing ran since.
-        self.clip.write_state(&self.cx, &self.memory, State { head: state.length, ..state })?;
+        self.memory.write_state(State { head: state.length, ..state })?;
         let encoder = self.cx.device.encoder();
         self.drain(encoder, Some(params), Variant::Registers, token)
     }

@@ -14,12 +14,12 @@ use std::time::Instant;
 
 use glam::DVec3;
 
-use super::{GpuSession, rooms};
+use super::{GpuSession, finished, rooms};
 use crate::buffers::write;
 use crate::diagram::clip::{Launch, Variant, Wants, count_requeued, fixed};
 use crate::diagram::layout::{ENTRY_BYTES, SUM_WORDS, State, Totals};
 use crate::diagram::neighbours::{Place, Rows};
-use crate::diagram::optimizer::Step;
+use crate::diagram::optimizer::{Step, limbs};
 use geometry::rvd::clip::Integrals;
 pub(super) use geometry::rvd::resident::{Evaluation, Resident};
 use geometry::rvd::{CellSums, DeviceWork, PassStats, RvdError, elapsed_ms};
@@ -74,16 +74,16 @@ impl GpuSession {
         let mut words = None;
         if !self.clip.pass.finished.is_empty() {
             self.ensure_memory()?;
-            words = Some(self.clip.sum_words(&self.cx, &self.memory, self.neighbours.count)?);
+            words = Some(self.clip.sum_words(&self.memory, self.neighbours.count)?);
         }
         let mut area = self.optimizer.area(rooms!(self));
         if let Some(words) = &words {
-            let limbs = |cell: &[u32]| ((u64::from(cell[11]) << 32) | u64::from(cell[10])) as i64;
-            area = words.chunks_exact(SUM_WORDS).map(limbs).sum::<i64>() as f64 / self.clip.scales.area;
+            let areas = words.chunks_exact(SUM_WORDS).map(|cell| limbs(cell[10], cell[11]));
+            area = areas.sum::<i64>() as f64 / self.clip.scales.area;
         }
-        if !self.clip.covers(&self.cx, area, self.facets()) {
+        if !self.clip.covers(area, self.facets()) {
             let mut sums = CellSums::default();
-            *stats = self.sums_in_f64(&mut sums, *stats, token)?;
+            *stats = finished(*stats, self.in_f64()?.sums(&mut sums, token)?);
             let mut exact = vec![0; self.neighbours.count * SUM_WORDS];
             for (i, cell) in exact.chunks_exact_mut(SUM_WORDS).enumerate() {
                 let (mass, moment, energy) = (sums.mass[i], sums.moment[i], sums.energy[i]);
@@ -117,7 +117,7 @@ impl GpuSession {
 
     fn accept_trial(&mut self) -> Result<(), RvdError> {
         let trial = matches!(self.neighbours.place, Place::Trial(_));
-        if !trial || !self.optimizer.moving().is_some_and(|m| m.has_trial()) {
+        if !trial || !self.optimizer.moving.as_ref().is_some_and(|m| m.has_trial()) {
             return Err(RvdError::Internal("no trial point to accept".to_owned()));
         }
         self.ensure_memory()?;
@@ -285,13 +285,13 @@ impl GpuSession {
         self.clip.begin(false);
         self.clip.choose(Wants::Sums, Rows::Missing);
         let facets = self.facets();
-        let params = self.clip.roots_params(&self.cx, &self.memory, &self.neighbours, &facets);
+        let params = self.clip.roots_params(&self.memory, &self.neighbours, &facets);
         let launch = Launch { candidates: Some(params), variant: Variant::Registers, steps: self.clip.steps };
         self.ensure_memory()?;
         let of_optimizer = self.optimizer.params(rooms!(self));
         self.optimizer.prepare(rooms!(self), of_optimizer)?;
-        self.clip.write_params(&self.cx, &self.memory, params)?;
-        self.clip.write_state(&self.cx, &self.memory, State::default())?;
+        self.memory.write_params(params)?;
+        self.memory.write_state(State::default())?;
         let seeds = self.neighbours.count;
         let size = size_of::<State>() as u64;
         let mut encoder = self.cx.device.encoder();
@@ -303,8 +303,8 @@ impl GpuSession {
             encoder.clear_buffer(&state, halt + 4, Some(size - halt - 4));
             self.clip.encode_clears(&self.memory, &mut encoder, &facets, Some(seeds))?;
             self.encode_search(&mut encoder, &to_the_end)?;
-            self.neighbours.encode_first_cells(&self.cx, &self.memory, &mut encoder, &to_the_end)?;
-            self.clip.encode_clip(&self.cx, &self.memory, seeds, &mut encoder, &launch, &to_the_end)?;
+            self.neighbours.encode_first_cells(&self.memory, &mut encoder, &to_the_end)?;
+            self.clip.encode_clip(&self.memory, seeds, &mut encoder, &launch, &to_the_end)?;
             self.optimizer.encode_gradient(rooms!(self), &mut encoder, Place::Point, true)?;
             let buffers = &self.optimizer.there()?.buffers;
             let at = k * ENTRY_BYTES;

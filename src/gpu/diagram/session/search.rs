@@ -32,7 +32,7 @@ impl Gpu {
                 session.set_seeds(seeds)?;
                 session.search_now(token)?;
                 session.start_now(token)?;
-                session.neighbours.found(&session.cx, &session.memory)
+                session.neighbours.found(&session.memory)
             };
             sets.iter().map(find).collect()
         })
@@ -44,22 +44,22 @@ impl GpuSession {
     pub(super) fn encode_search(&mut self, encoder: &mut wgpu::CommandEncoder, token: &Token) -> Result<(), RvdError> {
         let params = self.params();
         match self.neighbours.place {
-            Place::Set => self.neighbours.upload_seeds(&self.cx, &self.memory)?,
+            Place::Set => self.neighbours.upload_seeds(&self.memory)?,
             Place::Point => self.optimizer.encode_point(rooms!(self), encoder)?,
             Place::Trial(_) => self.optimizer.encode_trial(rooms!(self), encoder)?,
         }
-        self.neighbours.encode_search(&self.cx, &self.memory, &params, encoder, token)
+        self.neighbours.encode_search(&self.memory, &params, encoder, token)
     }
 
     /// Ends `encoder` with the totals, if they are wanted and all windows are done, and reads the summary.
     pub(super) fn read_summary(&mut self, mut encoder: wgpu::CommandEncoder) -> Result<State, RvdError> {
-        let steps = self.optimizer.moving().is_some_and(|m| m.step == Step::Wanted);
+        let steps = self.optimizer.moving.as_ref().is_some_and(|m| m.step == Step::Wanted);
         if self.memory.windows.is_last() {
             self.optimizer.encode_totals(rooms!(self), &mut encoder)?;
         }
         let buffers = &self.memory.there()?.buffers;
         let mut parts = vec![(&buffers.state, 0, size_of::<State>() as u64)];
-        let wanted = self.optimizer.moving().filter(|m| m.wants_totals());
+        let wanted = self.optimizer.moving.as_ref().filter(|m| m.wants_totals());
         parts.extend(wanted.map(|m| (&m.buffers.totals, 0, size_of::<Totals>() as u64)));
         let (mut state, mut totals) = (State::default(), None);
         buffers.staging.read_parts(&self.cx.device, encoder, &parts, |bytes| {
@@ -67,7 +67,7 @@ impl GpuSession {
             state = bytemuck::pod_read_unaligned(first);
             totals = (!rest.is_empty()).then(|| bytemuck::pod_read_unaligned(rest));
         })?;
-        if let (Some(moving), Some(totals)) = (self.optimizer.moving_mut(), totals) {
+        if let (Some(moving), Some(totals)) = (self.optimizer.moving.as_mut(), totals) {
             moving.totals = totals;
             if steps && state.halt == 0 {
                 moving.step = Step::Taken;
@@ -82,15 +82,14 @@ impl GpuSession {
         if self.neighbours.rows != Rows::Missing {
             return Ok(());
         }
-        self.clip.promote(&self.cx, &mut self.memory)?;
+        self.clip.promote(&mut self.memory)?;
         self.ensure_memory()?;
-        self.clip.write_params(&self.cx, &self.memory, self.params())?;
-        self.clip.write_state(&self.cx, &self.memory, State::default())?;
+        self.memory.write_params(self.params())?;
+        self.memory.write_state(State::default())?;
         let mut encoder = self.cx.device.encoder();
         self.encode_search(&mut encoder, token)?;
         let state = self.read_summary(encoder)?;
-        self.take_search_result(&state, token)?;
-        Ok(())
+        self.take_search_result(&state, token).map(drop)
     }
 
     /// The first cells likewise.
@@ -103,19 +102,18 @@ impl GpuSession {
         let mut all = State::default();
         for k in 0..self.memory.windows.all.len() {
             self.memory.windows.present = k;
-            self.clip.write_params(&self.cx, &self.memory, self.params())?;
-            self.clip.write_state(&self.cx, &self.memory, State::default())?;
+            self.memory.write_params(self.params())?;
+            self.memory.write_state(State::default())?;
             let mut encoder = self.cx.device.encoder();
-            self.neighbours.encode_first_cells(&self.cx, &self.memory, &mut encoder, token)?;
+            self.neighbours.encode_first_cells(&self.memory, &mut encoder, token)?;
             all.unproved += self.read_summary(encoder)?.unproved;
         }
-        self.neighbours.take_first_cells(&self.cx, &self.memory, &all)?;
-        Ok(())
+        self.neighbours.take_first_cells(&self.memory, &all).map(drop)
     }
 
     /// What came of the search. `false` if the host searched instead.
     pub(super) fn take_search_result(&mut self, state: &State, token: &Token) -> Result<bool, RvdError> {
-        match self.neighbours.take_search_result(&self.cx, &self.memory, state)? {
+        match self.neighbours.take_search_result(&self.memory, state)? {
             Searched::Rows => Ok(true),
             Searched::Nothing { far } => self.search_on_host(far, token).map(|()| false),
         }
@@ -123,20 +121,20 @@ impl GpuSession {
 
     /// Rows and first cells by the host's tree, and onto the device with them.
     fn search_on_host(&mut self, far: bool, token: &Token) -> Result<(), RvdError> {
-        let fits = self.neighbours.search_on_host(&self.cx, &mut self.memory, far, token)?;
+        let fits = self.neighbours.search_on_host(&mut self.memory, far, token)?;
         if far {
-            self.clip.set_radius(&self.cx, fixed::covering_radius(&self.neighbours.host.seen));
+            self.clip.set_radius(fixed::covering_radius(&self.neighbours.host.seen));
         }
         if !fits {
             return self.release();
         }
-        self.neighbours.upload_rows(&self.cx, &self.memory)?;
-        self.neighbours.upload_roots(&self.cx, &self.memory)
+        self.neighbours.upload_rows(&self.memory)?;
+        self.neighbours.upload_roots(&self.memory)
     }
 
     /// Brings what the host knows of the device's seeds up to date.
     pub(super) fn view(&mut self) -> Result<(), RvdError> {
         self.ensure_memory()?;
-        self.neighbours.view(&self.cx, &self.memory)
+        self.neighbours.view(&self.memory)
     }
 }
