@@ -14,47 +14,45 @@ use geometry::token::{Stopped, Token};
 
 /// Items that one dispatch of a heavy stage has at most. Each stage takes some such parts at once; none comes near
 /// 100 ms on a software adapter (`tessera bench cvt` says how long the longest took).
-pub const PART: u64 = 1 << 15;
+pub(crate) const PART: u64 = 1 << 15;
 /// Parts that one submission has at most, so that a job can be cancelled between them.
-pub const PARTS: u64 = 16;
+pub(crate) const PARTS: u64 = 16;
 /// Bytes of the arguments of an indirect dispatch.
-pub const ARGUMENTS_BYTES: u64 = 12;
+pub(crate) const ARGUMENTS_BYTES: u64 = 12;
 /// Workgroups of a reduction at most; each leaves one partial sum.
-pub const REDUCTION_GROUPS: u32 = 256;
+pub(crate) const REDUCTION_GROUPS: u32 = 256;
 /// Items that a lane of a reduction adds up before lanes are added: a workgroup's barriers cost as much as many items.
 const LANE_ITEMS: u64 = 4;
 
 /// Parts that a dispatch over `items` may be in.
-pub fn part_count(items: u64) -> u64 {
+pub(crate) fn part_count(items: u64) -> u64 {
     items.min(u64::from(u32::MAX)).div_ceil(PART).max(1)
 }
 
-/// The first item of each part.
-pub fn origins(parts: u64) -> Vec<u32> {
+pub(crate) fn origins(parts: u64) -> Vec<u32> {
     (0..parts).map(|k| (k * PART) as u32).collect()
 }
 
 /// The items of each dispatch over `items`, `parts` times [`PART`] in each but the last; one dispatch if there are none.
-pub fn parts(items: u64, parts: u64) -> impl Iterator<Item = Range<u64>> {
+pub(crate) fn parts(items: u64, parts: u64) -> impl Iterator<Item = Range<u64>> {
     let most = parts * PART;
     (0..items.div_ceil(most).max(1)).map(move |k| k * most..((k + 1) * most).min(items))
 }
 
 /// Workgroups of a reduction over `items`.
-pub fn reduction(items: u64) -> u32 {
+pub(crate) fn reduction(items: u64) -> u32 {
     items.div_ceil(LANE_ITEMS * u64::from(WORKGROUP)).clamp(1, u64::from(REDUCTION_GROUPS)) as u32
 }
 
 /// Workgroups in x and y for `items` invocations. The shaders number them row by row.
-pub fn workgroups(items: u64, limits: Limits) -> [u32; 2] {
+pub(crate) fn workgroups(items: u64, limits: Limits) -> [u32; 2] {
     let groups = items.div_ceil(u64::from(WORKGROUP)).max(1);
     let x = groups.min(u64::from(limits.workgroups));
     let y = groups.div_ceil(x);
     [x as u32, y as u32]
 }
 
-/// Dispatches a stage over `items`.
-pub fn run(
+pub(crate) fn run(
     compute: &mut wgpu::ComputePass<'_>,
     pipeline: &wgpu::ComputePipeline,
     bindings: &wgpu::BindGroup,
@@ -64,8 +62,7 @@ pub fn run(
     run_groups(compute, pipeline, bindings, workgroups(items, limits));
 }
 
-/// Dispatches a stage in these workgroups.
-pub fn run_groups(
+pub(crate) fn run_groups(
     compute: &mut wgpu::ComputePass<'_>,
     pipeline: &wgpu::ComputePipeline,
     bindings: &wgpu::BindGroup,
@@ -77,7 +74,7 @@ pub fn run_groups(
 }
 
 /// Dispatches a stage in as many workgroups as the device has written to `arguments`.
-pub fn run_indirect(
+pub(crate) fn run_indirect(
     compute: &mut wgpu::ComputePass<'_>,
     pipeline: &wgpu::ComputePipeline,
     bindings: &wgpu::BindGroup,
@@ -90,38 +87,31 @@ pub fn run_indirect(
 
 /// Where a stage reads the first item of its part.
 #[derive(Clone, Copy, Debug)]
-pub struct Origins<'a> {
-    /// What [`origins`] says.
-    pub of_parts: &'a wgpu::Buffer,
-    /// Where the stage reads it.
-    pub to: &'a wgpu::Buffer,
-    /// At which byte.
-    pub offset: u64,
+pub(crate) struct Origins<'a> {
+    pub(crate) of_parts: &'a wgpu::Buffer,
+    pub(crate) to: &'a wgpu::Buffer,
+    pub(crate) offset: u64,
 }
 
 /// A stage over a number of items.
 #[derive(Debug)]
-pub struct Stage<'a> {
-    /// The pipeline to run.
-    pub pipeline: &'a wgpu::ComputePipeline,
-    /// The buffers of the pipeline.
-    pub bindings: &'a wgpu::BindGroup,
-    /// Number of items.
-    pub items: u64,
+pub(crate) struct Stage<'a> {
+    pub(crate) pipeline: &'a wgpu::ComputePipeline,
+    pub(crate) bindings: &'a wgpu::BindGroup,
+    pub(crate) items: u64,
     /// [`PART`]s that one dispatch may have.
-    pub size: u64,
+    pub(crate) size: u64,
     /// Where the device says how many workgroups each part has, one part's arguments after another's, if it does.
-    pub arguments: Option<(&'a wgpu::Buffer, u64)>,
+    pub(crate) arguments: Option<(&'a wgpu::Buffer, u64)>,
 }
 
 impl Stage<'_> {
-    /// Whether it takes more than one dispatch.
-    pub fn is_long(&self) -> bool {
+    pub(crate) fn is_long(&self) -> bool {
         self.items > self.size * PART
     }
 
     /// Dispatches all of it; it is not long.
-    pub fn run(&self, compute: &mut wgpu::ComputePass<'_>, limits: Limits) {
+    pub(crate) fn run(&self, compute: &mut wgpu::ComputePass<'_>, limits: Limits) {
         self.run_part(compute, 0, self.items, limits);
     }
 
@@ -134,7 +124,7 @@ impl Stage<'_> {
 }
 
 /// Encodes `stages` in their order. Those that take many parts are submitted on the way.
-pub fn encode<E: From<GpuError> + From<Stopped>>(
+pub(crate) fn encode<E: From<GpuError> + From<Stopped>>(
     device: &Device,
     encoder: &mut wgpu::CommandEncoder,
     lane: usize,
@@ -185,22 +175,19 @@ fn in_parts<E: From<GpuError> + From<Stopped>>(
 }
 
 /// The part of a buffer that one readback copies at most.
-pub const STAGING_BYTES: u64 = 32 << 20;
+pub(crate) const STAGING_BYTES: u64 = 32 << 20;
 
 /// What the device allows.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Limits {
-    /// Largest buffer, bytes.
-    pub buffer_bytes: u64,
-    /// Largest storage binding, bytes.
-    pub binding_bytes: u64,
+pub(crate) struct Limits {
+    pub(crate) buffer_bytes: u64,
+    pub(crate) binding_bytes: u64,
     /// Workgroups in one dimension.
-    pub workgroups: u32,
+    pub(crate) workgroups: u32,
 }
 
 impl Limits {
-    /// Those of an open device.
-    pub fn of(limits: &wgpu::Limits) -> Self {
+    pub(crate) fn of(limits: &wgpu::Limits) -> Self {
         Self {
             buffer_bytes: limits.max_buffer_size,
             binding_bytes: limits.max_storage_buffer_binding_size,
@@ -209,17 +196,14 @@ impl Limits {
     }
 
     /// Largest buffer that a shader can see all of, bytes.
-    pub fn seen_bytes(self) -> u64 {
+    pub(crate) fn seen_bytes(self) -> u64 {
         // Offsets within a buffer are 32-bit words on the device.
         self.buffer_bytes.min(self.binding_bytes).min(16 << 30)
     }
 }
 
 /// Whether a shader can see each of these buffers (name, bytes) as a whole.
-///
-/// # Errors
-/// `NeverFits` with the first that it cannot.
-pub fn fits(buffers: &[(&str, u64)], limits: Limits) -> Result<(), GpuError> {
+pub(crate) fn fits(buffers: &[(&str, u64)], limits: Limits) -> Result<(), GpuError> {
     let limit_bytes = limits.seen_bytes();
     for &(what, needed_bytes) in buffers {
         if needed_bytes > limit_bytes {

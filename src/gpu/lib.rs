@@ -18,7 +18,7 @@ pub mod device;
 #[cfg(feature = "device")]
 pub mod diagram;
 #[cfg(feature = "device")]
-pub mod dispatch;
+mod dispatch;
 #[cfg(feature = "device")]
 pub mod shader;
 #[cfg(feature = "device")]

@@ -1,7 +1,6 @@
 //! The stages as pipelines.
 //!
-//! Purpose: one pipeline per stage and variant, made once per device. A pipeline has the name of its stage; what that does, its
-//! file says.
+//! Purpose: one pipeline per stage and variant, made once per device. A pipeline has the name of its stage.
 //! Invariant: wgpu derives the layouts of bindings from the stage's `.wgsl`, so that a stage is described in one place only.
 //! Must not know: what is dispatched when, and on which buffers.
 

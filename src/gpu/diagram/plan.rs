@@ -12,63 +12,57 @@ use super::layout::{
     Totals,
 };
 use crate::GpuError;
-use crate::dispatch::{ARGUMENTS_BYTES, PART, REDUCTION_GROUPS, part_count};
-use crate::dispatch::{Limits, STAGING_BYTES, fits};
+use crate::dispatch::{ARGUMENTS_BYTES, Limits, PART, REDUCTION_GROUPS, STAGING_BYTES, fits, part_count};
 
 /// Numbers of things that a session holds room for.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Counts {
+pub(crate) struct Counts {
     /// Facets of all windows.
-    pub facets: u64,
+    pub(crate) facets: u64,
     /// Facets of the largest window.
-    pub window: u64,
+    pub(crate) window: u64,
     /// Windows.
-    pub windows: u64,
+    pub(crate) windows: u64,
     /// Seeds at most.
-    pub seeds: u64,
+    pub(crate) seeds: u64,
     /// Entries of the neighbour table, longer rows included.
-    pub table: u64,
+    pub(crate) table: u64,
     /// Slots of the sets of cells of one window's facets.
-    pub slots: u64,
+    pub(crate) slots: u64,
     /// Pairs in the list, which is one window's.
-    pub pairs: u64,
+    pub(crate) pairs: u64,
     /// Pairs whose pieces one emit dispatch writes.
-    pub emitted: u64,
+    pub(crate) emitted: u64,
     /// Polygon vertices per pair.
-    pub polygon: u64,
+    pub(crate) polygon: u64,
     /// Entries of the grid of facets near each place.
-    pub near: u64,
+    pub(crate) near: u64,
     /// Entries of the grid of seeds.
-    pub cells: u64,
+    pub(crate) cells: u64,
     /// Seeds with a Verlet list: all, or none where lists would be more than a shader can see.
-    pub listed: u64,
+    pub(crate) listed: u64,
 }
 
 /// What a facet needs of the buffers that the facets of a window share.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Need {
-    /// Slots of its set of cells.
-    pub slots: u64,
-    /// Pairs in the list.
-    pub pairs: f64,
+pub(crate) struct Need {
+    pub(crate) slots: u64,
+    pub(crate) pairs: f64,
 }
 
-/// Facets that the device sees at once. A diagram is a sum over its facets, so that windows are done one
-/// after another.
+/// Facets that the device sees at once. A diagram is a sum over its facets, so that windows are done one after another.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Window {
-    /// Which.
-    pub facets: Range<u32>,
-    /// Slots of their sets of cells.
-    pub slots: u64,
+pub(crate) struct Window {
+    pub(crate) facets: Range<u32>,
+    pub(crate) slots: u64,
     /// Pairs that are expected of them, rounded up.
-    pub pairs: u64,
+    pub(crate) pairs: u64,
 }
 
 /// The longest windows of which every buffer can be seen whole: records and first cells of their facets, sets of
 /// cells with a word more a facet, and `spare` pairs beside those that are expected. One facet at least is in
 /// each; if that is too much, [`Plan::new`] says so.
-pub fn windows(needs: impl IntoIterator<Item = Need>, spare: u64, limits: Limits) -> Vec<Window> {
+pub(crate) fn windows(needs: impl IntoIterator<Item = Need>, spare: u64, limits: Limits) -> Vec<Window> {
     let most = limits.seen_bytes();
     let records = (most / size_of::<Facet>() as u64).min((most / 8).saturating_sub(EXTRA_CANDIDATES));
     let (slots, pairs) = (most / 4, (most / 8).saturating_sub(spare) as f64);
@@ -92,26 +86,25 @@ pub fn windows(needs: impl IntoIterator<Item = Need>, spare: u64, limits: Limits
 
 /// [`PART`]s that one dispatch of a stage may have, by what an item costs: on a software adapter with two cores 20 to
 /// 40 ms.
-pub mod size {
+pub(crate) mod size {
     /// A facet that looks for its first cell without a guess.
-    pub const FIRST_CELL: u64 = 1;
+    pub(crate) const FIRST_CELL: u64 = 1;
     /// A seed that looks for its neighbours, or for facets; a facet that is divided with room for many cells.
-    pub const SEARCH: u64 = 2;
+    pub(crate) const SEARCH: u64 = 2;
     /// A facet that is divided, or walks to its first cell.
-    pub const FACET: u64 = 4;
+    pub(crate) const FACET: u64 = 4;
     /// An item that is looked at and put somewhere.
-    pub const ITEM: u64 = 32;
+    pub(crate) const ITEM: u64 = 32;
 }
 
 /// Pairs that one dispatch clips at most: tens of milliseconds on a software adapter, far below
 /// every watchdog, and few enough workgroups for one dimension.
-pub const BATCH: u32 = 1 << 18;
+pub(crate) const BATCH: u32 = 1 << 18;
 /// The same of pairs whose polygons are in memory instead of registers, ten times slower.
-pub const LARGE_BATCH: usize = 1 << 14;
+pub(crate) const LARGE_BATCH: usize = 1 << 14;
 /// Candidates that the host can add to the facets' first cells at once.
-pub const EXTRA_CANDIDATES: u64 = 4096;
+pub(crate) const EXTRA_CANDIDATES: u64 = 4096;
 
-/// Bytes of things of one type.
 fn bytes<T>(count: u64) -> u64 {
     count.saturating_mul(size_of::<T>() as u64)
 }
@@ -122,43 +115,26 @@ macro_rules! session_buffers {
     ($with:ident $($own:ident: $type:ty),*) => {
         $with! {
             Plan {
-                /// Facet records, of all windows.
                 facets = bytes::<Facet>(c.facets),
-                /// Candidates, of all windows.
                 candidates = bytes::<[u32; 2]>(EXTRA_CANDIDATES.saturating_mul(c.windows).saturating_add(c.facets)),
-                /// Readback.
                 staging = bytes::<[u32; SUM_WORDS]>(c.seeds)
                     .max(bytes::<[f32; 4]>(c.emitted.saturating_mul(c.polygon)))
                     .clamp(1 << 16, STAGING_BYTES),
             }
             Buffers(c: Counts) {
-                /// Seed records.
                 seeds: STORAGE = bytes::<Seed>(c.seeds),
-                /// Neighbour table.
                 table: STORAGE = bytes::<u32>(c.table),
-                /// Sets of cells.
                 slots: STORAGE = bytes::<u32>(c.slots),
-                /// List of pairs.
                 list: STORAGE = bytes::<[u32; 2]>(c.pairs),
-                /// Fixed-point sums.
                 sums: STORAGE = bytes::<[u32; SUM_WORDS]>(c.seeds),
-                /// List of failures.
                 failures: STORAGE = bytes::<[u32; 2]>(c.pairs),
-                /// Summary block.
                 state: STORAGE = bytes::<State>(1),
-                /// Indirect arguments.
                 arguments: ARGUMENTS = search_bytes(c.seeds).max(2 * ARGUMENTS_BYTES),
-                /// Parameters.
                 params: UNIFORM = bytes::<Params>(1),
-                /// Heads of emitted pieces.
                 heads: STORAGE = bytes::<[u32; 4]>(c.emitted),
-                /// Their vertices.
                 vertices: STORAGE = bytes::<[f32; 4]>(c.emitted.saturating_mul(c.polygon)),
-                /// Their labels.
                 labels: STORAGE = bytes::<u32>(c.emitted.saturating_mul(c.polygon)),
-                /// Grid of facets.
                 near: STORAGE = bytes::<u32>(c.near),
-                /// Grid of seeds.
                 cells: STORAGE = bytes::<u32>(c.cells),
                 /// How far the seeds of each of its cells have moved.
                 drifts: STORAGE = bytes::<u32>(c.cells),
@@ -168,7 +144,6 @@ macro_rules! session_buffers {
                 origins: COPIED = bytes::<u32>(part_count(c.window.max(c.seeds))),
                 /// Where seeds were when lists were made, and how far these reach.
                 list_origins: STORAGE = bytes::<[f32; 4]>(c.listed.max(1)),
-                /// Verlet lists.
                 lists: STORAGE = c.listed.max(1).saturating_mul(LIST_BYTES),
                 /// State of the lists, and the arguments of the searches.
                 list_state: ARGUMENTS = (4 * LIST_STATE_WORDS + 2 * search_bytes(c.seeds))
@@ -188,27 +163,17 @@ macro_rules! optimizer_buffers {
             OptimizerBuffers(seeds: u64) {
                 /// The present point.
                 points: STORAGE = bytes::<Seed>(seeds),
-                /// Which seeds are held.
                 held: STORAGE = bytes::<u32>(seeds),
-                /// The gradient there.
                 gradient: STORAGE = bytes::<[f32; 3]>(seeds),
                 /// The gradient at the trial point.
                 ahead: STORAGE = bytes::<[f32; 3]>(seeds),
-                /// The direction.
                 direction: STORAGE = bytes::<[f32; 3]>(seeds),
-                /// Steps of the history.
                 steps: STORAGE = bytes::<[f32; 3 * PAIRS]>(seeds),
-                /// Changes of the gradient.
                 changes: STORAGE = bytes::<[f32; 3 * PAIRS]>(seeds),
-                /// Partial sums over cells.
                 partial_totals: STORAGE = bytes::<Totals>(REDUCTION_GROUPS.into()),
-                /// Their sum.
                 totals: STORAGE = bytes::<Totals>(1),
-                /// Partial dot products.
                 partials: STORAGE = bytes::<[f32; DOTS]>(REDUCTION_GROUPS.into()),
-                /// Dot products.
                 dots: STORAGE = bytes::<[f32; DOTS]>(1),
-                /// Parameters.
                 params: UNIFORM = bytes::<OptimizerParams>(1),
                 /// State and totals of each pass of a submission.
                 journal: COPIED = PASSES as u64 * ENTRY_BYTES,
@@ -227,24 +192,23 @@ macro_rules! plan {
     ) => {
         /// Bytes of every buffer.
         #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-        pub struct $plan {
+        pub(crate) struct $plan {
             $($(#[$apart_doc])* pub $apart: u64,)*
             $($(#[$doc])* pub $name: u64,)*
         }
 
         impl $plan {
-            /// The plan, whether it fits a device or not.
-            pub fn of($c: $counts) -> Self {
+            pub(crate) fn of($c: $counts) -> Self {
                 Self { $($apart: $apart_bytes,)* $($name: $bytes,)* }
             }
 
             /// Name and bytes of every buffer; those of all windows together.
-            pub fn buffers(&self) -> Vec<(&'static str, u64)> {
+            pub(crate) fn buffers(&self) -> Vec<(&'static str, u64)> {
                 vec![$((stringify!($name), self.$name),)* $((stringify!($apart), self.$apart),)*]
             }
 
-            /// Bytes of all buffers together: what admission reserves.
-            pub fn total_bytes(&self) -> u64 {
+            /// What admission reserves.
+            pub(crate) fn total_bytes(&self) -> u64 {
                 self.buffers().iter().fold(0, |sum, (_, bytes)| sum.saturating_add(*bytes))
             }
         }
@@ -255,10 +219,7 @@ optimizer_buffers!(plan);
 
 impl Plan {
     /// A plan that fits a device.
-    ///
-    /// # Errors
-    /// `NeverFits` with the bytes of the first buffer that passes a limit.
-    pub fn new(counts: Counts, limits: Limits) -> Result<Self, GpuError> {
+    pub(crate) fn new(counts: Counts, limits: Limits) -> Result<Self, GpuError> {
         let plan = Self::of(counts);
         // Of the facets' buffers there is one a window.
         let (records, candidates) = window_bytes(counts.window);
@@ -274,10 +235,7 @@ impl Plan {
 
 impl OptimizerPlan {
     /// A plan that fits a device.
-    ///
-    /// # Errors
-    /// `NeverFits` with the bytes of the first buffer that passes a limit.
-    pub fn new(seeds: u64, limits: Limits) -> Result<Self, GpuError> {
+    pub(crate) fn new(seeds: u64, limits: Limits) -> Result<Self, GpuError> {
         let plan = Self::of(seeds);
         fits(&plan.buffers(), limits)?;
         Ok(plan)
@@ -286,8 +244,7 @@ impl OptimizerPlan {
 
 /// Facets that an entry of the list of failures can name. Seeds are fewer: their records are one binding.
 const MOST_FACETS: u64 = 1 << 30;
-/// Bytes of a Verlet list.
-pub const LIST_BYTES: u64 = 4 * LIST as u64;
+pub(crate) const LIST_BYTES: u64 = 4 * LIST as u64;
 /// Seeds that one dispatch of a search looks at.
 pub const SEARCH_PART: u64 = 2 * PART;
 
@@ -298,26 +255,26 @@ fn search_bytes(seeds: u64) -> u64 {
 
 /// The byte of [`Plan::list_state`]'s buffer where the arguments of a search for `seeds` seeds begin, with lists or
 /// without.
-pub fn search_arguments(seeds: u64, lists: bool) -> u64 {
+pub(crate) fn search_arguments(seeds: u64, lists: bool) -> u64 {
     4 * LIST_STATE_WORDS + u64::from(lists) * search_bytes(seeds)
 }
 
 /// Seeds with a Verlet list: all or none.
-pub fn listed(seeds: u64, limits: Limits) -> u64 {
+pub(crate) fn listed(seeds: u64, limits: Limits) -> u64 {
     if seeds.saturating_mul(LIST_BYTES) <= limits.seen_bytes() { seeds } else { 0 }
 }
 
 /// Bytes of the records and of the candidates of a window of `facets`.
-pub fn window_bytes(facets: u64) -> (u64, u64) {
+pub(crate) fn window_bytes(facets: u64) -> (u64, u64) {
     (bytes::<Facet>(facets), bytes::<[u32; 2]>(facets.saturating_add(EXTRA_CANDIDATES)))
 }
 
 /// Passes of one submission at most.
-pub const PASSES: usize = 32;
+pub(crate) const PASSES: usize = 32;
 
 /// Cells along each side of the grid over the unit box in which `seeds` seeds on a surface of `area` are
 /// searched: three spacings wide, not many more than there are seeds, and at most 160 a side.
-pub fn grid_side(area: f64, seeds: u64) -> u32 {
+pub(crate) fn grid_side(area: f64, seeds: u64) -> u32 {
     let n = seeds.max(1) as f64;
     let by_spacing = 1.0 / (CELL_SPACINGS * (area / n).sqrt());
     by_spacing.min(4.0 * n.cbrt()).clamp(1.0, 160.0) as u32
@@ -326,8 +283,7 @@ pub fn grid_side(area: f64, seeds: u64) -> u32 {
 /// Width of a cell of that grid, in spacings.
 const CELL_SPACINGS: f64 = 3.0;
 
-/// Entries of that grid.
-pub fn grid_cells(side: u32) -> u64 {
+pub(crate) fn grid_cells(side: u32) -> u64 {
     let side = u64::from(side);
     side * side * (side + 1)
 }
