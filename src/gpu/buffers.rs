@@ -30,7 +30,7 @@ pub struct Allocation {
 impl Allocation {
     /// Nothing yet, of a plan of `needed_bytes`.
     pub fn new(device: &Device, needed_bytes: u64) -> Self {
-        Self { buffers: Vec::new(), needed_bytes, spare: device.spare() }
+        Self { buffers: Vec::new(), needed_bytes, spare: Arc::clone(&device.spare) }
     }
 
     /// Allocates one buffer, zeroed.
@@ -94,8 +94,7 @@ impl Staging {
         Ok(out)
     }
 
-    /// Ends `encoder` with a copy of entries `range`, which must fit the staging buffer, submits,
-    /// waits, and shows them.
+    /// Ends `encoder` with a copy of entries `range`, which must fit the staging buffer, submits, waits, and shows them.
     pub fn read_with<T: Pod>(
         &self,
         device: &Device,
@@ -142,7 +141,7 @@ impl Staging {
         });
         device.wait(Some(index))?;
         // Another thread that waits for the same device may have taken this callback and not run it yet.
-        if answer.recv_timeout(device.timeout()) != Ok(true) {
+        if answer.recv_timeout(device.timeout) != Ok(true) {
             return Err(GpuError::Failed("a buffer could not be mapped".to_owned()));
         }
         let view = self.buffer.get_mapped_range(0..bytes).map_err(|e| GpuError::Failed(e.to_string()))?;

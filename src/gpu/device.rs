@@ -1,11 +1,10 @@
 //! The one persistent device.
 //!
 //! Purpose: choose an adapter, open it with all the limits it has, submit, wait, and report.
-//! Invariant: callbacks only set flags; [`Device::check`] reads them after each step. wgpu's
-//! `poll` panics on a lost device, so it is never called on one known to be lost, and a panic
-//! inside is turned into [`GpuError::Lost`]. No caller waits longer than the timeout for a driver
-//! that does not answer: not for the end of its work, not when it submits, not when it drops the
-//! device.
+//! Invariant: callbacks only set flags; [`Device::check`] reads them after each step. wgpu's `poll` panics on a lost
+//! device, so it is never called on one known to be lost, and a panic inside is turned into [`GpuError::Lost`]. No caller
+//! waits longer than the timeout for a driver that does not answer: not for the end of its work, not when it submits, not
+//! when it drops the device.
 //! Must not know: what is computed.
 
 use std::panic::AssertUnwindSafe;
@@ -20,8 +19,7 @@ use crate::buffers::Spare;
 /// Which adapters may be used.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct DeviceOptions {
-    /// Whether an adapter that runs on the CPU will do. Off by default: it is slower than the
-    /// CPU backend.
+    /// Whether an adapter that runs on the CPU will do. Off by default: it is slower than the CPU backend.
     pub software: bool,
     /// Only adapters whose name contains this, whatever the case.
     pub name: Option<String>,
@@ -170,11 +168,11 @@ pub struct Device {
     device: wgpu::Device,
     queue: wgpu::Queue,
     adapter: AdapterSummary,
-    timeout: Duration,
+    pub(super) timeout: Duration,
     flags: Arc<Flags>,
     meters: Mutex<Traffic>,
     timer: Mutex<Option<Timer>>,
-    spare: Arc<Spare>,
+    pub(super) spare: Arc<Spare>,
     /// The last: it closes the device when all else here has let go of it.
     submitter: Submitter,
 }
@@ -362,11 +360,6 @@ impl Device {
         })
     }
 
-    /// The store of unused buffers.
-    pub(super) fn spare(&self) -> Arc<Spare> {
-        Arc::clone(&self.spare)
-    }
-
     /// An encoder for the next submission.
     pub fn encoder(&self) -> wgpu::CommandEncoder {
         self.device.create_command_encoder(&wgpu::CommandEncoderDescriptor { label: Some("tessera") })
@@ -406,11 +399,6 @@ impl Device {
         self.timer.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// How long anything is waited for.
-    pub(super) fn timeout(&self) -> Duration {
-        self.timeout
-    }
-
     /// Submits, waits for the end, and checks the flags.
     pub fn run(&self, encoder: wgpu::CommandEncoder) -> Result<(), GpuError> {
         let index = self.submit(encoder)?;
@@ -441,7 +429,6 @@ impl Device {
         answer
     }
 
-    /// The driver has not answered in time.
     fn hangs(&self) {
         note(&self.flags.lost, format!("no answer within {} s", self.timeout.as_secs()));
         self.submitter.abandon();

@@ -17,7 +17,6 @@
 //! Must not know: iterations, jobs, files.
 
 mod clip;
-pub(crate) mod forecast;
 pub mod layout;
 mod memory;
 mod neighbours;
@@ -47,6 +46,8 @@ pub use neighbours::Found;
 use pipelines::Pipelines;
 use session::GpuSession;
 
+type Result<T, E = RvdError> = std::result::Result<T, E>;
+
 impl From<GpuError> for RvdError {
     fn from(error: GpuError) -> Self {
         match error {
@@ -73,7 +74,7 @@ impl Gpu {
     ///
     /// # Errors
     /// `Device` or `DeviceLost` if the device cannot do it; `Internal` if its sums are wrong.
-    pub fn new(device: Arc<Device>, threads: Option<usize>) -> Result<Self, RvdError> {
+    pub fn new(device: Arc<Device>, threads: Option<usize>) -> Result<Self> {
         let pool = rayon::ThreadPoolBuilder::new()
             .num_threads(threads.unwrap_or(0))
             .thread_name(|i| format!("tessera-gpu-host-{i}"))
@@ -86,7 +87,7 @@ impl Gpu {
     }
 
     /// From now on the device's own clock times the stages ([`Session::device_phases`]). Returns whether it can.
-    pub fn keep_time(&self) -> Result<bool, RvdError> {
+    pub fn keep_time(&self) -> Result<bool> {
         Ok(self.device.keep_time()?)
     }
 
@@ -97,7 +98,7 @@ impl Gpu {
 
     /// One seed amid a ring of 24, so that both polygon variants run, on a square of area 1. Some
     /// drivers compile at the first dispatch, which the first caller should not pay for.
-    fn warm_up(&self) -> Result<(), RvdError> {
+    fn warm_up(&self) -> Result<()> {
         let corners = vec![dvec3(0., 0., 0.), dvec3(1., 0., 0.), dvec3(1., 1., 0.), dvec3(0., 1., 0.)];
         let mesh = TriMesh::new(corners, vec![[0, 1, 2], [0, 2, 3]]).map_err(|e| RvdError::Internal(e.to_string()))?;
         let surface = Arc::new(Surface::new(&mesh, None)?);
@@ -178,13 +179,12 @@ impl Backend for Gpu {
         Some(Arc::clone(&self.pool))
     }
 
-    fn exact_session(&self, surface: Arc<Surface>, options: SessionOptions) -> Result<Box<dyn Session>, RvdError> {
+    fn exact_session(&self, surface: Arc<Surface>, options: SessionOptions) -> Result<Box<dyn Session>> {
         Parallel::on(Arc::clone(&self.pool)).session(surface, options)
     }
 
-    fn session(&self, surface: Arc<Surface>, options: SessionOptions) -> Result<Box<dyn Session>, RvdError> {
-        let pool = Arc::clone(&self.pool);
-        let mut session = pool.install(|| GpuSession::new(self, surface, options));
+    fn session(&self, surface: Arc<Surface>, options: SessionOptions) -> Result<Box<dyn Session>> {
+        let mut session = self.pool.install(|| GpuSession::new(self, surface, options));
         session.ensure_memory()?;
         Ok(Box::new(session))
     }
@@ -228,7 +228,7 @@ impl Gpu {
         options: SessionOptions,
         passes: usize,
         token: &Token,
-    ) -> Result<AccumulationMs, RvdError> {
+    ) -> Result<AccumulationMs> {
         self.pool.install(|| {
             let mut session = GpuSession::new(self, surface, options);
             session.set_seeds(seeds)?;

@@ -39,7 +39,6 @@ pub(crate) fn parts(items: u64, parts: u64) -> impl Iterator<Item = Range<u64>> 
     (0..items.div_ceil(most).max(1)).map(move |k| k * most..((k + 1) * most).min(items))
 }
 
-/// Workgroups of a reduction over `items`.
 pub(crate) fn reduction(items: u64) -> u32 {
     items.div_ceil(LANE_ITEMS * u64::from(WORKGROUP)).clamp(1, u64::from(REDUCTION_GROUPS)) as u32
 }
@@ -93,7 +92,6 @@ pub(crate) struct Origins<'a> {
     pub(crate) offset: u64,
 }
 
-/// A stage over a number of items.
 #[derive(Debug)]
 pub(crate) struct Stage<'a> {
     pub(crate) pipeline: &'a wgpu::ComputePipeline,
@@ -177,7 +175,6 @@ fn in_parts<E: From<GpuError> + From<Stopped>>(
 /// The part of a buffer that one readback copies at most.
 pub(crate) const STAGING_BYTES: u64 = 32 << 20;
 
-/// What the device allows.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Limits {
     pub(crate) buffer_bytes: u64,

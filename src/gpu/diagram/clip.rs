@@ -15,7 +15,6 @@ use std::collections::HashSet;
 use std::ops::Range;
 use std::sync::Arc;
 
-use super::Context;
 use super::lane;
 use super::layout::{self, MEMBERS, NONE, Params, ROOT, ROW, SUM_WORDS, State, accumulate};
 use super::memory::{Memory, OnDevice, records};
@@ -23,9 +22,10 @@ use super::neighbours::{Neighbours, Rows};
 use super::pipelines::SLOTS;
 use super::plan::{BATCH, size};
 use super::strategy;
+use super::{Context, Result};
 use crate::dispatch::{ARGUMENTS_BYTES, Stage, run_groups, run_indirect};
 use geometry::rvd::incident::FacetWalker;
-use geometry::rvd::{Accumulate, DeviceWork, PassStats, RvdError};
+use geometry::rvd::{Accumulate, DeviceWork, PassStats};
 use geometry::token::Token;
 pub(super) use retry::Pair;
 
@@ -118,7 +118,6 @@ pub(super) struct Clip {
 }
 
 impl Clip {
-    /// No seeds yet. Cells look for the facets in `near`.
     pub(super) fn new(cx: Arc<Context>, near: by_cell::Grid, how: Accumulate) -> Self {
         Self {
             first_polygon: cx.capacities.polygon.clamp(4, SLOTS) as u32,
@@ -214,7 +213,7 @@ impl Clip {
         encoder: &mut wgpu::CommandEncoder,
         facets: &Range<u32>,
         sums: Option<usize>,
-    ) -> Result<(), RvdError> {
+    ) -> Result<()> {
         let buffers = &memory.there()?.buffers;
         if let (Some(first), Some(last)) = (facets.clone().next(), facets.clone().next_back()) {
             let begin = u64::from(memory.facets[first as usize].slot_begin);
@@ -238,7 +237,7 @@ impl Clip {
         encoder: &mut wgpu::CommandEncoder,
         launch: &Launch,
         token: &Token,
-    ) -> Result<(), RvdError> {
+    ) -> Result<()> {
         let (device, limits, there) = (&self.cx.device, self.cx.limits(), memory.there()?);
         let entries = self.entries(memory, there, seeds, launch.candidates.as_ref());
         let long = entries.iter().any(Stage::is_long);
@@ -335,7 +334,7 @@ impl Clip {
     }
 
     /// The sums of the last pass, with what the host finished, in units.
-    pub(super) fn sum_words(&self, memory: &Memory, seeds: usize) -> Result<Vec<u32>, RvdError> {
+    pub(super) fn sum_words(&self, memory: &Memory, seeds: usize) -> Result<Vec<u32>> {
         let buffers = &memory.there()?.buffers;
         let mut words: Vec<u32> = buffers.staging.read(&self.cx.device, &buffers.sums, 0..seeds * SUM_WORDS)?;
         for (seed, units) in &self.pass.finished {

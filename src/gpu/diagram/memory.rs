@@ -14,10 +14,10 @@ pub(super) mod records;
 use std::ops::Range;
 use std::sync::Arc;
 
-use super::Context;
 use super::layout::{self, Params, State};
 use super::pipelines::SLOTS;
 use super::plan::{self, Counts, Need, Plan, Window};
+use super::{Context, Result};
 use crate::buffers::write;
 use crate::dispatch::Limits;
 use crate::{Device, dispatch};
@@ -25,7 +25,6 @@ pub(super) use buffers::{Bindings, Buffers, OptimizerBindings, OptimizerBuffers,
 use geometry::rvd::RvdError;
 use geometry::token::Token;
 
-/// The buffers of a session, bound to the stages.
 pub(super) struct OnDevice {
     pub buffers: Buffers,
     pub bindings: Bindings,
@@ -39,7 +38,7 @@ impl OnDevice {
         lane: usize,
         stages: &[dispatch::Stage<'_>],
         token: &Token,
-    ) -> Result<(), RvdError> {
+    ) -> Result<()> {
         dispatch::encode(device, encoder, lane, stages, self.buffers.origins(), token)
     }
 }
@@ -71,7 +70,7 @@ impl Memory {
         Self { cx, counts, windows, slots_log2, facets, on_device: None }
     }
 
-    pub(super) fn there(&self) -> Result<&OnDevice, RvdError> {
+    pub(super) fn there(&self) -> Result<&OnDevice> {
         self.on_device.as_ref().ok_or_else(|| RvdError::Internal("no buffers".to_owned()))
     }
 
@@ -102,7 +101,7 @@ impl Memory {
         self.counts = Counts { window, windows, slots: slots + flags, pairs, emitted, ..self.counts };
     }
 
-    pub(super) fn allocate(&mut self) -> Result<(), RvdError> {
+    pub(super) fn allocate(&mut self) -> Result<()> {
         let plan = Plan::new(self.counts, self.cx.limits())?;
         let facets: Vec<u64> = self.windows.all.iter().map(|w| w.facets.len() as u64).collect();
         let buffers = Buffers::new(&self.cx.device, plan, &facets)?;
@@ -125,23 +124,23 @@ impl Memory {
     }
 
     /// The buffers of the window at work.
-    pub(super) fn window(&self) -> Result<&WindowBuffers, RvdError> {
+    pub(super) fn window(&self) -> Result<&WindowBuffers> {
         let window = self.there()?.buffers.windows.get(self.windows.present);
         window.ok_or_else(|| RvdError::Internal("no window".to_owned()))
     }
 
-    pub(super) fn upload_facets(&self) -> Result<(), RvdError> {
+    pub(super) fn upload_facets(&self) -> Result<()> {
         for (window, to) in self.by_window() {
             write(&self.cx.device, &to.facets, 0, &self.facets[places(&window.facets)])?;
         }
         Ok(())
     }
 
-    pub(super) fn write_state(&self, state: State) -> Result<(), RvdError> {
+    pub(super) fn write_state(&self, state: State) -> Result<()> {
         Ok(write(&self.cx.device, &self.there()?.buffers.state, 0, &[state])?)
     }
 
-    pub(super) fn write_params(&self, params: Params) -> Result<(), RvdError> {
+    pub(super) fn write_params(&self, params: Params) -> Result<()> {
         Ok(write(&self.cx.device, &self.there()?.buffers.params, 0, &[params])?)
     }
 

@@ -20,11 +20,11 @@ use std::sync::Arc;
 
 use glam::DVec3;
 
-use super::Context;
 use super::lane;
 use super::layout::{self, COMPLETE, INDEX, ListState, Params, State, halt};
 use super::memory::{Memory, records};
 use super::plan::{grid_cells, search_arguments, size};
+use super::{Context, Result};
 use crate::buffers::write;
 use crate::dispatch::Stage;
 use geometry::knn::NeighbourRow;
@@ -44,15 +44,13 @@ pub(super) enum Place {
     Trial(f32),
 }
 
-/// Where the rows that the device has come from.
+/// Where the rows that the device has come from. `far`: seeds are farther than floats reach, so rows and distances are in
+/// the order of f64.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Rows {
     Missing,
     Device,
-    /// The host. `far`: seeds are farther than floats reach, so rows and distances are in the order of f64.
-    Host {
-        far: bool,
-    },
+    Host { far: bool },
 }
 
 impl Rows {
@@ -101,14 +99,11 @@ impl FirstCells {
     }
 }
 
-/// What came of a search on the device.
+/// What came of a search on the device. Without rows the host has to search, with what [`Rows`] says of `far`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Searched {
     Rows,
-    /// The host has to search. `far`: seeds are farther than floats reach.
-    Nothing {
-        far: bool,
-    },
+    Nothing { far: bool },
 }
 
 /// What a search found.
@@ -171,7 +166,7 @@ impl Neighbours {
     }
 
     /// Takes new seeds. [`Self::seeds_changed`] comes after it.
-    pub(super) fn set_seeds(&mut self, seeds: &[DVec3]) -> Result<(), RvdError> {
+    pub(super) fn set_seeds(&mut self, seeds: &[DVec3]) -> Result<()> {
         take_seeds(seeds, self.cx.max_seeds, &mut self.seeds)?;
         if self.count != self.seeds.len() {
             self.first_cells = FirstCells::Missing;
@@ -195,7 +190,7 @@ impl Neighbours {
     }
 
     /// The device's memory is new. Rows of the host are uploaded again.
-    pub(super) fn memory_changed(&mut self, memory: &Memory) -> Result<(), RvdError> {
+    pub(super) fn memory_changed(&mut self, memory: &Memory) -> Result<()> {
         if self.rows.are_of_host() {
             self.upload_rows(memory)?;
         }
@@ -212,7 +207,7 @@ impl Neighbours {
         self.seeds.iter().map(|&p| records::record(p)).collect()
     }
 
-    pub(super) fn upload_seeds(&mut self, memory: &Memory) -> Result<(), RvdError> {
+    pub(super) fn upload_seeds(&mut self, memory: &Memory) -> Result<()> {
         self.host.records.clear();
         self.host.records.extend(self.seeds.iter().map(|&p| records::record(p)));
         Ok(write(&self.cx.device, &memory.there()?.buffers.seeds, 0, &self.host.records)?)
@@ -224,14 +219,14 @@ impl Neighbours {
         at(facets.start)..at(facets.end)
     }
 
-    pub(super) fn upload_roots(&self, memory: &Memory) -> Result<(), RvdError> {
+    pub(super) fn upload_roots(&self, memory: &Memory) -> Result<()> {
         for (window, to) in memory.by_window() {
             write(&self.cx.device, &to.candidates, 0, &self.roots[self.roots_of(&window.facets)])?;
         }
         Ok(())
     }
 
-    fn download_roots(&mut self, memory: &Memory) -> Result<(), RvdError> {
+    fn download_roots(&mut self, memory: &Memory) -> Result<()> {
         let staging = &memory.there()?.buffers.staging;
         let mut roots = Vec::with_capacity(self.roots.len());
         for (window, from) in memory.by_window() {
@@ -248,7 +243,7 @@ impl Neighbours {
         params: &Params,
         encoder: &mut wgpu::CommandEncoder,
         token: &Token,
-    ) -> Result<(), RvdError> {
+    ) -> Result<()> {
         let (n, pipelines, there) = (self.count as u64, &self.cx.pipelines, memory.there()?);
         let (b, bindings) = (&there.buffers, &there.bindings);
         for of_cells in [&b.cells, &b.drifts] {
@@ -284,7 +279,7 @@ impl Neighbours {
         memory: &Memory,
         encoder: &mut wgpu::CommandEncoder,
         token: &Token,
-    ) -> Result<(), RvdError> {
+    ) -> Result<()> {
         let roots = self.roots_of(&memory.windows.facets()).len() as u64;
         let guessed = matches!(self.first_cells, FirstCells::Guessed | FirstCells::Found);
         let size = if guessed { size::FACET } else { size::FIRST_CELL };
@@ -294,7 +289,7 @@ impl Neighbours {
         there.encode(&self.cx.device, encoder, lane::START, &[stage], token)
     }
 
-    pub(super) fn take_search_result(&mut self, memory: &Memory, state: &State) -> Result<Searched, RvdError> {
+    pub(super) fn take_search_result(&mut self, memory: &Memory, state: &State) -> Result<Searched> {
         if state.halt & halt::BAD != 0 {
             let i = (u32::MAX - state.bad) as usize;
             let b = &memory.there()?.buffers;
@@ -318,7 +313,7 @@ impl Neighbours {
     }
 
     /// Takes what came of the facets' first cells. `false` if the host found some of them.
-    pub(super) fn take_first_cells(&mut self, memory: &Memory, state: &State) -> Result<bool, RvdError> {
+    pub(super) fn take_first_cells(&mut self, memory: &Memory, state: &State) -> Result<bool> {
         self.first_cells = FirstCells::Found;
         if state.unproved == 0 {
             return Ok(true);
@@ -328,7 +323,7 @@ impl Neighbours {
     }
 
     /// Rows and first cells as they are on the device.
-    pub(super) fn found(&mut self, memory: &Memory) -> Result<Found, RvdError> {
+    pub(super) fn found(&mut self, memory: &Memory) -> Result<Found> {
         self.host.fresh = false;
         self.view(memory)?;
         let b = &memory.there()?.buffers;

@@ -10,12 +10,12 @@
 mod history;
 mod moving;
 
-use super::Context;
 use super::clip::Clip;
 use super::lane;
 use super::layout::{self, DOTS, OptimizerParams, PAIRS};
 use super::memory::{Memory, OnDevice, OptimizerBindings};
 use super::neighbours::{Neighbours, Place};
+use super::{Context, Result};
 use crate::buffers::write;
 use crate::dispatch::{reduction, run, run_groups};
 use geometry::rvd::resident::Evaluation;
@@ -50,11 +50,11 @@ impl Optimizer {
         Self { together, moving: None }
     }
 
-    pub(super) fn there(&mut self) -> Result<&mut Moving, RvdError> {
+    pub(super) fn there(&mut self) -> Result<&mut Moving> {
         self.moving.as_mut().ok_or_else(missing)
     }
 
-    pub(super) fn open(&mut self, cx: &Context) -> Result<(), RvdError> {
+    pub(super) fn open(&mut self, cx: &Context) -> Result<()> {
         if self.moving.is_none() {
             self.moving = Some(Moving::new(cx, self.together)?);
         }
@@ -62,7 +62,7 @@ impl Optimizer {
     }
 
     /// The seeds as set become the present point.
-    pub(super) fn take_seeds(&mut self, cx: &Context, neighbours: &Neighbours) -> Result<(), RvdError> {
+    pub(super) fn take_seeds(&mut self, cx: &Context, neighbours: &Neighbours) -> Result<()> {
         let moving = self.there()?;
         let points = neighbours.records();
         write(&cx.device, &moving.buffers.points, 0, &points)?;
@@ -129,7 +129,7 @@ impl Optimizer {
     }
 
     /// Tells the stages `params`, and binds them if they are not bound.
-    pub(super) fn prepare(&mut self, rooms: Rooms<'_>, params: OptimizerParams) -> Result<(), RvdError> {
+    pub(super) fn prepare(&mut self, rooms: Rooms<'_>, params: OptimizerParams) -> Result<()> {
         let moving = self.moving.as_mut().ok_or_else(missing)?;
         write(&rooms.cx.device, &moving.buffers.params, 0, &[params])?;
         if moving.bindings.is_none() {
@@ -141,13 +141,13 @@ impl Optimizer {
     }
 
     /// What a stage is bound to. After [`Self::prepare`].
-    fn bound<'a>(&'a self, memory: &'a Memory) -> Result<(&'a Moving, &'a OptimizerBindings, &'a OnDevice), RvdError> {
+    fn bound<'a>(&'a self, memory: &'a Memory) -> Result<(&'a Moving, &'a OptimizerBindings, &'a OnDevice)> {
         let moving = self.moving.as_ref().ok_or_else(missing)?;
         let bindings = moving.bindings.as_ref().ok_or_else(missing)?;
         Ok((moving, bindings, memory.there()?))
     }
 
-    pub(super) fn encode_point(&self, rooms: Rooms<'_>, encoder: &mut wgpu::CommandEncoder) -> Result<(), RvdError> {
+    pub(super) fn encode_point(&self, rooms: Rooms<'_>, encoder: &mut wgpu::CommandEncoder) -> Result<()> {
         if let Some(moving) = &self.moving {
             let bytes = (rooms.neighbours.count * size_of::<layout::Seed>()) as u64;
             let seeds = &rooms.memory.there()?.buffers.seeds;
@@ -156,11 +156,7 @@ impl Optimizer {
         Ok(())
     }
 
-    pub(super) fn encode_trial(
-        &mut self,
-        rooms: Rooms<'_>,
-        encoder: &mut wgpu::CommandEncoder,
-    ) -> Result<(), RvdError> {
+    pub(super) fn encode_trial(&mut self, rooms: Rooms<'_>, encoder: &mut wgpu::CommandEncoder) -> Result<()> {
         self.prepare(rooms, self.params(rooms))?;
         let (cx, (_, bindings, _)) = (rooms.cx, self.bound(rooms.memory)?);
         let mut compute = cx.device.pass(encoder, lane::NEIGHBOURS);
@@ -169,11 +165,7 @@ impl Optimizer {
     }
 
     /// Encodes gradient and totals of the pass, if it is one of a point.
-    pub(super) fn encode_totals(
-        &mut self,
-        rooms: Rooms<'_>,
-        encoder: &mut wgpu::CommandEncoder,
-    ) -> Result<(), RvdError> {
+    pub(super) fn encode_totals(&mut self, rooms: Rooms<'_>, encoder: &mut wgpu::CommandEncoder) -> Result<()> {
         let Some(place) = self.moving.as_ref().and_then(|m| m.totals_of) else { return Ok(()) };
         self.prepare(rooms, self.params(rooms))?;
         // Later submissions of a pass may lack what the host has done of it.
@@ -192,7 +184,7 @@ impl Optimizer {
         encoder: &mut wgpu::CommandEncoder,
         place: Place,
         steps: bool,
-    ) -> Result<(), RvdError> {
+    ) -> Result<()> {
         let (cx, count) = (rooms.cx, rooms.neighbours.count as u64);
         let (_, bindings, _) = self.bound(rooms.memory)?;
         let gradient = if place == Place::Point { &bindings.gradient } else { &bindings.gradient_ahead };
@@ -206,7 +198,7 @@ impl Optimizer {
         Ok(())
     }
 
-    pub(super) fn step_to_centroids(&mut self, rooms: Rooms<'_>) -> Result<(), RvdError> {
+    pub(super) fn step_to_centroids(&mut self, rooms: Rooms<'_>) -> Result<()> {
         self.prepare(rooms, self.params(rooms))?;
         // The pass is complete, whatever its first submissions came to.
         rooms.memory.write_state(layout::State::default())?;
@@ -239,12 +231,7 @@ impl Optimizer {
     }
 
     /// Submits what `encoder` has and the dot products, and takes them in as those of the pair in `params.slot`.
-    fn learn(
-        &mut self,
-        rooms: Rooms<'_>,
-        encoder: wgpu::CommandEncoder,
-        params: OptimizerParams,
-    ) -> Result<(), RvdError> {
+    fn learn(&mut self, rooms: Rooms<'_>, encoder: wgpu::CommandEncoder, params: OptimizerParams) -> Result<()> {
         let (pipelines, (_, bindings, _)) = (&rooms.cx.pipelines, self.bound(rooms.memory)?);
         let dots = self.dots(rooms, encoder, (&pipelines.partial_dots, &bindings.partial_dots), params.groups)?;
         let moving = self.there()?;
@@ -260,7 +247,7 @@ impl Optimizer {
         mut encoder: wgpu::CommandEncoder,
         (partial, bound): (&wgpu::ComputePipeline, &wgpu::BindGroup),
         groups: u32,
-    ) -> Result<[f32; DOTS], RvdError> {
+    ) -> Result<[f32; DOTS]> {
         let (cx, (moving, bindings, there)) = (rooms.cx, self.bound(rooms.memory)?);
         let mut compute = cx.device.pass(&mut encoder, lane::UPDATE);
         run_groups(&mut compute, partial, bound, [groups, 1]);
@@ -273,7 +260,7 @@ impl Optimizer {
     }
 
     /// Parameters with the slot of the history's next pair. The stages are told them.
-    fn prepare_pair(&mut self, rooms: Rooms<'_>) -> Result<OptimizerParams, RvdError> {
+    fn prepare_pair(&mut self, rooms: Rooms<'_>) -> Result<OptimizerParams> {
         let history = &self.there()?.history;
         let slot = history.free_slot();
         let params = OptimizerParams { slot: slot as u32, used: history.used(slot), ..self.params(rooms) };
@@ -282,7 +269,7 @@ impl Optimizer {
     }
 
     /// The search direction and its slope. The device has gradient and sums of the present point.
-    pub(super) fn find_direction(&mut self, rooms: Rooms<'_>) -> Result<f64, RvdError> {
+    pub(super) fn find_direction(&mut self, rooms: Rooms<'_>) -> Result<f64> {
         let (cx, count) = (rooms.cx, rooms.neighbours.count as f64);
         let moving = self.there()?;
         if moving.gradient != Gradient::WithProducts && !moving.history.is_empty() {
@@ -315,7 +302,7 @@ impl Optimizer {
     }
 
     /// The trial point becomes the present one. Its rows and sums stay.
-    pub(super) fn accept(&mut self, rooms: Rooms<'_>) -> Result<(), RvdError> {
+    pub(super) fn accept(&mut self, rooms: Rooms<'_>) -> Result<()> {
         let (cx, count) = (rooms.cx, rooms.neighbours.count);
         let params = self.prepare_pair(rooms)?;
         let (moving, bindings, there) = self.bound(rooms.memory)?;
@@ -333,15 +320,14 @@ impl Optimizer {
         Ok(())
     }
 
-    pub(super) fn read_points(&self, rooms: Rooms<'_>) -> Result<Vec<layout::Seed>, RvdError> {
+    pub(super) fn read_points(&self, rooms: Rooms<'_>) -> Result<Vec<layout::Seed>> {
         let moving = self.moving.as_ref().ok_or_else(missing)?;
         let staging = &rooms.memory.there()?.buffers.staging;
         Ok(staging.read(&rooms.cx.device, &moving.buffers.points, 0..rooms.neighbours.count)?)
     }
 }
 
-/// What gradients are multiplied by: a power of two near n / (m h), which a gradient of a mean cell is not
-/// much larger than.
+/// What gradients are multiplied by: a power of two near n / (m h), which a gradient of a mean cell is not much larger than.
 fn grain(rooms: Rooms<'_>) -> f64 {
     let n = rooms.neighbours.count as f64;
     let spacing = (rooms.cx.surface.area() / n).sqrt();

@@ -10,9 +10,8 @@ use super::shaders;
 use crate::shader::Constant;
 use crate::{Device, GpuError};
 
-/// Polygon slots of the register variant. The same for all capacities: other slots would be
-/// another program, which a driver may round differently in the last bit. A smaller capacity is
-/// a limit below it, a larger one goes to the large variant.
+/// Polygon slots of the register variant. The same for all capacities: other slots would be another program, which a driver
+/// may round differently in the last bit. A smaller capacity is a limit below it, a larger one goes to the large variant.
 pub(super) const SLOTS: usize = 10;
 
 /// Slots of the variant that pairs with large polygons are clipped by.

@@ -18,7 +18,6 @@ use std::time::Instant;
 
 use glam::DVec3;
 
-use super::Context;
 use super::clip::{Clip, by_cell, fixed};
 use super::layout::{BY_CELL, LONGER, MOST_REQUEUED, NONE, Params, STRIDE};
 use super::memory::{Memory, Windows, records};
@@ -26,6 +25,7 @@ use super::neighbours::{Neighbours, Place, grid};
 use super::optimizer::Optimizer;
 use super::pipelines::SLOTS;
 use super::plan::{self, Counts};
+use super::{Context, Result};
 use super::{Gpu, phases, strategy};
 use crate::Traffic;
 use geometry::rvd::parallel::Parallel;
@@ -116,7 +116,7 @@ impl GpuSession {
     }
 
     /// Allocates the buffers, and fills them with all that the host knows, if they are not there.
-    pub(super) fn ensure_memory(&mut self) -> Result<(), RvdError> {
+    pub(super) fn ensure_memory(&mut self) -> Result<()> {
         if self.memory.is_allocated() {
             return Ok(());
         }
@@ -133,7 +133,7 @@ impl GpuSession {
     }
 
     /// Frees the buffers; [`Self::ensure_memory`] makes larger ones. What the device found is found again.
-    fn release(&mut self) -> Result<(), RvdError> {
+    fn release(&mut self) -> Result<()> {
         self.memory.free();
         self.neighbours.memory_lost();
         self.optimizer.memory_lost();
@@ -158,9 +158,8 @@ impl GpuSession {
         0..self.memory.facets.len() as u32
     }
 
-    /// Statistics of a pass that begins: rows and first cells, in submissions of their own, so that
-    /// they can be timed.
-    pub(super) fn begin_pass(&mut self, token: &Token) -> Result<PassStats, RvdError> {
+    /// Statistics of a pass that begins: rows and first cells, in submissions of their own, so that they can be timed.
+    pub(super) fn begin_pass(&mut self, token: &Token) -> Result<PassStats> {
         let mut stats = PassStats::default();
         if self.neighbours.count == 0 {
             return Err(RvdError::NoSeeds);
@@ -194,11 +193,7 @@ impl GpuSession {
         }
     }
 
-    fn meter(&self, before: &DeviceWork, stats: &mut PassStats) {
-        stats.device += self.work().since(before);
-    }
-
-    fn compute_sums(&mut self, out: &mut CellSums, token: &Token) -> Result<PassStats, RvdError> {
+    fn compute_sums(&mut self, out: &mut CellSums, token: &Token) -> Result<PassStats> {
         let before = self.work();
         let mut stats = self.begin_pass(token)?;
         let begin = Instant::now();
@@ -211,12 +206,12 @@ impl GpuSession {
         if self.neighbours.merged || !self.clip.covers(area, self.facets()) {
             stats = finished(stats, self.in_f64()?.sums(out, token)?);
         }
-        self.meter(&before, &mut stats);
+        stats.device += self.work().since(&before);
         Ok(stats)
     }
 
     /// The sums of the last pass, with what the host finished.
-    fn download_sums(&mut self, out: &mut CellSums) -> Result<(), RvdError> {
+    fn download_sums(&mut self, out: &mut CellSums) -> Result<()> {
         self.ensure_memory()?;
         let words = self.clip.sum_words(&self.memory, self.neighbours.count)?;
         out.reset(self.neighbours.count);
@@ -225,12 +220,7 @@ impl GpuSession {
     }
 
     /// A pass finds the pairs of a range of facets; then their pieces are written. They come out by facet, then seed.
-    fn compute_pieces(
-        &mut self,
-        facets: Range<u32>,
-        out: &mut PieceBatch,
-        token: &Token,
-    ) -> Result<PassStats, RvdError> {
+    fn compute_pieces(&mut self, facets: Range<u32>, out: &mut PieceBatch, token: &Token) -> Result<PassStats> {
         out.clear();
         let end = facets.end.min(self.memory.facets.len() as u32);
         let facets = facets.start.min(end)..end;
@@ -253,23 +243,37 @@ impl GpuSession {
         if self.neighbours.merged || !self.clip.covers(area, facets.clone()) {
             stats = finished(stats, self.in_f64()?.pieces(facets, out, token)?);
         }
-        self.meter(&before, &mut stats);
+        stats.device += self.work().since(&before);
         Ok(stats)
+    }
+
+    /// A session for the pass again, in f64.
+    fn in_f64(&mut self) -> Result<Box<dyn Session>> {
+        // With capacities of its own: these may show in the last bits.
+        let options = SessionOptions::new(self.cx.max_seeds);
+        let mut session = Parallel::on(Arc::clone(&self.cx.pool)).session(Arc::clone(&self.cx.surface), options)?;
+        if self.neighbours.place == Place::Set {
+            session.set_seeds(&self.neighbours.seeds)?;
+        } else {
+            self.view()?;
+            session.set_seeds(&self.neighbours.host.seen)?;
+        }
+        Ok(session)
     }
 }
 
 impl Session for GpuSession {
-    fn set_seeds(&mut self, seeds: &[DVec3]) -> Result<(), RvdError> {
+    fn set_seeds(&mut self, seeds: &[DVec3]) -> Result<()> {
         self.neighbours.set_seeds(seeds)?;
         self.seeds_changed();
         Ok(())
     }
 
-    fn sums(&mut self, out: &mut CellSums, token: &Token) -> Result<PassStats, RvdError> {
+    fn sums(&mut self, out: &mut CellSums, token: &Token) -> Result<PassStats> {
         self.on_pool(|session| session.compute_sums(out, token))
     }
 
-    fn pieces(&mut self, facets: Range<u32>, out: &mut PieceBatch, token: &Token) -> Result<PassStats, RvdError> {
+    fn pieces(&mut self, facets: Range<u32>, out: &mut PieceBatch, token: &Token) -> Result<PassStats> {
         self.on_pool(|session| session.compute_pieces(facets, out, token))
     }
 
@@ -287,22 +291,6 @@ impl Session for GpuSession {
 
     fn resident(&mut self) -> Option<&mut dyn Resident> {
         (self.neighbours.count > 0).then_some(self)
-    }
-}
-
-impl GpuSession {
-    /// A session for the pass again, in f64.
-    fn in_f64(&mut self) -> Result<Box<dyn Session>, RvdError> {
-        // With capacities of its own: these may show in the last bits.
-        let options = SessionOptions::new(self.cx.max_seeds);
-        let mut session = Parallel::on(Arc::clone(&self.cx.pool)).session(Arc::clone(&self.cx.surface), options)?;
-        if self.neighbours.place == Place::Set {
-            session.set_seeds(&self.neighbours.seeds)?;
-        } else {
-            self.view()?;
-            session.set_seeds(&self.neighbours.host.seen)?;
-        }
-        Ok(session)
     }
 }
 

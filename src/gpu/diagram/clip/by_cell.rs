@@ -13,7 +13,7 @@
 //! cells takes several times longer. The rounds that are saved cost little there.
 //! Must not know: how facets are clipped.
 
-use super::Clip;
+use super::{Clip, Result};
 use crate::buffers::write;
 use crate::diagram::lane;
 use crate::diagram::layout::{BY_CELL, Params, State, failure};
@@ -21,7 +21,7 @@ use crate::diagram::memory::Memory;
 use crate::diagram::neighbours::Neighbours;
 use crate::diagram::plan::size;
 use crate::dispatch::Stage;
-use geometry::rvd::{PassStats, RvdError, Surface};
+use geometry::rvd::{PassStats, Surface};
 use geometry::token::Token;
 
 /// Grid cells along a side at most.
@@ -79,7 +79,7 @@ impl Clip {
         memory: &mut Memory,
         mut facets: Vec<u32>,
         stats: &mut PassStats,
-    ) -> Result<(), RvdError> {
+    ) -> Result<()> {
         facets.sort_unstable();
         facets.dedup();
         stats.relaunched_facets += facets.len() as u64;
@@ -91,7 +91,7 @@ impl Clip {
     }
 
     /// Gives all that [`Self::leave_to_propagation`] took back to the cells.
-    pub(crate) fn promote(&mut self, memory: &mut Memory) -> Result<(), RvdError> {
+    pub(crate) fn promote(&mut self, memory: &mut Memory) -> Result<()> {
         if self.demoted.is_empty() {
             return Ok(());
         }
@@ -101,7 +101,7 @@ impl Clip {
         memory.upload_facets()
     }
 
-    pub(crate) fn upload_near(&self, memory: &Memory) -> Result<(), RvdError> {
+    pub(crate) fn upload_near(&self, memory: &Memory) -> Result<()> {
         Ok(write(&self.cx.device, &memory.there()?.buffers.near, 0, &self.near.near)?)
     }
 
@@ -112,7 +112,7 @@ impl Clip {
         neighbours: &Neighbours,
         state: State,
         token: &Token,
-    ) -> Result<Vec<u32>, RvdError> {
+    ) -> Result<Vec<u32>> {
         let params = Params { emit_count: state.length, ..self.params(memory, neighbours) };
         let (device, there) = (&self.cx.device, memory.there()?);
         let buffers = &there.buffers;

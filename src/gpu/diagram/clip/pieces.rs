@@ -7,16 +7,16 @@
 
 use glam::{DVec3, dvec3};
 
-use super::Clip;
+use super::{Clip, Result};
 use crate::diagram::lane;
 use crate::diagram::layout::Params;
 use crate::diagram::memory::Memory;
 use crate::diagram::neighbours::{Neighbours, Place};
 use crate::diagram::pipelines::SLOTS;
 use crate::dispatch::run;
+use geometry::rvd::PassStats;
 use geometry::rvd::cells::PieceBatch;
 use geometry::rvd::clip::Vertex;
-use geometry::rvd::{PassStats, RvdError};
 use geometry::token::Token;
 
 /// Status of a pair that ended, in the heads that the device writes.
@@ -29,14 +29,13 @@ struct Emitted {
 }
 
 impl Clip {
-    /// Adds all pieces of the list to `out`.
     pub(crate) fn emit_all(
         &mut self,
         memory: &Memory,
         neighbours: &mut Neighbours,
         out: &mut PieceBatch,
         token: &Token,
-    ) -> Result<(), RvdError> {
+    ) -> Result<()> {
         let length = self.pass.length;
         let batch = memory.counts.emitted as u32;
         let mut first = 0;
@@ -50,7 +49,7 @@ impl Clip {
         self.collect_walked(memory, neighbours, out)
     }
 
-    fn emit(&self, memory: &Memory, neighbours: &Neighbours, first: u32, count: u32) -> Result<Emitted, RvdError> {
+    fn emit(&self, memory: &Memory, neighbours: &Neighbours, first: u32, count: u32) -> Result<Emitted> {
         let params =
             Params { emit_begin: first, emit_count: count, polygon: SLOTS as u32, ..self.params(memory, neighbours) };
         let (device, there) = (&self.cx.device, memory.there()?);
@@ -77,7 +76,7 @@ impl Clip {
         first: u32,
         emitted: &Emitted,
         out: &mut PieceBatch,
-    ) -> Result<(), RvdError> {
+    ) -> Result<()> {
         if neighbours.place != Place::Set {
             neighbours.view(memory)?;
         }
@@ -111,7 +110,7 @@ impl Clip {
         neighbours: &mut Neighbours,
         (facet, seed): (u32, u32),
         out: &mut PieceBatch,
-    ) -> Result<(), RvdError> {
+    ) -> Result<()> {
         neighbours.view(memory)?;
         let mut ignored = PassStats::default();
         self.walker.clip(None, neighbours.diagram(), facet, seed, &mut ignored);
@@ -119,12 +118,7 @@ impl Clip {
         Ok(())
     }
 
-    fn collect_walked(
-        &mut self,
-        memory: &Memory,
-        neighbours: &mut Neighbours,
-        out: &mut PieceBatch,
-    ) -> Result<(), RvdError> {
+    fn collect_walked(&mut self, memory: &Memory, neighbours: &mut Neighbours, out: &mut PieceBatch) -> Result<()> {
         if self.pass.walked.is_empty() {
             return Ok(());
         }

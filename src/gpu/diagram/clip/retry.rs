@@ -10,14 +10,14 @@ use std::collections::{HashMap, HashSet};
 
 use rayon::prelude::*;
 
-use super::{Clip, Variant, fixed};
+use super::{Clip, Result, Variant, fixed};
 use crate::diagram::layout::{INDEX, State, code, failure};
 use crate::diagram::memory::Memory;
 use crate::diagram::neighbours::{LONGEST_ROW, Neighbours};
 use crate::diagram::pipelines::SLOTS;
+use geometry::rvd::PassStats;
 use geometry::rvd::cells::facet_edge;
 use geometry::rvd::incident::FacetWalker;
-use geometry::rvd::{PassStats, RvdError};
 use geometry::token::Token;
 
 pub(crate) type Pair = (u32, u32);
@@ -41,12 +41,11 @@ pub(crate) struct Retries {
 struct Ended {
     sums: Vec<(u32, fixed::Units)>,
     candidates: Vec<[u32; 2]>,
-    /// The whole facet was done.
     walked: bool,
 }
 
 impl Clip {
-    pub(crate) fn read_failures(&self, memory: &Memory, count: u32) -> Result<Vec<[u32; 2]>, RvdError> {
+    pub(crate) fn read_failures(&self, memory: &Memory, count: u32) -> Result<Vec<[u32; 2]>> {
         let buffers = &memory.there()?.buffers;
         Ok(buffers.staging.read(&self.cx.device, &buffers.failures, 0..count as usize)?)
     }
@@ -105,17 +104,12 @@ impl Clip {
 
     /// Clips pairs in f64 and notes their sums. Returns the cells across their bisectors. A pair
     /// that began its facet is finished with the whole facet: the device found nothing there.
-    pub(crate) fn finish(
-        &mut self,
-        neighbours: &Neighbours,
-        pairs: &[Pair],
-        token: &Token,
-    ) -> Result<Vec<[u32; 2]>, RvdError> {
+    pub(crate) fn finish(&mut self, neighbours: &Neighbours, pairs: &[Pair], token: &Token) -> Result<Vec<[u32; 2]>> {
         let end = |walker: &mut FacetWalker, &pair: &Pair| {
             token.check()?;
             Ok(self.end_pair(neighbours, walker, pair))
         };
-        let ended: Result<Vec<Ended>, RvdError> = pairs.par_iter().map_init(FacetWalker::default, end).collect();
+        let ended: Result<Vec<Ended>> = pairs.par_iter().map_init(FacetWalker::default, end).collect();
         let mut candidates = Vec::new();
         for (&(facet, _), mut ended) in pairs.iter().zip(ended?) {
             self.pass.finished.append(&mut ended.sums);
@@ -150,13 +144,7 @@ impl Clip {
     }
 
     /// More slots for the facets whose sets were full, a longer list if it was, when buffers are allocated next.
-    pub(crate) fn grow(
-        &self,
-        memory: &mut Memory,
-        seeds: usize,
-        state: State,
-        stats: &mut PassStats,
-    ) -> Result<(), RvdError> {
+    pub(crate) fn grow(&self, memory: &mut Memory, seeds: usize, state: State, stats: &mut PassStats) -> Result<()> {
         stats.relaunched_cells += u64::from(state.cells_overflow) + u64::from(state.list_overflow);
         if state.cells_overflow > 0 {
             let stored = u64::from(state.failures).min(memory.counts.pairs) as u32;

@@ -53,7 +53,6 @@ macro_rules! buffers {
 session_buffers!(buffers windows: Vec<WindowBuffers>, staging: Staging);
 optimizer_buffers!(buffers);
 
-/// Buffers of the facets of a window.
 #[derive(Debug)]
 pub(crate) struct WindowBuffers {
     pub facets: wgpu::Buffer,
@@ -78,7 +77,6 @@ impl Buffers {
         Ok(made)
     }
 
-    /// Where the parts of a dispatch begin, and where the stages read it.
     pub(crate) fn origins(&self) -> Origins<'_> {
         Origins { of_parts: &self.origins, to: &self.params, offset: std::mem::offset_of!(Params, part_first) as u64 }
     }
@@ -117,7 +115,6 @@ macro_rules! bindings {
 }
 
 bindings! {
-    /// One session's buffers bound to each stage.
     Bindings(device, pipelines, b: Buffers)
     {
         // Stages that see a window of the facets.
@@ -145,7 +142,6 @@ bindings! {
 }
 
 bindings! {
-    /// One window's.
     WindowBindings(device, pipelines, b: Buffers, w: WindowBuffers)
     {
         // By the variants of the pipeline.

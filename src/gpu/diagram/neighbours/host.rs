@@ -6,7 +6,7 @@
 use glam::DVec3;
 use rayon::prelude::*;
 
-use super::{Neighbours, Place, Rows};
+use super::{Neighbours, Place, Result, Rows};
 use crate::buffers::write;
 use crate::diagram::layout::{self, COMPLETE, INDEX, NONE, STRIDE};
 use crate::diagram::memory::Memory;
@@ -79,7 +79,7 @@ impl Neighbours {
 
     /// Rows and first cells by the host's tree. Whether the table has room for them; if so, they are to be uploaded.
     /// `far`: seeds are farther than floats reach.
-    pub(crate) fn search_on_host(&mut self, memory: &mut Memory, far: bool, token: &Token) -> Result<bool, RvdError> {
+    pub(crate) fn search_on_host(&mut self, memory: &mut Memory, far: bool, token: &Token) -> Result<bool> {
         self.host_searches += 1;
         self.fetch_records(memory)?;
         let seeds = &self.seeds;
@@ -131,14 +131,14 @@ impl Neighbours {
         Ok(memory.has_room(self.host.packed.len() as u64))
     }
 
-    pub(crate) fn upload_rows(&self, memory: &Memory) -> Result<(), RvdError> {
+    pub(crate) fn upload_rows(&self, memory: &Memory) -> Result<()> {
         let buffers = &memory.there()?.buffers;
         write(&self.cx.device, &buffers.seeds, 0, &self.host.records)?;
         Ok(write(&self.cx.device, &buffers.table, 0, &self.host.packed)?)
     }
 
     /// Nearest seeds of facets whose first cell the device could not prove.
-    pub(crate) fn find_unproved(&mut self, memory: &Memory) -> Result<(), RvdError> {
+    pub(crate) fn find_unproved(&mut self, memory: &Memory) -> Result<()> {
         self.host_searches += 1;
         self.host.fresh = false;
         self.view(memory)?;
@@ -153,7 +153,7 @@ impl Neighbours {
         self.upload_roots(memory)
     }
 
-    fn fetch_records(&mut self, memory: &Memory) -> Result<(), RvdError> {
+    fn fetch_records(&mut self, memory: &Memory) -> Result<()> {
         let buffers = &memory.there()?.buffers;
         self.host.records = buffers.staging.read(&self.cx.device, &buffers.seeds, 0..self.count)?;
         Ok(())
@@ -161,7 +161,7 @@ impl Neighbours {
 
     /// Brings what the host knows of the device's seeds, rows and first cells up to date: for pairs
     /// that the device could not end.
-    pub(crate) fn view(&mut self, memory: &Memory) -> Result<(), RvdError> {
+    pub(crate) fn view(&mut self, memory: &Memory) -> Result<()> {
         if self.host.fresh {
             return Ok(());
         }
@@ -190,7 +190,7 @@ impl Neighbours {
     }
 
     /// Four times longer rows for `seeds`, behind the table. Whether the table has room for them.
-    pub(crate) fn lengthen(&mut self, memory: &mut Memory, seeds: &[u32]) -> Result<bool, RvdError> {
+    pub(crate) fn lengthen(&mut self, memory: &mut Memory, seeds: &[u32]) -> Result<bool> {
         let HostCopy { index, records, .. } = &self.host;
         let far = self.rows == Rows::Host { far: true };
         let query = |&i: &u32| {

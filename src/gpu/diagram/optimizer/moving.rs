@@ -7,12 +7,12 @@
 
 use super::history::History;
 use crate::buffers::write;
-use crate::diagram::Context;
 use crate::diagram::layout::Totals;
 use crate::diagram::memory::{OptimizerBindings, OptimizerBuffers};
 use crate::diagram::neighbours::Place;
 use crate::diagram::plan::{OptimizerPlan, PASSES};
-use geometry::rvd::{RvdError, Together};
+use crate::diagram::{Context, Result};
+use geometry::rvd::Together;
 
 /// What is known of the gradient at the present point.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -39,16 +39,13 @@ pub(crate) struct Moving {
     pub(super) bindings: Option<OptimizerBindings>,
     pub(super) held: Vec<bool>,
     pub(super) history: History,
-    /// There is a direction.
     pub directed: bool,
     pub(super) gradient: Gradient,
-    /// The gradient at the last trial point is known.
     pub(super) trial_gradient_known: bool,
     /// Whose sums the device has.
     pub(super) sums_of: Option<Place>,
     /// Of which point the present pass is, if it ends with totals.
     pub(super) totals_of: Option<Place>,
-    /// Whether a step follows the present pass.
     pub step: Step,
     pub batch: Batch,
     /// As read last.
@@ -56,7 +53,7 @@ pub(crate) struct Moving {
 }
 
 impl Moving {
-    pub(super) fn new(cx: &Context, together: Together) -> Result<Self, RvdError> {
+    pub(super) fn new(cx: &Context, together: Together) -> Result<Self> {
         let plan = OptimizerPlan::new(cx.max_seeds as u64, cx.limits())?;
         Ok(Self {
             buffers: OptimizerBuffers::new(&cx.device, plan)?,
@@ -74,7 +71,7 @@ impl Moving {
         })
     }
 
-    pub(crate) fn hold(&mut self, cx: &Context, held: &[bool]) -> Result<(), RvdError> {
+    pub(crate) fn hold(&mut self, cx: &Context, held: &[bool]) -> Result<()> {
         let words: Vec<u32> = held.iter().map(|&h| u32::from(h)).collect();
         write(&cx.device, &self.buffers.held, 0, &words)?;
         self.held = held.to_vec();
@@ -82,7 +79,6 @@ impl Moving {
         Ok(())
     }
 
-    /// There is no direction, no history and no gradient any more.
     pub(super) fn begin_anew(&mut self) {
         self.history.clear();
         self.directed = false;
@@ -90,7 +86,6 @@ impl Moving {
         self.trial_gradient_known = false;
     }
 
-    /// Whether the present pass ends with totals.
     pub(crate) fn wants_totals(&self) -> bool {
         self.totals_of.is_some()
     }
@@ -100,12 +95,10 @@ impl Moving {
         self.sums_of == Some(Place::Point)
     }
 
-    /// Whether it has its gradient and its sums.
     pub(crate) fn has_gradient_and_sums(&self) -> bool {
         self.gradient != Gradient::Unknown && self.has_sums()
     }
 
-    /// Whether a trial point can be accepted.
     pub(crate) fn has_trial(&self) -> bool {
         self.trial_gradient_known && self.gradient != Gradient::Unknown
     }

@@ -11,13 +11,13 @@ use std::collections::HashMap;
 use std::ops::Range;
 use std::time::Instant;
 
-use super::GpuSession;
+use super::{GpuSession, Result};
 use crate::buffers::write;
 use crate::diagram::clip::{Launch, Pair, STEPS, Variant, Wants, by_cell, count_requeued};
 use crate::diagram::layout::{Params, ROOT, State};
 use crate::diagram::neighbours::Rows;
 use crate::diagram::plan::{EXTRA_CANDIDATES, LARGE_BATCH};
-use geometry::rvd::{PassStats, RvdError, elapsed_ms};
+use geometry::rvd::{PassStats, elapsed_ms};
 use geometry::token::Token;
 
 /// A submission that took longer than this is not made longer.
@@ -25,7 +25,7 @@ const SUBMISSION_MS: f64 = 50.0;
 
 impl GpuSession {
     /// Brings the pairs of all facets to their end, and adds them up.
-    pub(crate) fn run_sums(&mut self, token: &Token, stats: &mut PassStats) -> Result<(), RvdError> {
+    pub(crate) fn run_sums(&mut self, token: &Token, stats: &mut PassStats) -> Result<()> {
         loop {
             let mut done = PassStats::default();
             let ended = self.attempt_sums(token, &mut done);
@@ -37,7 +37,7 @@ impl GpuSession {
     }
 
     /// All windows from zero. `false` if a capacity had to grow.
-    fn attempt_sums(&mut self, token: &Token, stats: &mut PassStats) -> Result<bool, RvdError> {
+    fn attempt_sums(&mut self, token: &Token, stats: &mut PassStats) -> Result<bool> {
         self.search_apart(token)?;
         let (mut finished, mut pairs) = (Vec::new(), 0);
         for k in 0..self.memory.windows.all.len() {
@@ -55,7 +55,7 @@ impl GpuSession {
 
     /// Where there are windows, rows and first cells come in submissions of their own: what a window lacks is
     /// then known before any is added up.
-    fn search_apart(&mut self, token: &Token) -> Result<(), RvdError> {
+    fn search_apart(&mut self, token: &Token) -> Result<()> {
         self.ensure_memory()?;
         if self.memory.windows.all.len() > 1 {
             self.search_now(token)?;
@@ -67,12 +67,7 @@ impl GpuSession {
 
     /// Brings the pairs of `facets`, as far as they are in one window, to their end; the list has them then.
     /// Returns where those facets end.
-    pub(super) fn run_pairs(
-        &mut self,
-        facets: Range<u32>,
-        token: &Token,
-        stats: &mut PassStats,
-    ) -> Result<u32, RvdError> {
+    pub(super) fn run_pairs(&mut self, facets: Range<u32>, token: &Token, stats: &mut PassStats) -> Result<u32> {
         loop {
             // Where a capacity has grown, windows may be smaller.
             self.search_apart(token)?;
@@ -86,13 +81,7 @@ impl GpuSession {
     }
 
     /// One attempt from zero at facets of the window at work. `false` if a capacity had to grow.
-    fn attempt(
-        &mut self,
-        facets: Range<u32>,
-        wants: Wants,
-        token: &Token,
-        stats: &mut PassStats,
-    ) -> Result<bool, RvdError> {
+    fn attempt(&mut self, facets: Range<u32>, wants: Wants, token: &Token, stats: &mut PassStats) -> Result<bool> {
         // Of a part of the surface most cells are elsewhere.
         let by_cell = self.clip.near.side > 0 && facets.len() == self.memory.facets.len();
         if self.neighbours.rows == Rows::Missing {
@@ -124,7 +113,7 @@ impl GpuSession {
 
     /// Clears what the pass uses, enters the facets' first cells and drains the list.
     /// `None` if the host took something over, so that the pass must begin anew.
-    fn launch_roots(&mut self, facets: Range<u32>, wants: Wants, token: &Token) -> Result<Option<State>, RvdError> {
+    fn launch_roots(&mut self, facets: Range<u32>, wants: Wants, token: &Token) -> Result<Option<State>> {
         self.ensure_memory()?;
         self.clip.choose(wants, self.neighbours.rows);
         let roots = self.clip.roots_params(&self.memory, &self.neighbours, &facets);
@@ -154,7 +143,7 @@ impl GpuSession {
         candidates: Option<Params>,
         variant: Variant,
         token: &Token,
-    ) -> Result<Option<State>, RvdError> {
+    ) -> Result<Option<State>> {
         let steps = if variant == Variant::Large { 1 } else { self.clip.steps };
         let mut launch = Launch { candidates, variant, steps };
         loop {
@@ -174,15 +163,9 @@ impl GpuSession {
         }
     }
 
-    /// One submission: rows and first cells if the device lacks them, candidates, by facet and by cell,
-    /// then indirect arguments and clip step by step, then the totals if they are wanted. Returns the summary,
-    /// or `None` if the host took something over.
-    fn submit(
-        &mut self,
-        mut encoder: wgpu::CommandEncoder,
-        launch: &Launch,
-        token: &Token,
-    ) -> Result<Option<State>, RvdError> {
+    /// One submission: rows and first cells if the device lacks them, candidates, clip step by step, then the totals if they
+    /// are wanted. `None` if the host took something over.
+    fn submit(&mut self, mut encoder: wgpu::CommandEncoder, launch: &Launch, token: &Token) -> Result<Option<State>> {
         let params = launch.candidates.unwrap_or_else(|| self.params());
         self.ensure_memory()?;
         self.memory.write_params(params)?;
@@ -204,7 +187,7 @@ impl GpuSession {
 
     /// Whether all pieces that cells entered are proved; if not, their facets are left to
     /// propagation and the pass begins anew.
-    fn verify(&mut self, state: State, stats: &mut PassStats, token: &Token) -> Result<bool, RvdError> {
+    fn verify(&mut self, state: State, stats: &mut PassStats, token: &Token) -> Result<bool> {
         self.ensure_memory()?;
         let unproved = self.clip.unproved(&self.memory, &self.neighbours, state, token)?;
         if unproved.is_empty() {
@@ -213,9 +196,7 @@ impl GpuSession {
         self.clip.leave_to_propagation(&mut self.memory, unproved, stats)?;
         Ok(false)
     }
-}
 
-impl GpuSession {
     /// Gives the failed pairs what they lack and launches them again. `None` if a buffer had to
     /// grow for it, so that the pass must begin anew.
     pub(super) fn relaunch(
@@ -224,7 +205,7 @@ impl GpuSession {
         variants: &mut HashMap<Pair, Variant>,
         token: &Token,
         stats: &mut PassStats,
-    ) -> Result<Option<State>, RvdError> {
+    ) -> Result<Option<State>> {
         self.view()?;
         let failures = self.clip.read_failures(&self.memory, state.failures)?;
         let retries = self.clip.sort_out(&self.memory, &self.neighbours, &failures, variants);
@@ -271,13 +252,7 @@ impl GpuSession {
         Ok(Some(state))
     }
 
-    fn launch_again(
-        &mut self,
-        state: State,
-        pairs: &[Pair],
-        variant: Variant,
-        token: &Token,
-    ) -> Result<Option<State>, RvdError> {
+    fn launch_again(&mut self, state: State, pairs: &[Pair], variant: Variant, token: &Token) -> Result<Option<State>> {
         let end = u64::from(state.length) + pairs.len() as u64;
         if end > self.memory.counts.pairs {
             self.memory.grow_list(end);
@@ -296,12 +271,7 @@ impl GpuSession {
         self.drain(encoder, None, variant, token)
     }
 
-    fn launch_candidates(
-        &mut self,
-        candidates: &[[u32; 2]],
-        state: State,
-        token: &Token,
-    ) -> Result<Option<State>, RvdError> {
+    fn launch_candidates(&mut self, candidates: &[[u32; 2]], state: State, token: &Token) -> Result<Option<State>> {
         // Behind the first cells.
         let first = self.memory.windows.facets().len();
         let params = Params {

@@ -14,7 +14,7 @@ use std::time::Instant;
 
 use glam::DVec3;
 
-use super::{GpuSession, finished, rooms};
+use super::{GpuSession, Result, finished, rooms};
 use crate::buffers::write;
 use crate::diagram::clip::{Launch, Variant, Wants, count_requeued, fixed};
 use crate::diagram::layout::{ENTRY_BYTES, SUM_WORDS, State, Totals};
@@ -27,7 +27,7 @@ use geometry::token::Token;
 
 impl GpuSession {
     /// Makes the optimizer's buffers, and puts the seeds there that were set last.
-    pub(super) fn open_optimizer(&mut self) -> Result<(), RvdError> {
+    pub(super) fn open_optimizer(&mut self) -> Result<()> {
         self.optimizer.open(&self.cx)?;
         if self.neighbours.place == Place::Set {
             self.optimizer.take_seeds(&self.cx, &self.neighbours)?;
@@ -46,7 +46,7 @@ impl GpuSession {
     }
 
     /// A pass at `place`, its gradient and its totals.
-    pub(super) fn evaluate_at(&mut self, place: Place, token: &Token) -> Result<Evaluation, RvdError> {
+    pub(super) fn evaluate_at(&mut self, place: Place, token: &Token) -> Result<Evaluation> {
         token.check()?;
         let before = self.work();
         let begin = Instant::now();
@@ -64,13 +64,13 @@ impl GpuSession {
         done?;
         moving.pass_done(place);
         stats.duplicate_seeds = self.neighbours.duplicates;
-        self.meter(&before, &mut stats);
+        stats.device += self.work().since(&before);
         Ok(self.optimizer.describe(rooms!(self), place, stats))
     }
 
     /// Puts what the host did of the pass into the device's sums, or all sums where pieces do not cover
     /// the surface, and makes the totals anew.
-    fn complete_totals(&mut self, stats: &mut PassStats, token: &Token) -> Result<(), RvdError> {
+    fn complete_totals(&mut self, stats: &mut PassStats, token: &Token) -> Result<()> {
         let mut words = None;
         if !self.clip.pass.finished.is_empty() {
             self.ensure_memory()?;
@@ -100,35 +100,7 @@ impl GpuSession {
         Ok(())
     }
 
-    fn find_direction(&mut self) -> Result<f64, RvdError> {
-        self.open_optimizer()?;
-        // The masses are those of the last pass, which may have been of another point.
-        if !self.optimizer.there()?.has_gradient_and_sums() {
-            self.evaluate_at(Place::Point, &Token::default())?;
-        }
-        if let Place::Trial(_) = self.neighbours.place {
-            // The same step along another direction is another point.
-            self.neighbours.place = Place::Point;
-            self.seeds_changed();
-        }
-        self.ensure_memory()?;
-        self.optimizer.find_direction(rooms!(self))
-    }
-
-    fn accept_trial(&mut self) -> Result<(), RvdError> {
-        let trial = matches!(self.neighbours.place, Place::Trial(_));
-        if !trial || !self.optimizer.moving.as_ref().is_some_and(|m| m.has_trial()) {
-            return Err(RvdError::Internal("no trial point to accept".to_owned()));
-        }
-        self.ensure_memory()?;
-        self.optimizer.accept(rooms!(self))?;
-        // The rows and sums are those of these very seeds.
-        self.neighbours.place = Place::Point;
-        Ok(())
-    }
-
-    /// Moves the seeds to their cells' centroids.
-    pub(super) fn step_to_centroids(&mut self) -> Result<(), RvdError> {
+    pub(super) fn step_to_centroids(&mut self) -> Result<()> {
         self.open_optimizer()?;
         if !self.optimizer.there()?.has_sums() {
             self.evaluate_at(Place::Point, &Token::default())?;
@@ -141,7 +113,7 @@ impl GpuSession {
 }
 
 impl Resident for GpuSession {
-    fn hold(&mut self, held: &[bool]) -> Result<(), RvdError> {
+    fn hold(&mut self, held: &[bool]) -> Result<()> {
         let count = self.neighbours.count;
         self.open_optimizer()?;
         if held.len() != count {
@@ -150,26 +122,39 @@ impl Resident for GpuSession {
         self.optimizer.there()?.hold(&self.cx, held)
     }
 
-    fn evaluate(&mut self, token: &Token) -> Result<Evaluation, RvdError> {
+    fn evaluate(&mut self, token: &Token) -> Result<Evaluation> {
         self.on_pool(|session| {
             session.open_optimizer()?;
             session.evaluate_at(Place::Point, token)
         })
     }
 
-    fn to_centroids(&mut self) -> Result<(), RvdError> {
+    fn to_centroids(&mut self) -> Result<()> {
         self.on_pool(|session| session.step_to_centroids())
     }
 
-    fn relax(&mut self, steps: usize, evaluations: &mut Vec<Evaluation>, token: &Token) -> Result<(), RvdError> {
+    fn relax(&mut self, steps: usize, evaluations: &mut Vec<Evaluation>, token: &Token) -> Result<()> {
         self.on_pool(|session| session.take_steps(steps.max(1), evaluations, token))
     }
 
-    fn search_direction(&mut self) -> Result<f64, RvdError> {
-        self.on_pool(|session| session.find_direction())
+    fn search_direction(&mut self) -> Result<f64> {
+        self.on_pool(|session| {
+            session.open_optimizer()?;
+            // The masses are those of the last pass, which may have been of another point.
+            if !session.optimizer.there()?.has_gradient_and_sums() {
+                session.evaluate_at(Place::Point, &Token::default())?;
+            }
+            if let Place::Trial(_) = session.neighbours.place {
+                // The same step along another direction is another point.
+                session.neighbours.place = Place::Point;
+                session.seeds_changed();
+            }
+            session.ensure_memory()?;
+            session.optimizer.find_direction(rooms!(session))
+        })
     }
 
-    fn probe(&mut self, step: f64, token: &Token) -> Result<Evaluation, RvdError> {
+    fn probe(&mut self, step: f64, token: &Token) -> Result<Evaluation> {
         self.on_pool(|session| {
             session.open_optimizer()?;
             if !session.optimizer.there()?.directed {
@@ -179,15 +164,25 @@ impl Resident for GpuSession {
         })
     }
 
-    fn accept(&mut self) -> Result<(), RvdError> {
-        self.on_pool(|session| session.accept_trial())
+    fn accept(&mut self) -> Result<()> {
+        self.on_pool(|session| {
+            let trial = matches!(session.neighbours.place, Place::Trial(_));
+            if !trial || !session.optimizer.moving.as_ref().is_some_and(|m| m.has_trial()) {
+                return Err(RvdError::Internal("no trial point to accept".to_owned()));
+            }
+            session.ensure_memory()?;
+            session.optimizer.accept(rooms!(session))?;
+            // The rows and sums are those of these very seeds.
+            session.neighbours.place = Place::Point;
+            Ok(())
+        })
     }
 
     fn clear_history(&mut self) {
         self.optimizer.clear_history();
     }
 
-    fn read(&mut self, out: &mut Vec<DVec3>) -> Result<(), RvdError> {
+    fn read(&mut self, out: &mut Vec<DVec3>) -> Result<()> {
         self.open_optimizer()?;
         self.ensure_memory()?;
         let points = self.optimizer.read_points(rooms!(self))?;
@@ -196,7 +191,7 @@ impl Resident for GpuSession {
         Ok(())
     }
 
-    fn read_sums(&mut self, out: &mut CellSums) -> Result<(), RvdError> {
+    fn read_sums(&mut self, out: &mut CellSums) -> Result<()> {
         self.on_pool(|session| {
             session.open_optimizer()?;
             if !session.optimizer.there()?.has_sums() {
@@ -210,12 +205,7 @@ impl Resident for GpuSession {
 impl GpuSession {
     /// At least one step, and at most `steps`, in one submission where nothing has to be done again. None from a
     /// point with empty cells, whose evaluation is then the last.
-    pub(super) fn take_steps(
-        &mut self,
-        steps: usize,
-        evaluations: &mut Vec<Evaluation>,
-        token: &Token,
-    ) -> Result<(), RvdError> {
+    pub(super) fn take_steps(&mut self, steps: usize, evaluations: &mut Vec<Evaluation>, token: &Token) -> Result<()> {
         token.check()?;
         self.open_optimizer()?;
         self.ensure_memory()?;
@@ -242,7 +232,7 @@ impl GpuSession {
     }
 
     /// A pass, and a step with it if the pass is `alone` in its submission. Whether the step was taken.
-    fn evaluate_and_step(&mut self, alone: bool, token: &Token) -> Result<(Evaluation, bool), RvdError> {
+    fn evaluate_and_step(&mut self, alone: bool, token: &Token) -> Result<(Evaluation, bool)> {
         self.optimizer.there()?.step = if alone { Step::Wanted } else { Step::No };
         let evaluation = self.evaluate_at(Place::Point, token);
         let taken = std::mem::replace(&mut self.optimizer.there()?.step, Step::No) == Step::Taken;
@@ -253,7 +243,7 @@ impl GpuSession {
     }
 
     /// `count` passes and steps in one submission. How many of them were clean, and so were taken.
-    fn take_together(&mut self, count: usize, evaluations: &mut Vec<Evaluation>) -> Result<usize, RvdError> {
+    fn take_together(&mut self, count: usize, evaluations: &mut Vec<Evaluation>) -> Result<usize> {
         let before = self.work();
         let begin = Instant::now();
         let (passes, roots) = self.submit_together(count)?;
@@ -277,7 +267,7 @@ impl GpuSession {
     }
 
     /// State and totals of `count` passes and steps in one submission, and the first cells that each entered.
-    fn submit_together(&mut self, count: usize) -> Result<(Vec<(State, Totals)>, u32), RvdError> {
+    fn submit_together(&mut self, count: usize) -> Result<(Vec<(State, Totals)>, u32)> {
         // Where long stages are submitted on the way, a stop would leave steps without an evaluation.
         let to_the_end = Token::default();
         self.point_changed();

@@ -7,13 +7,13 @@ use std::sync::Arc;
 
 use glam::DVec3;
 
-use super::{GpuSession, rooms};
+use super::{GpuSession, Result, rooms};
 use crate::diagram::Gpu;
 use crate::diagram::clip::fixed;
 use crate::diagram::layout::{State, Totals, halt};
 use crate::diagram::neighbours::{Found, Place, Rows, Searched};
 use crate::diagram::optimizer::Step;
-use geometry::rvd::{RvdError, Session, SessionOptions, Surface};
+use geometry::rvd::{Session, SessionOptions, Surface};
 use geometry::token::Token;
 
 impl Gpu {
@@ -25,7 +25,7 @@ impl Gpu {
         sets: &[&[DVec3]],
         options: SessionOptions,
         token: &Token,
-    ) -> Result<Vec<Found>, RvdError> {
+    ) -> Result<Vec<Found>> {
         self.pool.install(|| {
             let mut session = GpuSession::new(self, surface, options);
             let find = |seeds: &&[DVec3]| {
@@ -41,7 +41,7 @@ impl Gpu {
 
 impl GpuSession {
     /// Encodes the seeds' arrival and the search for their rows.
-    pub(super) fn encode_search(&mut self, encoder: &mut wgpu::CommandEncoder, token: &Token) -> Result<(), RvdError> {
+    pub(super) fn encode_search(&mut self, encoder: &mut wgpu::CommandEncoder, token: &Token) -> Result<()> {
         let params = self.params();
         match self.neighbours.place {
             Place::Set => self.neighbours.upload_seeds(&self.memory)?,
@@ -52,7 +52,7 @@ impl GpuSession {
     }
 
     /// Ends `encoder` with the totals, if they are wanted and all windows are done, and reads the summary.
-    pub(super) fn read_summary(&mut self, mut encoder: wgpu::CommandEncoder) -> Result<State, RvdError> {
+    pub(super) fn read_summary(&mut self, mut encoder: wgpu::CommandEncoder) -> Result<State> {
         let steps = self.optimizer.moving.as_ref().is_some_and(|m| m.step == Step::Wanted);
         if self.memory.windows.is_last() {
             self.optimizer.encode_totals(rooms!(self), &mut encoder)?;
@@ -78,7 +78,7 @@ impl GpuSession {
     }
 
     /// The rows, if they are not there, in a submission of their own.
-    pub(super) fn search_now(&mut self, token: &Token) -> Result<(), RvdError> {
+    pub(super) fn search_now(&mut self, token: &Token) -> Result<()> {
         if self.neighbours.rows != Rows::Missing {
             return Ok(());
         }
@@ -93,7 +93,7 @@ impl GpuSession {
     }
 
     /// The first cells likewise.
-    pub(super) fn start_now(&mut self, token: &Token) -> Result<(), RvdError> {
+    pub(super) fn start_now(&mut self, token: &Token) -> Result<()> {
         token.check()?;
         if self.neighbours.first_cells.are_known() {
             return Ok(());
@@ -112,7 +112,7 @@ impl GpuSession {
     }
 
     /// What came of the search. `false` if the host searched instead.
-    pub(super) fn take_search_result(&mut self, state: &State, token: &Token) -> Result<bool, RvdError> {
+    pub(super) fn take_search_result(&mut self, state: &State, token: &Token) -> Result<bool> {
         match self.neighbours.take_search_result(&self.memory, state)? {
             Searched::Rows => Ok(true),
             Searched::Nothing { far } => self.search_on_host(far, token).map(|()| false),
@@ -120,7 +120,7 @@ impl GpuSession {
     }
 
     /// Rows and first cells by the host's tree, and onto the device with them.
-    fn search_on_host(&mut self, far: bool, token: &Token) -> Result<(), RvdError> {
+    fn search_on_host(&mut self, far: bool, token: &Token) -> Result<()> {
         let fits = self.neighbours.search_on_host(&mut self.memory, far, token)?;
         if far {
             self.clip.set_radius(fixed::covering_radius(&self.neighbours.host.seen));
@@ -132,8 +132,7 @@ impl GpuSession {
         self.neighbours.upload_roots(&self.memory)
     }
 
-    /// Brings what the host knows of the device's seeds up to date.
-    pub(super) fn view(&mut self) -> Result<(), RvdError> {
+    pub(super) fn view(&mut self) -> Result<()> {
         self.ensure_memory()?;
         self.neighbours.view(&self.memory)
     }
