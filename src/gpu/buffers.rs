@@ -11,7 +11,7 @@ use std::ops::Range;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, mpsc};
 
 use bytemuck::{NoUninit, Pod};
-use wgpu::BufferUsages as Usage;
+use wgpu::{Buffer, BufferUsages as Usage};
 
 use crate::{Device, GpuError};
 
@@ -21,7 +21,7 @@ pub const UPLOAD_BYTES: usize = 32 << 20;
 /// The buffers of one plan. When it is dropped, they go to the device's spare ones.
 #[derive(Debug)]
 pub struct Allocation {
-    buffers: Vec<wgpu::Buffer>,
+    buffers: Vec<Buffer>,
     /// Bytes of the whole plan, for the error message.
     needed_bytes: u64,
     spare: Arc<Spare>,
@@ -37,7 +37,7 @@ impl Allocation {
     ///
     /// # Errors
     /// `OutOfMemory` with the bytes of the whole plan; what was allocated for it is freed.
-    pub fn make(&mut self, device: &Device, label: &str, bytes: u64, usage: Usage) -> Result<wgpu::Buffer, GpuError> {
+    pub fn make(&mut self, device: &Device, label: &str, bytes: u64, usage: Usage) -> Result<Buffer, GpuError> {
         match device.buffer(label, bytes, usage) {
             Ok(buffer) => {
                 self.buffers.push(buffer.clone());
@@ -65,7 +65,7 @@ impl Drop for Allocation {
 /// The buffer through which bytes come back.
 #[derive(Debug)]
 pub struct Staging {
-    buffer: wgpu::Buffer,
+    buffer: Buffer,
     bytes: u64,
 }
 
@@ -77,12 +77,7 @@ impl Staging {
     }
 
     /// Reads entries `range` of a buffer of `T`.
-    pub fn read<T: Pod>(
-        &self,
-        device: &Device,
-        buffer: &wgpu::Buffer,
-        range: Range<usize>,
-    ) -> Result<Vec<T>, GpuError> {
+    pub fn read<T: Pod>(&self, device: &Device, buffer: &Buffer, range: Range<usize>) -> Result<Vec<T>, GpuError> {
         let mut out = Vec::with_capacity(range.len());
         let portion = (self.bytes as usize / size_of::<T>()).max(1);
         let mut at = range.start;
@@ -99,7 +94,7 @@ impl Staging {
         &self,
         device: &Device,
         encoder: wgpu::CommandEncoder,
-        buffer: &wgpu::Buffer,
+        buffer: &Buffer,
         range: Range<usize>,
         show: impl FnOnce(&[T]),
     ) -> Result<(), GpuError> {
@@ -120,7 +115,7 @@ impl Staging {
         &self,
         device: &Device,
         mut encoder: wgpu::CommandEncoder,
-        parts: &[(&wgpu::Buffer, u64, u64)],
+        parts: &[(&Buffer, u64, u64)],
         show: impl FnOnce(&[u8]),
     ) -> Result<(), GpuError> {
         let mut bytes = 0;
@@ -153,7 +148,7 @@ impl Staging {
 }
 
 /// Writes `values` to `buffer` from entry `first` on.
-pub fn write<T: NoUninit>(device: &Device, buffer: &wgpu::Buffer, first: usize, values: &[T]) -> Result<(), GpuError> {
+pub fn write<T: NoUninit>(device: &Device, buffer: &Buffer, first: usize, values: &[T]) -> Result<(), GpuError> {
     let bytes: &[u8] = bytemuck::cast_slice(values);
     let mut offset = (first * size_of::<T>()) as u64;
     for (k, portion) in bytes.chunks(UPLOAD_BYTES).enumerate() {
@@ -171,24 +166,24 @@ pub fn write<T: NoUninit>(device: &Device, buffer: &wgpu::Buffer, first: usize, 
 const MOST_BYTES: u64 = 512 << 20;
 
 #[derive(Debug, Default)]
-pub(crate) struct Spare(Mutex<VecDeque<wgpu::Buffer>>);
+pub(crate) struct Spare(Mutex<VecDeque<Buffer>>);
 
 impl Spare {
-    fn lock(&self) -> MutexGuard<'_, VecDeque<wgpu::Buffer>> {
+    fn lock(&self) -> MutexGuard<'_, VecDeque<Buffer>> {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// A buffer of this size and usage, with whatever it holds.
-    pub(super) fn take(&self, size: u64, usage: wgpu::BufferUsages) -> Option<wgpu::Buffer> {
+    pub(super) fn take(&self, size: u64, usage: Usage) -> Option<Buffer> {
         let mut spare = self.lock();
         let found = spare.iter().position(|buffer| buffer.size() == size && buffer.usage() == usage)?;
         spare.remove(found)
     }
 
-    pub(super) fn keep(&self, buffers: impl IntoIterator<Item = wgpu::Buffer>) {
+    pub(super) fn keep(&self, buffers: impl IntoIterator<Item = Buffer>) {
         let mut spare = self.lock();
         spare.extend(buffers);
-        let mut bytes: u64 = spare.iter().map(wgpu::Buffer::size).sum();
+        let mut bytes: u64 = spare.iter().map(Buffer::size).sum();
         while bytes > MOST_BYTES {
             let Some(oldest) = spare.pop_front() else { break };
             bytes -= oldest.size();

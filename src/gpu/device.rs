@@ -11,6 +11,8 @@ use std::panic::AssertUnwindSafe;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
+use wgpu::Adapter;
+
 use super::GpuError;
 use super::submitter::Submitter;
 use super::timing::{LANES, Timer};
@@ -88,12 +90,12 @@ const KINDS: [(wgpu::DeviceType, &str); 5] = [
     (wgpu::DeviceType::Cpu, "software"),
 ];
 
-fn rank(adapter: &wgpu::Adapter) -> usize {
+fn rank(adapter: &Adapter) -> usize {
     let device_type = adapter.get_info().device_type;
     KINDS.iter().position(|kind| kind.0 == device_type).unwrap_or_default()
 }
 
-fn summarize(adapter: &wgpu::Adapter) -> AdapterSummary {
+fn summarize(adapter: &Adapter) -> AdapterSummary {
     let (info, limits) = (adapter.get_info(), adapter.limits());
     AdapterSummary {
         unusable: shortage(&info.name, &limits),
@@ -127,7 +129,7 @@ pub fn adapters() -> Vec<AdapterSummary> {
     ranked(&instance).iter().map(summarize).collect()
 }
 
-fn ranked(instance: &wgpu::Instance) -> Vec<wgpu::Adapter> {
+fn ranked(instance: &wgpu::Instance) -> Vec<Adapter> {
     let mut found = pollster::block_on(instance.enumerate_adapters(wgpu::Backends::PRIMARY));
     found.sort_by_key(rank);
     found
@@ -209,11 +211,7 @@ impl Device {
         Err(GpuError::NoAdapter { found })
     }
 
-    fn request(
-        adapter: &wgpu::Adapter,
-        summary: AdapterSummary,
-        options: &DeviceOptions,
-    ) -> Result<Arc<Self>, GpuError> {
+    fn request(adapter: &Adapter, summary: AdapterSummary, options: &DeviceOptions) -> Result<Arc<Self>, GpuError> {
         let mut required_limits = adapter.limits();
         if let Some(most) = options.most_buffer_bytes {
             required_limits.max_buffer_size = required_limits.max_buffer_size.min(most);

@@ -17,6 +17,7 @@
 //! Must not know: iterations, jobs, files.
 
 mod clip;
+pub(crate) mod forecast;
 pub mod layout;
 mod memory;
 mod neighbours;

@@ -239,10 +239,10 @@ impl Clip {
         token: &Token,
     ) -> Result<()> {
         let (device, limits, there) = (&self.cx.device, self.cx.limits(), memory.there()?);
-        let entries = self.entries(memory, there, seeds, launch.candidates.as_ref());
+        let entries = self.entries(memory, seeds, launch.candidates.as_ref())?;
         let long = entries.iter().any(Stage::is_long);
         if long {
-            there.encode(device, encoder, lane::CLIP, &entries, token)?;
+            memory.encode(encoder, lane::CLIP, &entries, token)?;
         }
         let mut compute = device.pass(encoder, lane::CLIP);
         if !long {
@@ -252,14 +252,9 @@ impl Clip {
         Ok(())
     }
 
-    fn entries<'a>(
-        &'a self,
-        memory: &Memory,
-        there: &'a OnDevice,
-        seeds: usize,
-        candidates: Option<&Params>,
-    ) -> Vec<Stage<'a>> {
-        let (pipelines, window) = (&self.cx.pipelines, &there.bindings.windows[memory.windows.present]);
+    fn entries<'a>(&'a self, memory: &'a Memory, seeds: usize, candidates: Option<&Params>) -> Result<Vec<Stage<'a>>> {
+        let (pipelines, windows) = (&self.cx.pipelines, &memory.there()?.bindings.windows);
+        let window = &windows[memory.windows.present];
         let mut entries = Vec::with_capacity(2);
         let mut enter = |pipeline, bindings, items: u32, size| {
             entries.push(Stage { pipeline, bindings, items: items.into(), size, arguments: None });
@@ -277,7 +272,7 @@ impl Clip {
                 enter(&pipelines.reach, &window.reach, params.emit_count, size::SEARCH);
             }
         }
-        entries
+        Ok(entries)
     }
 
     fn run_steps(&self, memory: &Memory, there: &OnDevice, compute: &mut wgpu::ComputePass<'_>, launch: &Launch) {
@@ -335,8 +330,7 @@ impl Clip {
 
     /// The sums of the last pass, with what the host finished, in units.
     pub(super) fn sum_words(&self, memory: &Memory, seeds: usize) -> Result<Vec<u32>> {
-        let buffers = &memory.there()?.buffers;
-        let mut words: Vec<u32> = buffers.staging.read(&self.cx.device, &buffers.sums, 0..seeds * SUM_WORDS)?;
+        let mut words: Vec<u32> = memory.read(|b| &b.sums, 0..seeds * SUM_WORDS)?;
         for (seed, units) in &self.pass.finished {
             fixed::add(&mut words[*seed as usize * SUM_WORDS..][..SUM_WORDS], units);
         }

@@ -14,13 +14,14 @@ pub(super) mod records;
 use std::ops::Range;
 use std::sync::Arc;
 
+use bytemuck::Pod;
+
 use super::layout::{self, Params, State};
 use super::pipelines::SLOTS;
 use super::plan::{self, Counts, Need, Plan, Window};
 use super::{Context, Result};
 use crate::buffers::write;
-use crate::dispatch::Limits;
-use crate::{Device, dispatch};
+use crate::dispatch::{self, Limits, Stage};
 pub(super) use buffers::{Bindings, Buffers, OptimizerBindings, OptimizerBuffers, WindowBuffers};
 use geometry::rvd::RvdError;
 use geometry::token::Token;
@@ -28,19 +29,6 @@ use geometry::token::Token;
 pub(super) struct OnDevice {
     pub buffers: Buffers,
     pub bindings: Bindings,
-}
-
-impl OnDevice {
-    pub(super) fn encode(
-        &self,
-        device: &Device,
-        encoder: &mut wgpu::CommandEncoder,
-        lane: usize,
-        stages: &[dispatch::Stage<'_>],
-        token: &Token,
-    ) -> Result<()> {
-        dispatch::encode(device, encoder, lane, stages, self.buffers.origins(), token)
-    }
 }
 
 pub(super) struct Memory {
@@ -72,6 +60,22 @@ impl Memory {
 
     pub(super) fn there(&self) -> Result<&OnDevice> {
         self.on_device.as_ref().ok_or_else(|| RvdError::Internal("no buffers".to_owned()))
+    }
+
+    pub(super) fn encode(
+        &self,
+        encoder: &mut wgpu::CommandEncoder,
+        lane: usize,
+        stages: &[Stage<'_>],
+        token: &Token,
+    ) -> Result<()> {
+        dispatch::encode(&self.cx.device, encoder, lane, stages, self.there()?.buffers.origins(), token)
+    }
+
+    /// Reads entries `range` of a buffer of `T`.
+    pub(super) fn read<T: Pod>(&self, of: fn(&Buffers) -> &wgpu::Buffer, range: Range<usize>) -> Result<Vec<T>> {
+        let buffers = &self.there()?.buffers;
+        Ok(buffers.staging.read(&self.cx.device, of(buffers), range)?)
     }
 
     pub(super) fn is_allocated(&self) -> bool {

@@ -268,7 +268,7 @@ impl Neighbours {
             chosen(&pipelines.search, &bindings.search, &b.list_state, from_grid),
             chosen(&pipelines.search_lists, &bindings.search_lists, &b.list_state, with_lists),
         ];
-        there.encode(&self.cx.device, encoder, lane::NEIGHBOURS, &stages, token)?;
+        memory.encode(encoder, lane::NEIGHBOURS, &stages, token)?;
         self.listed_for = self.count;
         Ok(())
     }
@@ -283,17 +283,15 @@ impl Neighbours {
         let roots = self.roots_of(&memory.windows.facets()).len() as u64;
         let guessed = matches!(self.first_cells, FirstCells::Guessed | FirstCells::Found);
         let size = if guessed { size::FACET } else { size::FIRST_CELL };
-        let there = memory.there()?;
-        let bindings = &there.bindings.windows[memory.windows.present].first_cells;
+        let bindings = &memory.there()?.bindings.windows[memory.windows.present].first_cells;
         let stage = Stage { pipeline: &self.cx.pipelines.first_cells, bindings, items: roots, size, arguments: None };
-        there.encode(&self.cx.device, encoder, lane::START, &[stage], token)
+        memory.encode(encoder, lane::START, &[stage], token)
     }
 
     pub(super) fn take_search_result(&mut self, memory: &Memory, state: &State) -> Result<Searched> {
         if state.halt & halt::BAD != 0 {
             let i = (u32::MAX - state.bad) as usize;
-            let b = &memory.there()?.buffers;
-            let record: Vec<layout::Seed> = b.staging.read(&self.cx.device, &b.seeds, i..i + 1)?;
+            let record: Vec<layout::Seed> = memory.read(|b| &b.seeds, i..i + 1)?;
             let place = record.first().map_or(DVec3::NAN, |r| DVec3::from_array(r.position()));
             check_seed(i, place)?;
             // Beyond the range by a rounding.
@@ -326,11 +324,10 @@ impl Neighbours {
     pub(super) fn found(&mut self, memory: &Memory) -> Result<Found> {
         self.host.fresh = false;
         self.view(memory)?;
-        let b = &memory.there()?.buffers;
         // As long as the buffer is: the counts may be those of the next one already.
-        let entries = b.plan.table as usize / size_of::<u32>();
-        let table: Vec<u32> = b.staging.read(&self.cx.device, &b.table, 0..entries)?;
-        let list_state: Vec<ListState> = b.staging.read(&self.cx.device, &b.list_state, 0..1)?;
+        let entries = memory.there()?.buffers.plan.table as usize / size_of::<u32>();
+        let table: Vec<u32> = memory.read(|b| &b.table, 0..entries)?;
+        let list_state: Vec<ListState> = memory.read(|b| &b.list_state, 0..1)?;
         let from_lists =
             list_state.first().filter(|s| s.mode == layout::search::FROM_LISTS && self.rows == Rows::Device);
         let row = |r: &layout::Seed| {

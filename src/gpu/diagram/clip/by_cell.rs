@@ -122,13 +122,13 @@ impl Clip {
         let bindings = &there.bindings.windows[memory.windows.present].verify;
         let (pipeline, items) = (&self.cx.pipelines.verify, state.length.into());
         let stage = Stage { pipeline, bindings, items, size: size::ITEM, arguments: None };
-        there.encode(device, &mut encoder, lane::CLIP, &[stage], token)?;
+        memory.encode(&mut encoder, lane::CLIP, &[stage], token)?;
         let mut unproved = 0;
         buffers.staging.read_with(device, encoder, &buffers.state, 0..1, |s: &[State]| unproved = s[0].failures)?;
         if unproved == 0 {
             return Ok(Vec::new());
         }
-        let failures = self.read_failures(memory, unproved)?;
+        let failures: Vec<[u32; 2]> = memory.read(|b| &b.failures, 0..unproved as usize)?;
         Ok(failures.iter().filter_map(|&e| failure(e)).map(|f| f.0).collect())
     }
 

@@ -53,7 +53,6 @@ impl Clip {
         let params =
             Params { emit_begin: first, emit_count: count, polygon: SLOTS as u32, ..self.params(memory, neighbours) };
         let (device, there) = (&self.cx.device, memory.there()?);
-        let buffers = &there.buffers;
         memory.write_params(params)?;
         let mut encoder = device.encoder();
         let mut compute = device.pass(&mut encoder, lane::CLIP);
@@ -63,9 +62,9 @@ impl Clip {
         device.run(encoder)?;
         let vertices = count as usize * SLOTS;
         Ok(Emitted {
-            heads: buffers.staging.read(device, &buffers.heads, 0..count as usize)?,
-            vertices: buffers.staging.read(device, &buffers.vertices, 0..vertices)?,
-            labels: buffers.staging.read(device, &buffers.labels, 0..vertices)?,
+            heads: memory.read(|b| &b.heads, 0..count as usize)?,
+            vertices: memory.read(|b| &b.vertices, 0..vertices)?,
+            labels: memory.read(|b| &b.labels, 0..vertices)?,
         })
     }
 

@@ -45,11 +45,6 @@ struct Ended {
 }
 
 impl Clip {
-    pub(crate) fn read_failures(&self, memory: &Memory, count: u32) -> Result<Vec<[u32; 2]>> {
-        let buffers = &memory.there()?.buffers;
-        Ok(buffers.staging.read(&self.cx.device, &buffers.failures, 0..count as usize)?)
-    }
-
     /// `variants` has the pairs whose polygons were too large before.
     pub(crate) fn sort_out(
         &mut self,
@@ -147,8 +142,8 @@ impl Clip {
     pub(crate) fn grow(&self, memory: &mut Memory, seeds: usize, state: State, stats: &mut PassStats) -> Result<()> {
         stats.relaunched_cells += u64::from(state.cells_overflow) + u64::from(state.list_overflow);
         if state.cells_overflow > 0 {
-            let stored = u64::from(state.failures).min(memory.counts.pairs) as u32;
-            let failures = self.read_failures(memory, stored)?;
+            let stored = u64::from(state.failures).min(memory.counts.pairs) as usize;
+            let failures: Vec<[u32; 2]> = memory.read(|b| &b.failures, 0..stored)?;
             let full: HashSet<u32> =
                 failures.iter().filter_map(|&e| failure(e)).filter(|f| f.2 == code::CELLS).map(|f| f.0).collect();
             for facet in full {

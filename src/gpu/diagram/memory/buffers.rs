@@ -4,7 +4,7 @@
 //! Invariant: fields have the names that the plan has; binding numbers are those in the stage's `.wgsl`.
 //! Must not know: what is in the buffers, what is dispatched when.
 
-use wgpu::BufferUsages as Usage;
+use wgpu::{BindGroup, BufferUsages as Usage};
 
 use crate::buffers::{Allocation, Staging, write};
 use crate::diagram::layout::Params;
@@ -100,7 +100,7 @@ macro_rules! bindings {
         #[derive(Debug)]
         pub(crate) struct $name {
             $(pub $own: $own_type,)*
-            $(pub $stage: wgpu::BindGroup,)*
+            $(pub $stage: BindGroup,)*
         }
 
         impl $name {
@@ -145,7 +145,7 @@ bindings! {
     WindowBindings(device, pipelines, b: Buffers, w: WindowBuffers)
     {
         // By the variants of the pipeline.
-        divide: Vec<[wgpu::BindGroup; 2]> = {
+        divide: Vec<[BindGroup; 2]> = {
             let divide = [
                 &b.params, &b.seeds, &w.facets, &b.table, &w.candidates, &b.slots, &b.list, &b.sums, &b.state
             ];
@@ -187,11 +187,7 @@ bindings! {
     }
 }
 
-fn bind(
-    device: &Device,
-    pipeline: &wgpu::ComputePipeline,
-    buffers: &[&wgpu::Buffer],
-) -> Result<wgpu::BindGroup, GpuError> {
+fn bind(device: &Device, pipeline: &wgpu::ComputePipeline, buffers: &[&wgpu::Buffer]) -> Result<BindGroup, GpuError> {
     let entries: Vec<wgpu::BindGroupEntry<'_>> = buffers
         .iter()
         .enumerate()

@@ -81,7 +81,7 @@ impl Neighbours {
     /// `far`: seeds are farther than floats reach.
     pub(crate) fn search_on_host(&mut self, memory: &mut Memory, far: bool, token: &Token) -> Result<bool> {
         self.host_searches += 1;
-        self.fetch_records(memory)?;
+        self.host.records = memory.read(|b| &b.seeds, 0..self.count)?;
         let seeds = &self.seeds;
         let host = &mut self.host;
         host.seen.clear();
@@ -153,19 +153,13 @@ impl Neighbours {
         self.upload_roots(memory)
     }
 
-    fn fetch_records(&mut self, memory: &Memory) -> Result<()> {
-        let buffers = &memory.there()?.buffers;
-        self.host.records = buffers.staging.read(&self.cx.device, &buffers.seeds, 0..self.count)?;
-        Ok(())
-    }
-
     /// Brings what the host knows of the device's seeds, rows and first cells up to date: for pairs
     /// that the device could not end.
     pub(crate) fn view(&mut self, memory: &Memory) -> Result<()> {
         if self.host.fresh {
             return Ok(());
         }
-        self.fetch_records(memory)?;
+        self.host.records = memory.read(|b| &b.seeds, 0..self.count)?;
         self.download_roots(memory)?;
         let host = &mut self.host;
         host.first.clear();

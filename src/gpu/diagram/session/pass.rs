@@ -207,7 +207,7 @@ impl GpuSession {
         stats: &mut PassStats,
     ) -> Result<Option<State>> {
         self.view()?;
-        let failures = self.clip.read_failures(&self.memory, state.failures)?;
+        let failures: Vec<[u32; 2]> = self.memory.read(|b| &b.failures, 0..state.failures as usize)?;
         let retries = self.clip.sort_out(&self.memory, &self.neighbours, &failures, variants);
         // The device's proof covers only what the device clips.
         let finished = retries.finish.iter().map(|pair| pair.0);
