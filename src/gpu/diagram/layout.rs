@@ -225,11 +225,7 @@ pub struct ListState {
     /// Where the last search took rows from, see [`search`].
     pub mode: u32,
     /// Zero.
-    pub padding_0: u32,
-    /// Zero.
-    pub padding_1: u32,
-    /// Zero.
-    pub padding_2: u32,
+    pub padding: [u32; 3],
 }
 
 /// Values of [`ListState::mode`].

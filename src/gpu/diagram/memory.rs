@@ -40,7 +40,7 @@ pub(super) struct Memory {
     /// The records as they are to be on the device.
     pub facets: Vec<layout::Facet>,
     /// `None` before the first use and while capacities grow.
-    on_device: Option<OnDevice>,
+    pub on_device: Option<OnDevice>,
 }
 
 fn places(facets: &Range<u32>) -> Range<usize> {
@@ -78,10 +78,6 @@ impl Memory {
         Ok(buffers.staging.read(&self.cx.device, of(buffers), range)?)
     }
 
-    pub(super) fn is_allocated(&self) -> bool {
-        self.on_device.is_some()
-    }
-
     /// Cuts the facets into windows, for the present capacities. Whether they are more than one.
     pub(super) fn cut(&mut self) -> bool {
         self.windows.cut(&self.slots_log2, self.cx.limits());
@@ -112,10 +108,6 @@ impl Memory {
         let bindings = Bindings::new(&self.cx.device, &self.cx.pipelines, &buffers)?;
         self.on_device = Some(OnDevice { buffers, bindings });
         Ok(())
-    }
-
-    pub(super) fn free(&mut self) {
-        self.on_device = None;
     }
 
     pub(super) fn device_bytes(&self) -> u64 {

@@ -117,7 +117,7 @@ impl GpuSession {
 
     /// Allocates the buffers, and fills them with all that the host knows, if they are not there.
     pub(super) fn ensure_memory(&mut self) -> Result<()> {
-        if self.memory.is_allocated() {
+        if self.memory.on_device.is_some() {
             return Ok(());
         }
         if self.memory.cut() && self.clip.near.side > 0 {
@@ -134,7 +134,7 @@ impl GpuSession {
 
     /// Frees the buffers; [`Self::ensure_memory`] makes larger ones. What the device found is found again.
     fn release(&mut self) -> Result<()> {
-        self.memory.free();
+        self.memory.on_device = None;
         self.neighbours.memory_lost();
         self.optimizer.memory_lost();
         if !self.neighbours.rows.are_of_host() {

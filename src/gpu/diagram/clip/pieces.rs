@@ -85,7 +85,10 @@ impl Clip {
                 continue;
             }
             if status != DONE {
-                self.collect_pair(memory, neighbours, (facet, seed), out)?;
+                // The device cannot write it: too many vertices for the slots, or finished in f64.
+                neighbours.view(memory)?;
+                self.walker.clip(None, neighbours.diagram(), facet, seed, &mut PassStats::default());
+                push(facet, seed, neighbours.host.seen[seed as usize], self.walker.clipper().polygon(), out);
                 continue;
             }
             if size == 0 {
@@ -99,21 +102,6 @@ impl Clip {
             });
             out.push(facet, seed, vertices);
         }
-        Ok(())
-    }
-
-    /// A pair that the device cannot write: too many vertices for the slots, or finished in f64.
-    fn collect_pair(
-        &mut self,
-        memory: &Memory,
-        neighbours: &mut Neighbours,
-        (facet, seed): (u32, u32),
-        out: &mut PieceBatch,
-    ) -> Result<()> {
-        neighbours.view(memory)?;
-        let mut ignored = PassStats::default();
-        self.walker.clip(None, neighbours.diagram(), facet, seed, &mut ignored);
-        push(facet, seed, neighbours.host.seen[seed as usize], self.walker.clipper().polygon(), out);
         Ok(())
     }
 

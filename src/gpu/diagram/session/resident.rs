@@ -110,99 +110,7 @@ impl GpuSession {
         self.point_changed();
         Ok(())
     }
-}
 
-impl Resident for GpuSession {
-    fn hold(&mut self, held: &[bool]) -> Result<()> {
-        let count = self.neighbours.count;
-        self.open_optimizer()?;
-        if held.len() != count {
-            return Err(RvdError::Internal(format!("{} seeds are held or not, of {count}", held.len())));
-        }
-        self.optimizer.there()?.hold(&self.cx, held)
-    }
-
-    fn evaluate(&mut self, token: &Token) -> Result<Evaluation> {
-        self.on_pool(|session| {
-            session.open_optimizer()?;
-            session.evaluate_at(Place::Point, token)
-        })
-    }
-
-    fn to_centroids(&mut self) -> Result<()> {
-        self.on_pool(|session| session.step_to_centroids())
-    }
-
-    fn relax(&mut self, steps: usize, evaluations: &mut Vec<Evaluation>, token: &Token) -> Result<()> {
-        self.on_pool(|session| session.take_steps(steps.max(1), evaluations, token))
-    }
-
-    fn search_direction(&mut self) -> Result<f64> {
-        self.on_pool(|session| {
-            session.open_optimizer()?;
-            // The masses are those of the last pass, which may have been of another point.
-            if !session.optimizer.there()?.has_gradient_and_sums() {
-                session.evaluate_at(Place::Point, &Token::default())?;
-            }
-            if let Place::Trial(_) = session.neighbours.place {
-                // The same step along another direction is another point.
-                session.neighbours.place = Place::Point;
-                session.seeds_changed();
-            }
-            session.ensure_memory()?;
-            session.optimizer.find_direction(rooms!(session))
-        })
-    }
-
-    fn probe(&mut self, step: f64, token: &Token) -> Result<Evaluation> {
-        self.on_pool(|session| {
-            session.open_optimizer()?;
-            if !session.optimizer.there()?.directed {
-                return Err(RvdError::Internal("no direction to try".to_owned()));
-            }
-            session.evaluate_at(Place::Trial(step as f32), token)
-        })
-    }
-
-    fn accept(&mut self) -> Result<()> {
-        self.on_pool(|session| {
-            let trial = matches!(session.neighbours.place, Place::Trial(_));
-            if !trial || !session.optimizer.moving.as_ref().is_some_and(|m| m.has_trial()) {
-                return Err(RvdError::Internal("no trial point to accept".to_owned()));
-            }
-            session.ensure_memory()?;
-            session.optimizer.accept(rooms!(session))?;
-            // The rows and sums are those of these very seeds.
-            session.neighbours.place = Place::Point;
-            Ok(())
-        })
-    }
-
-    fn clear_history(&mut self) {
-        self.optimizer.clear_history();
-    }
-
-    fn read(&mut self, out: &mut Vec<DVec3>) -> Result<()> {
-        self.open_optimizer()?;
-        self.ensure_memory()?;
-        let points = self.optimizer.read_points(rooms!(self))?;
-        out.clear();
-        out.extend(points.iter().map(|p| DVec3::from_array(p.position())));
-        Ok(())
-    }
-
-    fn read_sums(&mut self, out: &mut CellSums) -> Result<()> {
-        self.on_pool(|session| {
-            session.open_optimizer()?;
-            if !session.optimizer.there()?.has_sums() {
-                session.evaluate_at(Place::Point, &Token::default())?;
-            }
-            session.download_sums(out)
-        })
-    }
-}
-
-impl GpuSession {
     /// At least one step, and at most `steps`, in one submission where nothing has to be done again. None from a
     /// point with empty cells, whose evaluation is then the last.
     pub(super) fn take_steps(&mut self, steps: usize, evaluations: &mut Vec<Evaluation>, token: &Token) -> Result<()> {
@@ -311,5 +219,95 @@ impl GpuSession {
             }));
         })?;
         Ok((passes, params.enqueue_count))
+    }
+}
+
+impl Resident for GpuSession {
+    fn hold(&mut self, held: &[bool]) -> Result<()> {
+        let count = self.neighbours.count;
+        self.open_optimizer()?;
+        if held.len() != count {
+            return Err(RvdError::Internal(format!("{} seeds are held or not, of {count}", held.len())));
+        }
+        self.optimizer.there()?.hold(&self.cx, held)
+    }
+
+    fn evaluate(&mut self, token: &Token) -> Result<Evaluation> {
+        self.on_pool(|session| {
+            session.open_optimizer()?;
+            session.evaluate_at(Place::Point, token)
+        })
+    }
+
+    fn to_centroids(&mut self) -> Result<()> {
+        self.on_pool(|session| session.step_to_centroids())
+    }
+
+    fn relax(&mut self, steps: usize, evaluations: &mut Vec<Evaluation>, token: &Token) -> Result<()> {
+        self.on_pool(|session| session.take_steps(steps.max(1), evaluations, token))
+    }
+
+    fn search_direction(&mut self) -> Result<f64> {
+        self.on_pool(|session| {
+            session.open_optimizer()?;
+            // The masses are those of the last pass, which may have been of another point.
+            if !session.optimizer.there()?.has_gradient_and_sums() {
+                session.evaluate_at(Place::Point, &Token::default())?;
+            }
+            if let Place::Trial(_) = session.neighbours.place {
+                // The same step along another direction is another point.
+                session.neighbours.place = Place::Point;
+                session.seeds_changed();
+            }
+            session.ensure_memory()?;
+            session.optimizer.find_direction(rooms!(session))
+        })
+    }
+
+    fn probe(&mut self, step: f64, token: &Token) -> Result<Evaluation> {
+        self.on_pool(|session| {
+            session.open_optimizer()?;
+            if !session.optimizer.there()?.directed {
+                return Err(RvdError::Internal("no direction to try".to_owned()));
+            }
+            session.evaluate_at(Place::Trial(step as f32), token)
+        })
+    }
+
+    fn accept(&mut self) -> Result<()> {
+        self.on_pool(|session| {
+            let trial = matches!(session.neighbours.place, Place::Trial(_));
+            if !trial || !session.optimizer.moving.as_ref().is_some_and(|m| m.has_trial()) {
+                return Err(RvdError::Internal("no trial point to accept".to_owned()));
+            }
+            session.ensure_memory()?;
+            session.optimizer.accept(rooms!(session))?;
+            // The rows and sums are those of these very seeds.
+            session.neighbours.place = Place::Point;
+            Ok(())
+        })
+    }
+
+    fn clear_history(&mut self) {
+        self.optimizer.clear_history();
+    }
+
+    fn read(&mut self, out: &mut Vec<DVec3>) -> Result<()> {
+        self.open_optimizer()?;
+        self.ensure_memory()?;
+        let points = self.optimizer.read_points(rooms!(self))?;
+        out.clear();
+        out.extend(points.iter().map(|p| DVec3::from_array(p.position())));
+        Ok(())
+    }
+
+    fn read_sums(&mut self, out: &mut CellSums) -> Result<()> {
+        self.on_pool(|session| {
+            session.open_optimizer()?;
+            if !session.optimizer.there()?.has_sums() {
+                session.evaluate_at(Place::Point, &Token::default())?;
+            }
+            session.download_sums(out)
+        })
     }
 }
