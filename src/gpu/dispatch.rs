@@ -87,20 +87,20 @@ pub(crate) fn run_indirect(
 /// Where a stage reads the first item of its part.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Origins<'a> {
-    pub(crate) of_parts: &'a wgpu::Buffer,
-    pub(crate) to: &'a wgpu::Buffer,
-    pub(crate) offset: u64,
+    pub of_parts: &'a wgpu::Buffer,
+    pub to: &'a wgpu::Buffer,
+    pub offset: u64,
 }
 
 #[derive(Debug)]
 pub(crate) struct Stage<'a> {
-    pub(crate) pipeline: &'a wgpu::ComputePipeline,
-    pub(crate) bindings: &'a wgpu::BindGroup,
-    pub(crate) items: u64,
+    pub pipeline: &'a wgpu::ComputePipeline,
+    pub bindings: &'a wgpu::BindGroup,
+    pub items: u64,
     /// [`PART`]s that one dispatch may have.
-    pub(crate) size: u64,
+    pub size: u64,
     /// Where the device says how many workgroups each part has, one part's arguments after another's, if it does.
-    pub(crate) arguments: Option<(&'a wgpu::Buffer, u64)>,
+    pub arguments: Option<(&'a wgpu::Buffer, u64)>,
 }
 
 impl Stage<'_> {
@@ -177,10 +177,10 @@ pub(crate) const STAGING_BYTES: u64 = 32 << 20;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Limits {
-    pub(crate) buffer_bytes: u64,
-    pub(crate) binding_bytes: u64,
+    pub buffer_bytes: u64,
+    pub binding_bytes: u64,
     /// Workgroups in one dimension.
-    pub(crate) workgroups: u32,
+    pub workgroups: u32,
 }
 
 impl Limits {

@@ -18,43 +18,43 @@ use crate::dispatch::{ARGUMENTS_BYTES, Limits, PART, REDUCTION_GROUPS, STAGING_B
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) struct Counts {
     /// Facets of all windows.
-    pub(crate) facets: u64,
+    pub facets: u64,
     /// Facets of the largest window.
-    pub(crate) window: u64,
-    pub(crate) windows: u64,
-    pub(crate) seeds: u64,
+    pub window: u64,
+    pub windows: u64,
+    pub seeds: u64,
     /// Entries of the neighbour table, longer rows included.
-    pub(crate) table: u64,
+    pub table: u64,
     /// Slots of the sets of cells of one window's facets.
-    pub(crate) slots: u64,
+    pub slots: u64,
     /// Pairs in the list, which is one window's.
-    pub(crate) pairs: u64,
+    pub pairs: u64,
     /// Pairs whose pieces one emit dispatch writes.
-    pub(crate) emitted: u64,
+    pub emitted: u64,
     /// Polygon vertices per pair.
-    pub(crate) polygon: u64,
+    pub polygon: u64,
     /// Entries of the grid of facets near each place.
-    pub(crate) near: u64,
+    pub near: u64,
     /// Entries of the grid of seeds.
-    pub(crate) cells: u64,
+    pub cells: u64,
     /// Seeds with a Verlet list: all, or none where lists would be more than a shader can see.
-    pub(crate) listed: u64,
+    pub listed: u64,
 }
 
 /// What a facet needs of the buffers that the facets of a window share.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Need {
-    pub(crate) slots: u64,
-    pub(crate) pairs: f64,
+    pub slots: u64,
+    pub pairs: f64,
 }
 
 /// Facets that the device sees at once. A diagram is a sum over its facets, so that windows are done one after another.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct Window {
-    pub(crate) facets: Range<u32>,
-    pub(crate) slots: u64,
+    pub facets: Range<u32>,
+    pub slots: u64,
     /// Pairs that are expected of them, rounded up.
-    pub(crate) pairs: u64,
+    pub pairs: u64,
 }
 
 /// The longest windows of which every buffer can be seen whole: records and first cells of their facets, sets of
