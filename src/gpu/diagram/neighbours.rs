@@ -60,43 +60,12 @@ impl Rows {
 }
 
 /// What the device has of the facets' first cells.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) enum FirstCells {
-    Missing,
-    /// Those of other seeds: guesses.
-    Guessed,
-    /// Those of the present seeds, which it did not find itself.
-    Uploaded,
-    /// Those of the present seeds.
-    Found,
-}
-
-impl FirstCells {
-    /// Whether they are those of the present seeds.
-    pub(super) fn are_known(self) -> bool {
-        matches!(self, Self::Uploaded | Self::Found)
-    }
-
-    fn seeds_changed(&mut self) {
-        *self = match self {
-            Self::Missing | Self::Uploaded => Self::Missing,
-            Self::Guessed | Self::Found => Self::Guessed,
-        };
-    }
-
-    fn memory_changed(&mut self) {
-        *self = match self {
-            Self::Missing | Self::Guessed => Self::Missing,
-            Self::Uploaded | Self::Found => Self::Uploaded,
-        };
-    }
-
-    fn by_host(&mut self) {
-        *self = match self {
-            Self::Missing | Self::Uploaded => Self::Uploaded,
-            Self::Guessed | Self::Found => Self::Found,
-        };
-    }
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct FirstCells {
+    /// They are those of the present seeds.
+    pub known: bool,
+    /// It has found some itself, if only of other seeds: guesses.
+    guessed: bool,
 }
 
 /// What came of a search on the device. Without rows the host has to search, with what [`Rows`] says of `far`.
@@ -155,7 +124,7 @@ impl Neighbours {
             side: finest,
             finest,
             rows: Rows::Missing,
-            first_cells: FirstCells::Missing,
+            first_cells: FirstCells::default(),
             listed_for: 0,
             duplicates: 0,
             merged: false,
@@ -169,7 +138,7 @@ impl Neighbours {
     pub(super) fn set_seeds(&mut self, seeds: &[DVec3]) -> Result<()> {
         take_seeds(seeds, self.cx.max_seeds, &mut self.seeds)?;
         if self.count != self.seeds.len() {
-            self.first_cells = FirstCells::Missing;
+            self.first_cells = FirstCells::default();
             self.count = self.seeds.len();
             // There are buffers for the grid of the most seeds.
             self.side = match self.count == self.cx.max_seeds {
@@ -184,7 +153,7 @@ impl Neighbours {
     /// The seeds are others than those that rows and first cells were made for.
     pub(super) fn seeds_changed(&mut self) {
         self.rows = Rows::Missing;
-        self.first_cells.seeds_changed();
+        self.first_cells.known = false;
         self.host.fresh = false;
         self.merged = false;
     }
@@ -194,7 +163,7 @@ impl Neighbours {
         if self.rows.are_of_host() {
             self.upload_rows(memory)?;
         }
-        self.first_cells.memory_changed();
+        self.first_cells.guessed = false;
         Ok(())
     }
 
@@ -281,8 +250,7 @@ impl Neighbours {
         token: &Token,
     ) -> Result<()> {
         let roots = self.roots_of(&memory.windows.facets()).len() as u64;
-        let guessed = matches!(self.first_cells, FirstCells::Guessed | FirstCells::Found);
-        let size = if guessed { size::FACET } else { size::FIRST_CELL };
+        let size = if self.first_cells.guessed { size::FACET } else { size::FIRST_CELL };
         let bindings = &memory.there()?.bindings.windows[memory.windows.present].first_cells;
         let stage = Stage { pipeline: &self.cx.pipelines.first_cells, bindings, items: roots, size, arguments: None };
         memory.encode(encoder, lane::START, &[stage], token)
@@ -312,7 +280,7 @@ impl Neighbours {
 
     /// Takes what came of the facets' first cells. `false` if the host found some of them.
     pub(super) fn take_first_cells(&mut self, memory: &Memory, state: &State) -> Result<bool> {
-        self.first_cells = FirstCells::Found;
+        self.first_cells = FirstCells { known: true, guessed: true };
         if state.unproved == 0 {
             return Ok(true);
         }

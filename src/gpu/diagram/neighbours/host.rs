@@ -126,7 +126,7 @@ impl Neighbours {
             root[1] = self.host.first[root[0] as usize];
         }
         self.rows = Rows::Host { far };
-        self.first_cells.by_host();
+        self.first_cells.known = true;
         self.host.fresh = true;
         Ok(memory.has_room(self.host.packed.len() as u64))
     }

@@ -170,7 +170,7 @@ impl GpuSession {
         self.ensure_memory()?;
         self.memory.write_params(params)?;
         let search = self.neighbours.rows == Rows::Missing;
-        let start = !self.neighbours.first_cells.are_known();
+        let start = !self.neighbours.first_cells.known;
         if search {
             self.encode_search(&mut encoder, token)?;
         }

@@ -95,7 +95,7 @@ impl GpuSession {
     /// The first cells likewise.
     pub(super) fn start_now(&mut self, token: &Token) -> Result<()> {
         token.check()?;
-        if self.neighbours.first_cells.are_known() {
+        if self.neighbours.first_cells.known {
             return Ok(());
         }
         self.ensure_memory()?;
