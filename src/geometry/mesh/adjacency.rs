@@ -3,8 +3,7 @@
 //! Purpose: [`Adjacency`] has the kind and the opposite of each half-edge; [`weld`] finds vertices at one point.
 //! Invariant: exactly coincident vertices count as one, so that surfaces with split vertices at texture seams, and lists of
 //! triangles, are connected. Facets that name a point twice after that are *collapsed*: they belong to no edge. The result
-//! depends on the mesh alone, not on threads.
-//! Must not know: quality, files, seeds.
+//! depends on the mesh alone, not on threads. Must not know: quality, files, seeds.
 
 use super::edges::{EdgeGroups, Half};
 use super::{TriMesh, coincident};

@@ -2,8 +2,7 @@
 //!
 //! Purpose: [`Bvh`] finds candidates for the nearest item to a point. A node has the boxes of eight neighbours, and the tree
 //! needs no further data: 28 bytes an item, built on all threads.
-//! Invariant: boxes are rounded outwards, so that no candidate is missed.
-//! Must not know: the items in the boxes.
+//! Invariant: boxes are rounded outwards, so that no candidate is missed. Must not know: the items in the boxes.
 
 use glam::DVec3;
 use rayon::prelude::*;

@@ -1,8 +1,7 @@
 //! Points that lie exactly or nearly on one another.
 //!
 //! Purpose: [`find`] returns for each later duplicate the earliest one, [`near`] an earlier point nearby; both in linear time.
-//! Invariant: 0 and -0 are the same place.
-//! Must not know: whether points are vertices or seeds.
+//! Invariant: 0 and -0 are the same place. Must not know: whether points are vertices or seeds.
 
 use std::cmp::Ordering::Equal;
 use std::collections::HashMap;

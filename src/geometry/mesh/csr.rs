@@ -2,8 +2,7 @@
 //!
 //! Purpose: [`Csr`] holds a list for each row in two flat arrays. The row is a vertex in most uses: the facets of its one-ring
 //! ([`Csr::one_rings`]), samples that belong to it ([`Csr::group`]). [`OneRings`] follows edits of a triangulation.
-//! Invariant: the items of a row keep their order, for any number of threads.
-//! Must not know: the items.
+//! Invariant: the items of a row keep their order, for any number of threads. Must not know: the items.
 
 use rayon::prelude::*;
 use std::ops::Range;

@@ -3,8 +3,7 @@
 //! Purpose: [`remove`] keeps one facet of each group if the surface is connected without the others: a file may have a facet
 //! twice, or a second one for its back. [`oddities`] counts the facets that are no surface.
 //! Invariant: a two-sided surface without thickness stays: a sheet of two sides, a flap on a solid, a pillow that is flat in
-//! its middle. Vertices keep their numbers, and facets their order.
-//! Must not know: the use of the surface.
+//! its middle. Vertices keep their numbers, and facets their order. Must not know: the use of the surface.
 
 use std::collections::HashSet;
 

@@ -3,8 +3,7 @@
 //! Purpose: [`EdgeGroups`] groups the facets by edge, in time linear in the facets for bounded valences; [`DisjointSets`] joins
 //! numbers (union-find with path halving).
 //! Invariant: edges ascend by (lower vertex, higher vertex), the half-edges of an edge by (facet, side), for any number of
-//! threads. The root of a set is its lowest member.
-//! Must not know: coincident vertices, kinds of edges.
+//! threads. The root of a set is its lowest member. Must not know: coincident vertices, kinds of edges.
 
 use super::MAX_ELEMENTS;
 use rayon::prelude::*;

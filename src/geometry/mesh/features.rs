@@ -4,8 +4,7 @@
 //! caller named; [`graph`] removes features too short for a remesh, which are noise on scans; [`chains`] joins the rest to
 //! curves between corners.
 //! Invariant: a curve is a chain of mesh edges through welded vertices, simple inside, either closed or between two corners.
-//! A boundary is never removed. Depends on the mesh and the options alone.
-//! Must not know: seeds, diagrams.
+//! A boundary is never removed. Depends on the mesh and the options alone. Must not know: seeds, diagrams.
 
 mod chains;
 mod graph;

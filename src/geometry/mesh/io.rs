@@ -3,11 +3,10 @@
 //! Purpose: [`read`] and [`write()`] for a path, [`decode`] and [`encode`] for bytes. The format is the file's
 //! extension ([`Format`]). The functions with the suffix `_with_attributes` also read and write [`Attributes`]; an attribute that
 //! cannot be used is left aside and named, and never changes the surface.
-//! Invariant: no sequence of bytes makes a reader panic, hang, or allocate more than a small
-//! multiple of the bytes that are there, whatever counts they declare; of what is packed, no more than [`UNPACKED_RATIO`]
-//! times the bytes. A polygon of n corners becomes n - 2 facets: a fan around its first corner if it is convex, or ears
-//! (`polygons`). Positions are double precision; only STL and glTF, whose formats say so, hold single precision.
-//! Must not know: what is done with a surface.
+//! Invariant: no sequence of bytes makes a reader panic, hang, or allocate more than a small multiple of the bytes that are
+//! there, whatever counts they declare; of what is packed, no more than [`UNPACKED_RATIO`] times the bytes. A polygon of n
+//! corners becomes n - 2 facets: a fan around its first corner if it is convex, or ears (`polygons`). Positions are double
+//! precision; only STL and glTF, whose formats say so, hold single precision. Must not know: what is done with a surface.
 
 mod gltf;
 mod gmsh;

@@ -1,9 +1,8 @@
 //! Figures of a whole surface: its topology, and its quality as a remesh.
 //!
 //! Purpose: [`topology`] and [`quality`], with the definitions of the CVT literature.
-//! Invariant: exactly coincident vertices count as one and facets that name a point twice not at all.
-//! Both functions give the same figures whatever the number of threads.
-//! Must not know: how a surface came about.
+//! Invariant: exactly coincident vertices count as one and facets that name a point twice not at all. Both functions give
+//! the same figures whatever the number of threads. Must not know: how a surface came about.
 
 use std::collections::HashSet;
 

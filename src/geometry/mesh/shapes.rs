@@ -2,8 +2,7 @@
 //!
 //! Purpose: [`Shape::build`] makes a surface of about a given number of facets whose topology is known ([`Shape::euler`]).
 //! Invariant: every facet has an area, neighbours run the same way through their edges, and the outside is where the normals
-//! point. All are about one unit in size.
-//! Must not know: its callers.
+//! point. All are about one unit in size. Must not know: its callers.
 
 use std::collections::HashMap;
 use std::f64::consts::TAU;

@@ -1,9 +1,8 @@
 //! Medit: `.mesh`, text, and `.meshb`, binary, of versions 1 to 4. Writes version 2, with doubles, or 3 if a file is longer than
 //! 32 bits can say.
 //!
-//! Purpose: vertices, triangles and quadrilaterals, in either byte order; all other keywords are passed over. A vertex without a
-//! third coordinate, as of dimension 2, lies at 0. Our own reader: it is small.
-//! Must not know: other formats.
+//! Purpose: vertices, triangles and quadrilaterals, in either byte order; all other keywords are passed over. A vertex
+//! without a third coordinate, as of dimension 2, lies at 0. Our own reader: it is small. Must not know: other formats.
 
 use std::fmt::Write as _;
 

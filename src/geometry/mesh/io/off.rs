@@ -1,9 +1,8 @@
 //! Geomview OFF, text. Our own reader: no well-kept crate reads it.
 //!
-//! Purpose: bytes to triangles with what they carry, in one pass, and back. One vertex and one face a line. After the position
-//! come normals (N), colours (C) and texture coordinates (ST) of a vertex, in this order, as the keyword announces them; what
-//! follows the corners of a face (colours) is left aside.
-//! Must not know: other formats.
+//! Purpose: bytes to triangles with what they carry, in one pass, and back. One vertex and one face a line. After the
+//! position come normals (N), colours (C) and texture coordinates (ST) of a vertex, in this order, as the keyword announces
+//! them; what follows the corners of a face (colours) is left aside. Must not know: other formats.
 
 use std::fmt::Write as _;
 

@@ -3,9 +3,8 @@
 //! Purpose: readers make a fan of every polygon, which is right for convex ones. [`recut`] finds those of which it is not,
 //! as some of its triangles would lie outside, turned over, and cuts them by clipping ears (`earcut`).
 //! Invariant: a polygon of n corners stays n - 2 facets with each of its corners, so that neighbours keep their edges; one
-//! that crosses itself, of which nothing would be right, keeps its fan. What stands for the corners beside the facets
-//! can be cut in the same way ([`Cut::apply`]).
-//! Must not know: formats.
+//! that crosses itself, of which nothing would be right, keeps its fan. What stands for the corners beside the facets can be
+//! cut in the same way ([`Cut::apply`]). Must not know: formats.
 
 use earcut::Earcut;
 use earcut::utils3d::project3d_to_2d;

@@ -2,10 +2,9 @@
 //!
 //! Purpose: bytes to triangles and back. Corners with the same position bits become one vertex
 //! (0 and -0 are the same), numbered by first use; normals are left aside.
-//! Why some of the reading is done around the crate: it takes every file that begins with "solid " for
-//! ascii, which many binary ones do, so the records of binary files are read here; of several solids it reads
-//! the first; it wants keywords in lower case and a name after "solid"; and it refuses normals that are no numbers.
-//! Must not know: other formats.
+//! Why some of the reading is done around the crate: it takes every file that begins with "solid " for ascii, which many
+//! binary ones do, so the records of binary files are read here; of several solids it reads the first; it wants keywords in
+//! lower case and a name after "solid"; and it refuses normals that are no numbers. Must not know: other formats.
 
 use std::collections::HashMap;
 use std::io::{Cursor, ErrorKind, Read, Seek};

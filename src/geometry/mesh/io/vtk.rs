@@ -1,9 +1,8 @@
 //! Files of the Visualization Toolkit: legacy `.vtk` ([`legacy`]) and XML `.vtp` ([`xml`]).
 //!
-//! Purpose: what the two have in common: types of cells and of numbers, and what arrays of points are as attributes. An array
-//! of three or four bytes is a colour, and so is one of numbers that is named like one; one number for each point is a scalar.
-//! Arrays of cells, and vectors and tensors of points, are left aside.
-//! Must not know: how arrays are written.
+//! Purpose: what the two have in common: types of cells and of numbers, and what arrays of points are as attributes. An
+//! array of three or four bytes is a colour, and so is one of numbers that is named like one; one number for each point is a
+//! scalar. Arrays of cells, and vectors and tensors of points, are left aside. Must not know: how arrays are written.
 
 pub(super) mod legacy;
 pub(super) mod xml;
