@@ -101,6 +101,12 @@ impl Adjacency {
         self.kinds[3 * facet] == EdgeKind::Collapsed
     }
 
+    /// Both ends of a half-edge of `mesh`, each as the lowest vertex in its place.
+    pub(crate) fn ends(&self, mesh: &TriMesh, half_edge: usize) -> [u32; 2] {
+        let corners = mesh.facets()[half_edge / 3];
+        [half_edge % 3, (half_edge + 1) % 3].map(|corner| self.representative[corners[corner] as usize])
+    }
+
     /// For each vertex the lowest vertex at the same position; see [`weld`].
     pub fn representative(&self) -> &[u32] {
         &self.representative

@@ -73,8 +73,7 @@ impl Bvh {
             // Boxes within the bound, the nearest last.
             let mut near = [(0.0, 0); WIDTH];
             let mut found = 0;
-            // Lanes that nothing is in cost infinity. All are compared before any is looked at: which of them are
-            // within cannot be foretold.
+            // Empty lanes cost infinity. All are compared before any is looked at: which are within cannot be foretold.
             let most = bound.min(f64::MAX);
             let mut within = costs.iter().rev().fold(0u32, |bits, &cost| bits << 1 | u32::from(cost <= most));
             while within != 0 {

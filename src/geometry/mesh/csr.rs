@@ -70,7 +70,6 @@ impl<T> Csr<T> {
         self.first[row as usize] as usize..self.first[row as usize + 1] as usize
     }
 
-    /// All items, row by row.
     pub(crate) fn all(&self) -> &[T] {
         &self.items
     }
@@ -80,7 +79,6 @@ impl<T> Csr<T> {
     }
 }
 
-/// Marks a vertex with unchanged facets.
 const UNCHANGED: u32 = u32::MAX;
 
 /// One-rings as of [`Csr::one_rings`], of a triangulation that changes in places.
@@ -97,7 +95,6 @@ impl OneRings {
         Self { list: vec![UNCHANGED; vertices], base: Csr::one_rings(vertices, facets), changed: Vec::new() }
     }
 
-    /// Facets around vertex `v`, ascending.
     pub(crate) fn of(&self, v: u32) -> &[u32] {
         self.changed.get(self.list[v as usize] as usize).map_or_else(|| self.base.of(v), Vec::as_slice)
     }

@@ -28,7 +28,6 @@ pub(crate) struct EdgeGroups {
     halves: Vec<u64>,
 }
 
-/// A half-edge: its facet and the side of it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Half {
     pub facet: u32,
@@ -77,8 +76,7 @@ impl EdgeGroups {
         Self { first, halves }
     }
 
-    /// Calls `visit` as [`Self::for_each`] does, for runs of vertices on all threads. Each run has its own list; the lists
-    /// are in order.
+    /// Calls `visit` as [`Self::for_each`] does, on all threads. Each run of vertices has a list; the lists are in order.
     pub(crate) fn gather<T: Default + Send>(&self, visit: impl Fn(&mut T, u32, &[Half]) + Sync) -> Vec<T> {
         let vertices = self.first.len() - 1;
         let run = |k: usize| {

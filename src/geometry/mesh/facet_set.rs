@@ -15,8 +15,7 @@ use super::bvh::morton;
 const FACETS_PER_GROUP: usize = 8;
 /// Factor by which radii grow, so that rounding leaves nothing outside.
 const SPHERE_ROUNDING: f64 = 1.0 + 1e-12;
-/// Intervals on an edge of the grid of points at which the distance of a facet is taken. With 4, ridges inside a facet stuck
-/// out a third farther than was measured.
+/// Intervals on an edge of a facet's grid of points. With 4, ridges in a facet stuck out a third farther than measured.
 const GRID_INTERVALS: u32 = 6;
 
 pub(crate) struct FacetSet {

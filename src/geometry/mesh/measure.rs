@@ -142,8 +142,7 @@ pub fn coincident_vertices(result: &TriMesh, token: &Token) -> Result<usize, Sto
     Ok(found.iter().filter(|&&(later, earlier, _)| !edges.contains(&undirected([later, earlier]))).count())
 }
 
-/// Quality of `result` against `original`. Distances are taken from about 100,000 random points and all
-/// vertices of each side to the other surface.
+/// Quality of `result` against `original`. Distances are from 100,000 random points and all vertices of each to the other.
 pub fn quality(original: &TriMesh, result: &TriMesh) -> Quality {
     quality_and_distances(original, None, result, &Token::default()).map(|(quality, _)| quality).unwrap_or_default()
 }
@@ -290,12 +289,10 @@ fn shape_quality(mesh: &TriMesh, adjacency: &Adjacency) -> Quality {
 }
 
 fn v567_percent(mesh: &TriMesh, adjacency: &Adjacency) -> f64 {
-    let representative = adjacency.representative();
-    let mut valence = vec![0u32; representative.len()];
-    let mut interior = vec![true; representative.len()];
+    let mut valence = vec![0u32; mesh.positions().len()];
+    let mut interior = vec![true; mesh.positions().len()];
     for half in 0..3 * mesh.facets().len() {
-        let corners = mesh.facets()[half / 3];
-        let ends = [half % 3, (half + 1) % 3].map(|c| representative[corners[c] as usize] as usize);
+        let ends = adjacency.ends(mesh, half).map(|v| v as usize);
         match adjacency.kind(half) {
             EdgeKind::Manifold | EdgeKind::Inconsistent => {
                 if adjacency.opposite(half).is_some_and(|other| half < other) {
@@ -311,8 +308,7 @@ fn v567_percent(mesh: &TriMesh, adjacency: &Adjacency) -> f64 {
     if inner().next().is_none() { 100.0 } else { 100.0 * regular as f64 / inner().count() as f64 }
 }
 
-/// Vertices of facets with an area, ascending. Facets without one are no part of the surface for samples and closest points,
-/// nor for distances.
+/// Vertices of facets with an area, ascending. Others are no part of the surface for samples, closest points and distances.
 fn solid_vertices(mesh: &TriMesh) -> impl Iterator<Item = u32> {
     let mut used = vec![false; mesh.positions().len()];
     let solid = mesh.facets().iter().enumerate().filter(|&(f, _)| !mesh.is_degenerate(f));
@@ -347,11 +343,9 @@ impl Probe {
     }
 }
 
-/// All points at which [`quality`] takes distances from `mesh`: random ones, and the vertices; and points on edges that are
-/// longer than the random points are apart.
+/// All points from which [`quality`] takes distances, and points on edges that are longer than the random points are apart.
 pub fn probes(mesh: &TriMesh, token: &Token) -> Result<Vec<Probe>, Stopped> {
-    let mut probes: Vec<Probe> =
-        sample(mesh, None, SAMPLES, SAMPLE_SEED).iter().map(|point| Probe::of(mesh, point)).collect();
+    let mut probes: Vec<Probe> = sample(mesh, None, SAMPLES, SAMPLE_SEED).iter().map(|p| Probe::of(mesh, p)).collect();
     token.check()?;
     let at = |v: u32| mesh.positions()[v as usize];
     probes.extend(solid_vertices(mesh).map(|v| Probe { position: at(v), vertices: [v; 3] }));
@@ -375,8 +369,7 @@ pub fn probes(mesh: &TriMesh, token: &Token) -> Result<Vec<Probe>, Stopped> {
     Ok(probes)
 }
 
-/// Largest and root mean square distance of `from`'s points to `to`, and that of each of its vertices, 0 where no facet with area
-/// has it; caller's units.
+/// Largest and root mean square distance of `from`'s points to `to`, and of each vertex, 0 without a facet; caller's units.
 fn distances(
     from: &TriMesh,
     to: &TriMesh,
