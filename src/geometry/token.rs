@@ -68,7 +68,6 @@ struct State {
     begin: Instant,
     /// Microseconds after `begin` of the last check.
     checked: AtomicU64,
-    /// The longest time between two checks so far.
     silence: Mutex<Silence>,
     longest: AtomicU64,
 }

@@ -99,7 +99,6 @@ impl OneRings {
         self.changed.get(self.list[v as usize] as usize).map_or_else(|| self.base.of(v), Vec::as_slice)
     }
 
-    /// Facet `f` had the corners `old` and has the corners `new`.
     pub(crate) fn replace(&mut self, f: u32, old: [u32; 3], new: [u32; 3]) {
         for v in old {
             self.facets_mut(v).retain(|&g| g != f);

@@ -103,7 +103,6 @@ pub(crate) fn oddities(mesh: &TriMesh) -> Oddities {
     }
 }
 
-/// Whether any facets have the same corners.
 pub(crate) fn any(mesh: &TriMesh) -> bool {
     Groups::of(mesh).iter().any(|group| group.len() > 1)
 }

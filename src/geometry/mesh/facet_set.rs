@@ -172,7 +172,6 @@ pub(crate) fn least_distance(p: DVec3, facets: &[[DVec3; 3]], other: f64, enough
     least
 }
 
-/// A grid of points on a facet.
 pub(crate) fn sample_points([a, b, c]: [DVec3; 3]) -> impl Iterator<Item = DVec3> {
     let share = |k: u32| f64::from(k) / f64::from(GRID_INTERVALS);
     (0..=GRID_INTERVALS).flat_map(move |i| {

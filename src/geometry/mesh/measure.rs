@@ -97,7 +97,6 @@ pub fn topology_unless(mesh: &TriMesh, adjacency: &Adjacency, token: &Token) -> 
     let representative = adjacency.representative();
     let live: Vec<usize> = (0..mesh.facets().len()).filter(|&f| !adjacency.is_collapsed(f)).collect();
     let vertex = |half: usize| representative[mesh.facets()[half / 3][half % 3] as usize] as usize;
-
     let mut used = vec![false; representative.len()];
     let mut surfaces = DisjointSets::new(representative.len());
     for (k, &facet) in live.iter().enumerate() {
@@ -109,11 +108,9 @@ pub fn topology_unless(mesh: &TriMesh, adjacency: &Adjacency, token: &Token) -> 
     }
     let vertices = used.iter().filter(|&&used| used).count();
     let components = (0..used.len()).filter(|&v| used[v] && surfaces.root(v) == v).count();
-
     token.check()?;
     let (mut fans, fans_at) = fans(mesh, adjacency);
     token.check()?;
-
     Ok(Topology {
         euler: vertices as i64 - adjacency.edges as i64 + live.len() as i64,
         components,

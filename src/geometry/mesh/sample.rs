@@ -13,10 +13,8 @@ use super::TriMesh;
 use super::bvh::morton;
 use super::closest_point::SurfacePoint;
 
-/// `count` random points on `mesh`, ∝ area times √weight (linear in each facet), from `seed`.
-///
-/// `weights` has one value a vertex; without it, or if its length is another or no value is
-/// positive, points are uniform. Values that are negative or not finite count as 0.
+/// `count` random points on `mesh`, ∝ area times √weight (linear in each facet), from `seed`. `weights` has one value a vertex;
+/// without it, or with another length or no positive value, points are uniform. Values negative or not finite count as 0.
 ///
 /// The density is exact within a facet as well: a facet is drawn ∝ area times the root of its largest weight, a point
 /// uniformly in it, and the pair is kept with probability √(w / largest), which is at least 8/15 on average.
@@ -26,7 +24,6 @@ pub fn sample(mesh: &TriMesh, weights: Option<&[f64]>, count: usize, seed: u64) 
     (0..count).map(|_| masses.draw(&mut rng)).collect()
 }
 
-/// Share of each facet in the points.
 struct Masses<'a> {
     mesh: &'a TriMesh,
     weights: Option<Vec<f64>>,
@@ -43,7 +40,6 @@ impl<'a> Masses<'a> {
         weights.and_then(|given| Self::new(mesh, Some(given))).or_else(|| Self::new(mesh, None))
     }
 
-    /// `None` if no facet has a mass.
     fn new(mesh: &'a TriMesh, weights: Option<&[f64]>) -> Option<Self> {
         if weights.is_some_and(|given| given.len() != mesh.positions().len()) {
             return None;
@@ -164,7 +160,6 @@ struct Curve<'a> {
     masses: &'a Masses<'a>,
     /// Facets with a mass.
     facets: Vec<u32>,
-    /// Running sums of their masses.
     sums: Vec<f64>,
 }
 

@@ -115,7 +115,6 @@ impl FromStr for Shape {
     }
 }
 
-/// Vertices and facets in the making.
 #[derive(Default)]
 struct Draft {
     positions: Vec<DVec3>,

@@ -249,7 +249,7 @@ impl<'a> DihedralAngles<'a> {
         Some(n.cross(m).length().atan2(n.dot(m)).to_degrees())
     }
 
-    /// Whether a straight way across the facet of `half`, `reach` long, meets no edge sharper than `most` before a crease or boundary.
+    /// Whether a straight way across the facet of `half`, `reach` long, meets no edge above `most` before a crease or boundary.
     fn is_smooth_beside(&self, half: usize, most: f64, crease: f64, reach: f64) -> bool {
         let (mut half, mut left) = (half, reach);
         let [a, b] = [half % 3, (half + 1) % 3].map(|k| self.corners(half / 3)[k]);

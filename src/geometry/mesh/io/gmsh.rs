@@ -311,7 +311,6 @@ impl Reader<'_> {
         Ok(())
     }
 
-    /// A number for each node is a scalar.
     fn node_data(&mut self) -> Result<(), DataError> {
         let mut name = String::new();
         for k in 0..self.cursor.parsed::<usize>("a number of names")? {

@@ -120,7 +120,6 @@ pub(super) struct Cursor<'a> {
 }
 
 impl<'a> Cursor<'a> {
-    /// Over text, unless another encoding is set.
     pub(super) fn new(bytes: &'a [u8]) -> Self {
         Self { rest: bytes, line: 1, ..Self::default() }
     }

@@ -166,7 +166,6 @@ pub(super) enum Signature {
     Words(&'static [&'static str]),
 }
 
-/// The first bytes of a file, and its length.
 pub(super) struct Head<'a> {
     pub(super) bytes: &'a [u8],
     length: u64,
@@ -190,7 +189,6 @@ impl<'a> Head<'a> {
         first.split(u8::is_ascii_whitespace).next().unwrap_or_default()
     }
 
-    /// Whether the text begins with this character and has this name in it.
     pub(super) fn is_document(&self, first: u8, name: &[u8]) -> bool {
         let text = self.text().trim_ascii_start();
         text.first() == Some(&first) && text.windows(name.len()).any(|window| window == name)

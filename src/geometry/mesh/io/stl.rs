@@ -42,7 +42,6 @@ fn is_solid(text: &[u8]) -> bool {
     text.trim_ascii_start().split(u8::is_ascii_whitespace).next() == Some(&b"solid"[..])
 }
 
-/// Whether the file is as long as its count of facets says.
 fn is_binary(head: &super::packed::Head<'_>) -> bool {
     declared_facets(head.bytes).is_some_and(|count| head.has_length(HEADER as u64 + RECORD as u64 * count as u64))
 }
@@ -138,7 +137,6 @@ fn solids(text: &[u8]) -> Vec<Vec<u8>> {
     solids
 }
 
-/// Gives equal positions one number, by first use.
 #[derive(Default)]
 struct Welder {
     soup: Soup,

@@ -32,7 +32,6 @@ pub(super) struct Document<'a> {
     pub(super) accessors: Vec<Accessor>,
     pub(super) views: Vec<View>,
     pub(super) buffers: Vec<Buffer<'a>>,
-    /// An extension that packs the data.
     packing: Option<String>,
     room: Room,
 }

@@ -354,7 +354,6 @@ impl Reader<'_> {
     }
 }
 
-/// The attributes of an array, which stand before its values.
 struct Header {
     name: String,
     role: Role,
