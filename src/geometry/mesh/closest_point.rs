@@ -82,7 +82,7 @@ impl ClosestPoint {
         self.on_surface(self.nearest(p, None))
     }
 
-    /// As [`ClosestPoint::project`], all at once, along a curve that fills space: each search begins with the last one's facet.
+    /// As [`ClosestPoint::project`], all along a curve that fills space: each search begins with the last one's facet.
     pub fn project_all(&self, points: &[DVec3], token: &Token) -> Result<Vec<SurfacePoint>, Stopped> {
         self.all(points, token, |nearest| self.on_surface(nearest))
     }
@@ -221,7 +221,7 @@ fn distinct_facets(mesh: &TriMesh) -> Vec<([u32; 3], u32)> {
 const SURE: f64 = 1e16;
 const SEEN: f64 = 1e-6;
 
-/// Squared distance of `p` from a facet, and barycentric coordinates of the nearest point. Coordinates are of the order of 1.
+/// Squared distance of `p` from a facet, and barycentric coordinates of the nearest point. All are of the order of 1.
 pub fn closest_on_facet(p: DVec3, [a, b, c]: [DVec3; 3], ids: [u32; 3]) -> (f64, [f64; 3]) {
     let (ab, ac, ap) = (b - a, c - a, p - a);
     let normal = ab.cross(ac);

@@ -300,7 +300,7 @@ fn read_as<T>(path: &Path, decode: fn(Format, &[u8]) -> Result<T, DataError>) ->
 
 /// Writes a surface; the format is the extension's, and a name that ends in `.gz` is packed. An existing file is replaced.
 ///
-/// Vertices and facets keep their numbers, except in STL, which has none; coordinates keep their bits, except in STL and glTF.
+/// Vertices and facets keep their numbers, except in STL (none); coordinates keep their bits, except in STL and glTF.
 pub fn write(path: &Path, mesh: &TriMesh) -> Result<(), FileError> {
     write_with_attributes(path, mesh, &Attributes::new(mesh)).map(|_| ())
 }

@@ -13,7 +13,7 @@ use super::TriMesh;
 use super::bvh::morton;
 use super::closest_point::SurfacePoint;
 
-/// `count` random points on `mesh`, ∝ area times √weight (linear in each facet), from `seed`. `weights` has one value a vertex;
+/// `count` random points on `mesh`, ∝ area times √weight (linear in each facet), from `seed`. `weights` has a value a vertex;
 /// without it, or with another length or no positive value, points are uniform. Values negative or not finite count as 0.
 ///
 /// The density is exact within a facet as well: a facet is drawn ∝ area times the root of its largest weight, a point

@@ -173,7 +173,7 @@ fn sheets(n: usize) -> TriMesh {
     draft.finish()
 }
 
-/// A regular solid, each face divided into n² triangles and blown up: 20 n² facets, or 8 n² or 4 n² where that is much nearer.
+/// A regular solid, each face divided into n² triangles and blown up: 20 n² facets, or 8 n² or 4 n² if much nearer.
 fn sphere(facets: usize) -> TriMesh {
     let phi = (1.0 + 5f64.sqrt()) / 2.0;
     // Coordinates of the corners, and the corners of the faces.

@@ -91,7 +91,7 @@ fn split(
     Ok(())
 }
 
-/// Places where a chain turns by more than [`CORNER_ANGLE`] from `reach` before to `reach` after: the sharpest of such a length.
+/// Places where a chain turns by more than [`CORNER_ANGLE`] from `reach` before to `reach` after, the sharpest of each `reach`.
 fn sharp_turns(chain: &[u32], closed: bool, along: (Metric<'_>, f64), token: &Token) -> Result<Vec<usize>, Stopped> {
     let (metric, reach) = along;
     let p: Vec<DVec3> = chain.iter().map(|&v| metric.at(v)).collect();

@@ -249,7 +249,7 @@ impl<'a> DihedralAngles<'a> {
         Some(n.cross(m).length().atan2(n.dot(m)).to_degrees())
     }
 
-    /// Whether a straight way across the facet of `half`, `reach` long, meets no edge above `most` before a crease or boundary.
+    /// Whether a straight way of `reach` across the facet of `half` meets no edge above `most` before a crease or boundary.
     fn is_smooth_beside(&self, half: usize, most: f64, crease: f64, reach: f64) -> bool {
         let (mut half, mut left) = (half, reach);
         let [a, b] = [half % 3, (half + 1) % 3].map(|k| self.corners(half / 3)[k]);
@@ -300,7 +300,7 @@ impl<'a> DihedralAngles<'a> {
         Ok(found)
     }
 
-    /// Adds ridges to a graph of creases: chains between two creases or from a free end, and others of at least `min_length`.
+    /// Adds ridges to a graph of creases: chains between two creases or from a free end, others from `min_length` on.
     pub(super) fn add_ridges(
         &self,
         graph: &mut Graph,
