@@ -1,10 +1,9 @@
 //! Triangle surfaces.
 //!
 //! Purpose: one validated type, [`TriMesh`], that other modules can trust, and operations on a single surface: files,
-//! adjacency, samples, closest points, quality.
-//! Invariant: a `TriMesh` has finite positions, indices in range and at least one facet with an area. Facets without area stay in
-//! the list, so that facet numbers are the caller's, and are marked [`TriMesh::is_degenerate`]; integration ignores them.
-//! Must not know: seeds, Voronoi cells, backends, jobs.
+//! adjacency, samples, closest points, quality. Invariant: a `TriMesh` has finite positions, indices in range and at least
+//! one facet with an area. Facets without area stay in the list, so that facet numbers are the caller's, and are marked
+//! [`TriMesh::is_degenerate`]; integration ignores them. Must not know: seeds, Voronoi cells, backends, jobs.
 
 pub mod adjacency;
 pub(crate) mod apart;
@@ -78,31 +77,19 @@ pub enum MeshError {
         /// How many were given.
         count: usize,
     },
-    /// Coordinates so large that areas overflow double precision.
-    #[error("the bounding box is {extent:e} wide; its square overflows. Scale the mesh to below 1e150")]
-    ExtentTooLarge {
-        /// Longest side of the bounding box.
-        extent: f64,
-    },
-    /// Coordinates so small that double precision has few digits left for them.
-    #[error(
-        "the bounding box is {extent:e} wide; coordinates that small lose their digits. Scale the mesh to above 1e-305"
-    )]
-    ExtentTooSmall {
-        /// Longest side of the bounding box.
-        extent: f64,
-    },
+    /// Coordinates so large that areas overflow double precision, and the longest side of the bounding box.
+    #[error("the bounding box is {0:e} wide; its square overflows. Scale the mesh to below 1e150")]
+    ExtentTooLarge(f64),
+    /// Coordinates so small that double precision has few digits left for them, and the same side.
+    #[error("the bounding box is {0:e} wide; coordinates that small lose their digits. Scale the mesh to above 1e-305")]
+    ExtentTooSmall(f64),
 }
 
 /// The largest number of vertices or facets: indices above are used as labels.
 pub const MAX_ELEMENTS: usize = (i32::MAX as usize) - 8;
 
 impl TriMesh {
-    /// Checks and takes a surface. Positions are in the caller's units; facets are
-    /// counter-clockwise seen from outside, three vertex indices from 0.
-    ///
-    /// # Errors
-    /// [`MeshError`], naming the first element that is wrong.
+    /// Checks and takes a surface, in the caller's units. Facets are counter-clockwise from outside, three indices from 0.
     ///
     /// ```
     /// use tessera::mesh::{MeshError, TriMesh};
@@ -134,12 +121,11 @@ impl TriMesh {
         let (low, high) = bounds(&positions, &facets);
         let extent = (high - low).max_element();
         if extent >= 1e150 {
-            return Err(MeshError::ExtentTooLarge { extent });
+            return Err(MeshError::ExtentTooLarge(extent));
         }
-        // Below 2.2e-308 numbers are subnormal, and the scale to a unit box overflows. A box of width 0 has no area, which
-        // is reported below.
+        // Below 2.2e-308 numbers are subnormal, and the scale to a unit box overflows. A width of 0 is reported below.
         if extent > 0.0 && extent < 1e-305 {
-            return Err(MeshError::ExtentTooSmall { extent });
+            return Err(MeshError::ExtentTooSmall(extent));
         }
         let mesh = Self::measured(positions, facets, low, extent);
         if mesh.degenerate_count == mesh.facets.len() {
@@ -164,8 +150,7 @@ impl TriMesh {
             for (flat, corners) in flats.iter_mut().zip(facets) {
                 let [a, b, c] = corners.map(|v| (positions[v as usize] - low) / scale);
                 let twice = (b - a).cross(c - a).length();
-                // A facet with repeated corners, or with an area within rounding: relative to its longest edge, an altitude
-                // below 1e-15 has no direction.
+                // Repeated corners, or an area within rounding: an altitude below 1e-15 longest edges has no direction.
                 let longest = (b - a).length_squared().max((c - a).length_squared()).max((c - b).length_squared());
                 *flat = twice <= 1e-15 * longest;
                 if *flat {
@@ -220,6 +205,11 @@ impl TriMesh {
     pub fn into_parts(self) -> (Vec<DVec3>, Vec<[u32; 3]>) {
         (self.positions, self.facets)
     }
+}
+
+/// The normal of a facet with these corners, as long as twice its area.
+pub(crate) fn normal([a, b, c]: [DVec3; 3]) -> DVec3 {
+    (b - a).cross(c - a)
 }
 
 /// Facets per partial sum; partial sums are added in order, so that threads do not change them.

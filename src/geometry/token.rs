@@ -68,7 +68,6 @@ struct State {
     begin: Instant,
     /// Microseconds after `begin` of the last check.
     checked: AtomicU64,
-    /// The longest time between two checks so far.
     silence: Mutex<Silence>,
     longest: AtomicU64,
 }
@@ -204,8 +203,7 @@ impl Token {
         if item.is_multiple_of(Self::STRIDE) { self.check() } else { Ok(()) }
     }
 
-    /// Whether the work is to stop, where items differ much in cost: checks each time that `pace` reaches [`Token::STRIDE`] steps.
-    /// The current item took `steps`.
+    /// Whether to stop, where items differ in cost: checks every [`Token::STRIDE`] steps; this item took `steps`.
     #[track_caller]
     pub fn is_stopped_after(&self, steps: usize, pace: &mut Pace) -> bool {
         pace.0 = pace.0.saturating_add(steps);

@@ -3,8 +3,7 @@
 //! Purpose: [`Adjacency`] has the kind and the opposite of each half-edge; [`weld`] finds vertices at one point.
 //! Invariant: exactly coincident vertices count as one, so that surfaces with split vertices at texture seams, and lists of
 //! triangles, are connected. Facets that name a point twice after that are *collapsed*: they belong to no edge. The result
-//! depends on the mesh alone, not on threads.
-//! Must not know: quality, files, seeds.
+//! depends on the mesh alone, not on threads. Must not know: quality, files, seeds.
 
 use super::edges::{EdgeGroups, Half};
 use super::{TriMesh, coincident};
@@ -100,6 +99,12 @@ impl Adjacency {
     /// Whether `facet` names a point twice and belongs to no edge.
     pub fn is_collapsed(&self, facet: usize) -> bool {
         self.kinds[3 * facet] == EdgeKind::Collapsed
+    }
+
+    /// Both ends of a half-edge of `mesh`, each as the lowest vertex in its place.
+    pub(crate) fn ends(&self, mesh: &TriMesh, half_edge: usize) -> [u32; 2] {
+        let corners = mesh.facets()[half_edge / 3];
+        [half_edge % 3, (half_edge + 1) % 3].map(|corner| self.representative[corners[corner] as usize])
     }
 
     /// For each vertex the lowest vertex at the same position; see [`weld`].

@@ -18,10 +18,8 @@ const MOST: usize = 10_000;
 /// Largest growth of the whole: each doubling costs a binary digit of single precision.
 const LONGEST: f64 = 8.0;
 
-/// A surface with separated components.
 #[derive(Clone, Debug)]
 pub(crate) struct Apart {
-    /// The surface.
     pub mesh: TriMesh,
     /// Rows of parts, one above the other.
     rows: Vec<Row>,
@@ -31,7 +29,6 @@ pub(crate) struct Apart {
     places: HashMap<[u64; 3], DVec3>,
 }
 
-/// Parts side by side.
 #[derive(Clone, Debug, Default)]
 struct Row {
     /// Where it ends upward.
@@ -80,12 +77,8 @@ impl Apart {
         if longest > LONGEST * (high - low).max_element() {
             return None;
         }
-        let positions: Vec<DVec3> = mesh
-            .positions()
-            .iter()
-            .zip(&part)
-            .map(|(&p, &part)| moved.get(part as usize).map_or(p, |&by| p + by))
-            .collect();
+        let place = |(&p, &part): (&DVec3, &u32)| moved.get(part as usize).map_or(p, |&by| p + by);
+        let positions: Vec<DVec3> = mesh.positions().iter().zip(&part).map(place).collect();
         let places = positions.iter().zip(mesh.positions()).map(|(&now, &then)| (bits(now), then)).collect();
         for row in &mut rows {
             row.top += low.y;

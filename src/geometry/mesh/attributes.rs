@@ -1,9 +1,8 @@
 //! Attributes of a surface: normals, texture coordinates, colours, scalars.
 //!
-//! Purpose: [`Attributes`] stands beside a [`TriMesh`], which knows nothing of it.
-//! Invariant: every array has the count that the mesh asks for, indices are in range and numbers finite;
-//! normals are of unit length, or zero where none is known; names of scalars differ.
-//! Must not know: files, messages, how attributes get from one mesh to another.
+//! Purpose: [`Attributes`] stands beside a [`TriMesh`], which knows nothing of it. Invariant: every array has the count that
+//! the mesh asks for, indices are in range and numbers finite; normals are of unit length, or zero where none is known;
+//! names of scalars differ. Must not know: files, messages, how attributes get from one mesh to another.
 
 use glam::{DVec2, DVec3};
 
@@ -129,8 +128,7 @@ pub enum AttributeError {
     },
 }
 
-/// The attributes of a mesh; see the module's head. Empty at first. What would break the invariant is refused, with its name and
-/// the index of the value.
+/// The attributes of a mesh, empty at first. What would break the invariant is refused, with its name and the value's index.
 ///
 /// ```
 /// use tessera::mesh::attributes::{AttributeError, Attributes};
@@ -262,8 +260,7 @@ impl Attributes {
 }
 
 impl<T: Copy + PartialEq + Default> PerCorner<T> {
-    /// One value for each vertex, if the facets around each vertex agree; the default for one without a facet.
-    /// `facets` are the mesh's, over `vertices` vertices.
+    /// One value for each vertex, if the mesh's facets around each vertex agree; the default for one without a facet.
     pub fn per_vertex(&self, facets: &[[u32; 3]], vertices: usize) -> Option<Vec<T>> {
         let mut values: Vec<Option<T>> = vec![None; vertices];
         for (&vertex, &index) in facets.iter().flatten().zip(self.corners.iter().flatten()) {
@@ -310,10 +307,8 @@ fn check_count(attribute: &str, count: usize, expected: usize, of: &'static str)
 }
 
 fn check_finite<T>(attribute: &str, values: &[T], finite: impl Fn(&T) -> bool) -> Result<(), AttributeError> {
-    match values.iter().position(|value| !finite(value)) {
-        None => Ok(()),
-        Some(index) => Err(AttributeError::NonFinite { attribute: attribute.to_owned(), index }),
-    }
+    let wrong = |index| Err(AttributeError::NonFinite { attribute: attribute.to_owned(), index });
+    values.iter().position(|value| !finite(value)).map_or(Ok(()), wrong)
 }
 
 #[cfg(test)]

@@ -2,8 +2,7 @@
 //!
 //! Purpose: [`Bvh`] finds candidates for the nearest item to a point. A node has the boxes of eight neighbours, and the tree
 //! needs no further data: 28 bytes an item, built on all threads.
-//! Invariant: boxes are rounded outwards, so that no candidate is missed.
-//! Must not know: the items in the boxes.
+//! Invariant: boxes are rounded outwards, so that no candidate is missed. Must not know: the items in the boxes.
 
 use glam::DVec3;
 use rayon::prelude::*;
@@ -74,8 +73,7 @@ impl Bvh {
             // Boxes within the bound, the nearest last.
             let mut near = [(0.0, 0); WIDTH];
             let mut found = 0;
-            // Lanes that nothing is in cost infinity. All are compared before any is looked at: which of them are
-            // within cannot be foretold.
+            // Empty lanes cost infinity. All are compared before any is looked at: which are within cannot be foretold.
             let most = bound.min(f64::MAX);
             let mut within = costs.iter().rev().fold(0u32, |bits, &cost| bits << 1 | u32::from(cost <= most));
             while within != 0 {

@@ -82,8 +82,7 @@ impl ClosestPoint {
         self.on_surface(self.nearest(p, None))
     }
 
-    /// As [`ClosestPoint::project`], all points at once: they are taken along a curve that fills space, and each
-    /// search begins with the facet that the last one found.
+    /// As [`ClosestPoint::project`], all along a curve that fills space: each search begins with the last one's facet.
     pub fn project_all(&self, points: &[DVec3], token: &Token) -> Result<Vec<SurfacePoint>, Stopped> {
         self.all(points, token, |nearest| self.on_surface(nearest))
     }
@@ -191,8 +190,7 @@ fn inverse_power_of_two(extent: f64) -> f64 {
     f64::from_bits(((1023 + k) as u64) << 52)
 }
 
-/// Facets with area; of coincident ones the lowest. A thousand coincident facets would all be nearest, and every query would
-/// have to visit all of them.
+/// Facets with area; of coincident ones the lowest: else all of them would be nearest, and every query visit all.
 fn distinct_facets(mesh: &TriMesh) -> Vec<([u32; 3], u32)> {
     let representative = weld(mesh);
     let place = |f: usize| {
@@ -223,8 +221,7 @@ fn distinct_facets(mesh: &TriMesh) -> Vec<([u32; 3], u32)> {
 const SURE: f64 = 1e16;
 const SEEN: f64 = 1e-6;
 
-/// Squared distance of `p` from a facet and the barycentric coordinates of its nearest point. Coordinates
-/// are to be of the order of 1.
+/// Squared distance of `p` from a facet, and barycentric coordinates of the nearest point. All are of the order of 1.
 pub fn closest_on_facet(p: DVec3, [a, b, c]: [DVec3; 3], ids: [u32; 3]) -> (f64, [f64; 3]) {
     let (ab, ac, ap) = (b - a, c - a, p - a);
     let normal = ab.cross(ac);

@@ -1,8 +1,7 @@
 //! Points that lie exactly or nearly on one another.
 //!
 //! Purpose: [`find`] returns for each later duplicate the earliest one, [`near`] an earlier point nearby; both in linear time.
-//! Invariant: 0 and -0 are the same place.
-//! Must not know: whether points are vertices or seeds.
+//! Invariant: 0 and -0 are the same place. Must not know: whether points are vertices or seeds.
 
 use std::cmp::Ordering::Equal;
 use std::collections::HashMap;
@@ -22,18 +21,12 @@ pub fn find(points: &[DVec3]) -> Vec<(u32, u32)> {
     let key = RandomState::new().hash_one(points.len());
     for (i, point) in points.iter().enumerate() {
         let mut slot = hash(*point, key) & mask;
-        loop {
-            match slots[slot] {
-                EMPTY => {
-                    slots[slot] = i as u32;
-                    break;
-                }
-                j if points[j as usize] == *point => {
-                    pairs.push((i as u32, j));
-                    break;
-                }
-                _ => slot = (slot + 1) & mask,
-            }
+        while slots[slot] != EMPTY && points[slots[slot] as usize] != *point {
+            slot = (slot + 1) & mask;
+        }
+        match slots[slot] {
+            EMPTY => slots[slot] = i as u32,
+            j => pairs.push((i as u32, j)),
         }
     }
     pairs

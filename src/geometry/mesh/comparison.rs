@@ -2,21 +2,19 @@
 //!
 //! Purpose: [`Comparison`] measures at samples of facets, edges and vertices of either surface, and finds the vertices of
 //! the first near places beyond the tolerance. The samples include those of [`quality`](super::measure::quality), whose
-//! Hausdorff distance is therefore never larger. [`lost_parts`] groups the facets that are farther from a result than an edge of
-//! it into connected parts, with place and reason.
-//! Invariant: the same bits for any number of threads. Lost parts are sorted by falling area.
-//! Must not know: the making of results, the reaction.
+//! Hausdorff distance is therefore never larger. [`lost_parts`] groups the facets that are farther from a result than an
+//! edge of it into connected parts, with place and reason. Invariant: the same bits for any number of threads. Lost parts
+//! are sorted by falling area. Must not know: the making of results, the reaction.
 
 use serde::Serialize;
 
-use super::TriMesh;
 use super::adjacency::{Adjacency, EdgeKind};
 use super::closest_point::ClosestPoint;
 use super::edges::DisjointSets;
 use super::measure::{Probe, probes};
+use super::{TriMesh, normal};
 use crate::token::{Stopped, Token};
 
-/// The input, ready to be compared with results.
 pub(crate) struct Comparison<'a> {
     input: &'a TriMesh,
     closest: ClosestPoint,
@@ -31,7 +29,6 @@ pub(crate) struct Distances {
     pub by_vertex: Vec<f64>,
     /// Number of samples that are farther off than allowed.
     pub missed: usize,
-    /// Share of all samples that are farther off than allowed.
     pub missed_share: f64,
     pub largest: f64,
 }
@@ -48,7 +45,6 @@ impl Distances {
 }
 
 impl<'a> Comparison<'a> {
-    /// Takes the samples of the input.
     pub(crate) fn new(input: &'a TriMesh, tolerance: f64, token: &Token) -> Result<Self, Stopped> {
         let samples = probes(input, token)?;
         Ok(Self { input, closest: ClosestPoint::new(input), samples, tolerance })
@@ -121,32 +117,24 @@ pub enum LostReason {
 }
 
 /// Returns the parts of `mesh` that `result` lacks, given the distances of the vertices of `mesh`.
-pub(crate) fn lost_parts(
-    mesh: &TriMesh,
-    result: &TriMesh,
-    distances: &[f64],
-    token: &Token,
-) -> Result<LostParts, Stopped> {
+pub(crate) fn lost_parts(mesh: &TriMesh, result: &TriMesh, apart: &[f64], token: &Token) -> Result<LostParts, Stopped> {
     // Scaled, so that the squares of a tiny or huge box stay within range.
     let (low, high) = mesh.bounds();
     let (extent, diagonal) = ((high - low).max_element(), ((high - low) / (high - low).max_element()).length());
-    let size = |mesh: &TriMesh, f: usize| {
-        let [a, b, c] = mesh.corners(f).map(|p| (p - low) / extent);
-        (b - a).cross(c - a).length() / 2.0
-    };
+    let size = |mesh: &TriMesh, f: usize| normal(mesh.corners(f).map(|p| (p - low) / extent)).length() / 2.0;
     let area = |mesh: &TriMesh| (0..mesh.facets().len()).map(|f| size(mesh, f)).sum::<f64>();
     // The edge of equilateral triangles of the result's area and number.
     let edge = extent * (4.0 / 3f64.sqrt() * area(result) / result.facets().len().max(1) as f64).sqrt();
-    let far = |v: u32| distances[v as usize] > LOST_EDGES * edge;
+    let far = |v: u32| apart[v as usize] > LOST_EDGES * edge;
     let is_lost = |f: usize| mesh.facets()[f].into_iter().any(far) && !mesh.is_degenerate(f);
-    if !(0..distances.len() as u32).any(far) {
+    if !(0..apart.len() as u32).any(far) {
         return Ok(LostParts::default());
     }
     let adjacency = Adjacency::new(mesh);
     token.check()?;
     let vertex = |v: u32| adjacency.representative()[v as usize] as usize;
     // Connected components of the lost facets, and of all.
-    let (mut lost, mut all) = (DisjointSets::new(distances.len()), DisjointSets::new(distances.len()));
+    let (mut lost, mut all) = (DisjointSets::new(apart.len()), DisjointSets::new(apart.len()));
     for (f, &[a, b, c]) in mesh.facets().iter().enumerate() {
         token.check_at(f)?;
         for pair in [[a, b], [b, c]].map(|pair| pair.map(vertex)) {
@@ -159,7 +147,7 @@ pub(crate) fn lost_parts(
     let mut facets: Vec<(usize, usize)> =
         (0..mesh.facets().len()).filter(|&f| is_lost(f)).map(|f| (lost.root(vertex(mesh.facets()[f][0])), f)).collect();
     facets.sort_unstable();
-    let mut beside = vec![false; distances.len()];
+    let mut beside = vec![false; apart.len()];
     (0..mesh.facets().len()).filter(|&f| !is_lost(f) && !mesh.is_degenerate(f)).for_each(|f| {
         beside[all.root(vertex(mesh.facets()[f][0]))] = true;
     });
@@ -168,8 +156,7 @@ pub(crate) fn lost_parts(
         .chunk_by(|a, b| a.0 == b.0)
         .map(|part| {
             let corners = || part.iter().flat_map(|&(_, f)| mesh.facets()[f]);
-            let farthest =
-                corners().max_by(|&a, &b| distances[a as usize].total_cmp(&distances[b as usize]).then(b.cmp(&a)));
+            let farthest = corners().max_by(|&a, &b| apart[a as usize].total_cmp(&apart[b as usize]).then(b.cmp(&a)));
             let at = farthest.unwrap_or_default() as usize;
             let has = |kind| part.iter().any(|&(_, f)| (0..3).any(|e| adjacency.kind(3 * f + e) == kind));
             let reason = if !beside[all.root(part[0].0)] {
@@ -185,7 +172,7 @@ pub(crate) fn lost_parts(
                 place: mesh.positions()[at].to_array(),
                 facets: part.len(),
                 area_percent: 100.0 * part.iter().map(|&(_, f)| size(mesh, f)).sum::<f64>() / area,
-                distance_percent: 100.0 * distances[at] / extent / diagonal,
+                distance_percent: 100.0 * apart[at] / extent / diagonal,
                 reason,
             }
         })

@@ -2,8 +2,7 @@
 //!
 //! Purpose: [`Csr`] holds a list for each row in two flat arrays. The row is a vertex in most uses: the facets of its one-ring
 //! ([`Csr::one_rings`]), samples that belong to it ([`Csr::group`]). [`OneRings`] follows edits of a triangulation.
-//! Invariant: the items of a row keep their order, for any number of threads.
-//! Must not know: the items.
+//! Invariant: the items of a row keep their order, for any number of threads. Must not know: the items.
 
 use rayon::prelude::*;
 use std::ops::Range;
@@ -71,7 +70,6 @@ impl<T> Csr<T> {
         self.first[row as usize] as usize..self.first[row as usize + 1] as usize
     }
 
-    /// All items, row by row.
     pub(crate) fn all(&self) -> &[T] {
         &self.items
     }
@@ -81,7 +79,6 @@ impl<T> Csr<T> {
     }
 }
 
-/// Marks a vertex with unchanged facets.
 const UNCHANGED: u32 = u32::MAX;
 
 /// One-rings as of [`Csr::one_rings`], of a triangulation that changes in places.
@@ -98,12 +95,10 @@ impl OneRings {
         Self { list: vec![UNCHANGED; vertices], base: Csr::one_rings(vertices, facets), changed: Vec::new() }
     }
 
-    /// Facets around vertex `v`, ascending.
     pub(crate) fn of(&self, v: u32) -> &[u32] {
         self.changed.get(self.list[v as usize] as usize).map_or_else(|| self.base.of(v), Vec::as_slice)
     }
 
-    /// Facet `f` had the corners `old` and has the corners `new`.
     pub(crate) fn replace(&mut self, f: u32, old: [u32; 3], new: [u32; 3]) {
         for v in old {
             self.facets_mut(v).retain(|&g| g != f);

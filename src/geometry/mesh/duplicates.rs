@@ -3,8 +3,7 @@
 //! Purpose: [`remove`] keeps one facet of each group if the surface is connected without the others: a file may have a facet
 //! twice, or a second one for its back. [`oddities`] counts the facets that are no surface.
 //! Invariant: a two-sided surface without thickness stays: a sheet of two sides, a flap on a solid, a pillow that is flat in
-//! its middle. Vertices keep their numbers, and facets their order.
-//! Must not know: the use of the surface.
+//! its middle. Vertices keep their numbers, and facets their order. Must not know: the use of the surface.
 
 use std::collections::HashSet;
 
@@ -69,8 +68,7 @@ pub enum InputKind {
 pub(crate) struct Oddities {
     /// Facets that lie on another one that is oriented the other way: two sides without thickness.
     pub back_to_back: usize,
-    /// Groups of duplicate facets (single facets included) each of whose edges has more than two groups, as inside a mesh of
-    /// tetrahedra.
+    /// Groups of duplicate facets, or single ones, with more than two groups at each edge, as inside a mesh of tetrahedra.
     pub enclosed: usize,
     /// Number of all groups.
     pub groups: usize,
@@ -87,7 +85,7 @@ impl Oddities {
     }
 }
 
-/// Counts facets that are no surface. Linear in the facets except for sorting.
+/// Linear in the facets except for sorting.
 pub(crate) fn oddities(mesh: &TriMesh) -> Oddities {
     let all = Groups::of(mesh);
     let groups: Vec<&[Sorted]> = all.iter().collect();
@@ -105,13 +103,11 @@ pub(crate) fn oddities(mesh: &TriMesh) -> Oddities {
     }
 }
 
-/// Whether any facets have the same corners.
 pub(crate) fn any(mesh: &TriMesh) -> bool {
     Groups::of(mesh).iter().any(|group| group.len() > 1)
 }
 
-/// Returns `mesh` with one facet of each group, oriented like its neighbours, and the number of removed facets; `None` if
-/// none is removed.
+/// Returns `mesh` with one facet of each group, oriented like its neighbours, and how many were removed; `None` if none was.
 pub(crate) fn remove(mesh: &TriMesh, token: &Token) -> Result<Option<(TriMesh, usize)>, Stopped> {
     let found = Groups::of(mesh);
     token.check()?;
@@ -144,8 +140,7 @@ pub(crate) fn remove(mesh: &TriMesh, token: &Token) -> Result<Option<(TriMesh, u
         }
     });
     token.check()?;
-    let non_manifold: HashSet<usize> =
-        sides.iter().filter(|side| side.0 > 2).map(|side| patches.root(side.1)).collect();
+    let non_manifold: HashSet<usize> = sides.iter().filter(|s| s.0 > 2).map(|s| patches.root(s.1)).collect();
     let continues: HashSet<usize> = open.into_iter().map(|group| patches.root(group)).collect();
     let repeated = || groups.iter().enumerate().filter(|(_, group)| group.len() > 1);
     let two_sided = repeated().filter(|(_, group)| group.iter().any(|other| other.forward != group[0].forward));

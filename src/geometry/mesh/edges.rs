@@ -3,8 +3,7 @@
 //! Purpose: [`EdgeGroups`] groups the facets by edge, in time linear in the facets for bounded valences; [`DisjointSets`] joins
 //! numbers (union-find with path halving).
 //! Invariant: edges ascend by (lower vertex, higher vertex), the half-edges of an edge by (facet, side), for any number of
-//! threads. The root of a set is its lowest member.
-//! Must not know: coincident vertices, kinds of edges.
+//! threads. The root of a set is its lowest member. Must not know: coincident vertices, kinds of edges.
 
 use super::MAX_ELEMENTS;
 use rayon::prelude::*;
@@ -29,7 +28,6 @@ pub(crate) struct EdgeGroups {
     halves: Vec<u64>,
 }
 
-/// A half-edge: its facet and the side of it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Half {
     pub facet: u32,
@@ -78,8 +76,7 @@ impl EdgeGroups {
         Self { first, halves }
     }
 
-    /// Calls `visit` as [`Self::for_each`] does, for runs of vertices on all threads. Each run has its own list; the lists
-    /// are in order.
+    /// Calls `visit` as [`Self::for_each`] does, on all threads. Each run of vertices has a list; the lists are in order.
     pub(crate) fn gather<T: Default + Send>(&self, visit: impl Fn(&mut T, u32, &[Half]) + Sync) -> Vec<T> {
         let vertices = self.first.len() - 1;
         let run = |k: usize| {

@@ -15,8 +15,7 @@ use super::bvh::morton;
 const FACETS_PER_GROUP: usize = 8;
 /// Factor by which radii grow, so that rounding leaves nothing outside.
 const SPHERE_ROUNDING: f64 = 1.0 + 1e-12;
-/// Intervals on an edge of the grid of points at which the distance of a facet is taken. With 4, ridges inside a facet stuck
-/// out a third farther than was measured.
+/// Intervals on an edge of a facet's grid of points. With 4, ridges in a facet stuck out a third farther than measured.
 const GRID_INTERVALS: u32 = 6;
 
 pub(crate) struct FacetSet {
@@ -173,7 +172,6 @@ pub(crate) fn least_distance(p: DVec3, facets: &[[DVec3; 3]], other: f64, enough
     least
 }
 
-/// A grid of points on a facet.
 pub(crate) fn sample_points([a, b, c]: [DVec3; 3]) -> impl Iterator<Item = DVec3> {
     let share = |k: u32| f64::from(k) / f64::from(GRID_INTERVALS);
     (0..=GRID_INTERVALS).flat_map(move |i| {

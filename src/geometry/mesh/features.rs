@@ -4,8 +4,7 @@
 //! caller named; [`graph`] removes features too short for a remesh, which are noise on scans; [`chains`] joins the rest to
 //! curves between corners.
 //! Invariant: a curve is a chain of mesh edges through welded vertices, simple inside, either closed or between two corners.
-//! A boundary is never removed. Depends on the mesh and the options alone.
-//! Must not know: seeds, diagrams.
+//! A boundary is never removed. Depends on the mesh and the options alone. Must not know: seeds, diagrams.
 
 mod chains;
 mod graph;
@@ -38,8 +37,7 @@ pub struct FeatureOptions {
     pub ridge_clearance: f64,
     /// Two corners that are connected by a boundary shorter than this become one, if the curves hardly change. 0 merges none.
     pub merge_length: f64,
-    /// How fine the remesh is to be at each vertex, at least 0: lengths are multiplied by it, since they count edges of the
-    /// remesh. 1 everywhere if empty.
+    /// Factor of lengths at each vertex, at least 0: how fine the remesh is, whose edges they count. All 1 if empty.
     pub resolution: Vec<f64>,
 }
 
@@ -142,9 +140,7 @@ impl Features {
         options: &FeatureOptions,
         token: &Token,
     ) -> Result<Self, FeatureError> {
-        if !(0.0..=180.0).contains(&options.crease_angle_deg) {
-            return Err(FeatureError::BadAngle(options.crease_angle_deg));
-        }
+        check_angle(options.crease_angle_deg)?;
         let adjacency = Adjacency::new(mesh);
         token.check()?;
         let class = adjacency.representative();
@@ -180,20 +176,15 @@ impl Features {
             let lengths = (options.ridge_clearance, options.min_crease_length);
             angles.add_ridges(&mut graph, options.crease_angle_deg, lengths, token)?;
         }
-        let merge = CornerMerge {
-            length: options.merge_length,
-            reach: options.turn_reach,
-            off: MERGE_DEVIATION * options.turn_reach,
-        };
+        let (length, reach) = (options.merge_length, options.turn_reach);
+        let merge = CornerMerge { length, reach, off: MERGE_DEVIATION * reach };
         let (curves, corners, joined) = chains::curves(&graph, metric, merge, token)?;
         Ok(Self { curves, corners, left_out, joined })
     }
 
     /// Checks that an angle makes sense and that `given` edges are there.
     pub fn check(mesh: &TriMesh, crease_angle_deg: f64, given: &[[u32; 2]], token: &Token) -> Result<(), FeatureError> {
-        if !(0.0..=180.0).contains(&crease_angle_deg) {
-            return Err(FeatureError::BadAngle(crease_angle_deg));
-        }
+        check_angle(crease_angle_deg)?;
         if given.is_empty() {
             return Ok(());
         }
@@ -208,12 +199,7 @@ impl Features {
             number += 1;
             keep(number - 1, c)
         });
-        let ends: std::collections::BTreeSet<u32> = self
-            .curves
-            .iter()
-            .filter(|c| !c.closed)
-            .flat_map(|c| [c.vertices[0], c.vertices[c.vertices.len() - 1]])
-            .collect();
+        let ends: HashSet<u32> = self.curves.iter().filter(|c| !c.closed).flat_map(Curve::ends).collect();
         self.corners.retain(|v| ends.contains(v));
     }
 
@@ -244,14 +230,18 @@ impl Curve {
     pub fn round(&self) -> impl Iterator<Item = u32> + '_ {
         self.vertices.iter().copied().chain(self.closed.then(|| self.vertices[0]))
     }
+
+    fn ends(&self) -> [u32; 2] {
+        [self.vertices[0], self.vertices[self.vertices.len() - 1]]
+    }
+}
+
+fn check_angle(degrees: f64) -> Result<(), FeatureError> {
+    if (0.0..=180.0).contains(&degrees) { Ok(()) } else { Err(FeatureError::BadAngle(degrees)) }
 }
 
 fn all_edges<'a>(mesh: &'a TriMesh, adjacency: &'a Adjacency) -> impl Iterator<Item = Edge> + 'a {
-    let class = adjacency.representative();
-    (0..3 * mesh.facets().len()).map(move |half| {
-        let corners = mesh.facets()[half / 3];
-        undirected([half, half + 1].map(|half| class[corners[half % 3] as usize]))
-    })
+    (0..3 * mesh.facets().len()).map(move |half| undirected(adjacency.ends(mesh, half)))
 }
 
 /// Edges whose dihedral angle exceeds `angle` degrees, with their angles, and boundary edges; both ascending.

@@ -1,22 +1,22 @@
 //! The input surface: its figures, and repair of its defects.
 //!
-//! Purpose: [`InputFigures`] is the input block of a report. [`stitch_boundaries`] moves boundary vertices that nearly coincide to
-//! one position, which connects triangle soups with rounded corners and separately exported parts. [`make_consistent`] flips the
-//! facets that are oriented unlike most of the area of their component, which is connected through edges of two facets.
-//! [`outliers`] are vertices far from all others: one wrong coordinate makes a surface of which nearly all is a spike;
-//! [`draw_in`] shortens it.
-//! Invariant: names that scripts read do not change. Vertices and facets keep their numbers. Stitching moves no vertex by more
-//! than `TOLERANCE` of the surface's diagonal, nor by more than `MAX_EDGE_SHARE` of its edges, so that no facet vanishes or flips.
-//! A component that is not orientable (a Möbius strip) and one that is consistent, inward or outward, stay as they are.
-//! Must not know: the use of the surface.
+//! Purpose: [`InputFigures`] is the input block of a report. [`stitch_boundaries`] moves boundary vertices that nearly
+//! coincide to one position, which connects triangle soups with rounded corners and separately exported parts.
+//! [`make_consistent`] flips the facets that are oriented unlike most of the area of their component, which is connected
+//! through edges of two facets. [`outliers`] are vertices far from all others: one wrong coordinate makes a surface of which
+//! nearly all is a spike; [`draw_in`] shortens it. Invariant: names that scripts read do not change. Vertices and facets
+//! keep their numbers. Stitching moves no vertex by more than `TOLERANCE` of the surface's diagonal, nor by more than
+//! `MAX_EDGE_SHARE` of its edges, so that no facet vanishes or flips. A component that is not orientable (a Möbius strip)
+//! and one that is consistent, inward or outward, stay as they are. Must not know: the use of the surface.
 
 use glam::DVec3;
 use serde::Serialize;
 
 use super::adjacency::{Adjacency, EdgeKind};
+use super::csr::ascending;
 use super::duplicates::{self, InputKind, Oddities};
 use super::measure::{Topology, topology_unless};
-use super::{TriMesh, coincident};
+use super::{TriMesh, coincident, normal};
 use crate::token::{Stopped, Token};
 
 /// The input surface.
@@ -38,13 +38,11 @@ pub struct InputFigures {
     pub inconsistent_edges: usize,
     /// Facets that were turned over, to be oriented as their neighbours are.
     pub reoriented_facets: usize,
-    /// Boundary vertices that were stitched to nearly coincident ones. The other figures describe the surface after
-    /// stitching and without `coincident_facets`.
+    /// Boundary vertices stitched to nearly coincident ones. Other figures are of after that, less `coincident_facets`.
     pub stitched_vertices: usize,
     /// Duplicate facets that were removed: they lay on others, corner on corner, and the surface is connected without them.
     pub coincident_facets: usize,
-    /// Vertices a thousand times as far from the middle as half of all are: wrong coordinates, most often. The surface has a
-    /// spike there, which takes most of the points.
+    /// Vertices 1000 times as far out as half of all: wrong coordinates, most often. Their spikes take most points.
     pub outlier_vertices: usize,
     /// Caller's units squared.
     pub area: f64,
@@ -105,15 +103,10 @@ pub(crate) fn stitch_boundaries(
     if !(tolerance.is_finite() && tolerance > 0.0) {
         return Ok(None);
     }
-    let ends = |half: usize| {
-        let facet = mesh.facets()[half / 3];
-        [facet[half % 3], facet[(half + 1) % 3]].map(|v| adjacency.representative()[v as usize])
-    };
+    let ends = |half: usize| adjacency.ends(mesh, half);
     let place = |v: u32| mesh.positions()[v as usize];
-    let mut vertices: Vec<u32> =
-        (0..3 * mesh.facets().len()).filter(|&h| adjacency.kind(h) == EdgeKind::Boundary).flat_map(ends).collect();
-    vertices.sort_unstable();
-    vertices.dedup();
+    let boundary = (0..3 * mesh.facets().len()).filter(|&h| adjacency.kind(h) == EdgeKind::Boundary);
+    let vertices = ascending(boundary.flat_map(ends));
     let pairs = coincident::near(mesh.positions(), vertices, (origin, tolerance), token)?;
     if pairs.is_empty() {
         return Ok(None);
@@ -145,18 +138,14 @@ pub(crate) fn stitch_boundaries(
     Ok(TriMesh::new(all.collect(), mesh.facets().to_vec()).ok().map(|stitched| (stitched, moved)))
 }
 
-/// `mesh` with each component oriented as most of its area is, and how many facets were flipped; `None` if
-/// none had to be. Linear in the facets.
+/// `mesh` with each component oriented as most of its area, and the number of flipped facets; `None` for 0. Linear time.
 pub(crate) fn make_consistent(mesh: &TriMesh, token: &Token) -> Result<Option<(TriMesh, usize)>, Stopped> {
     let adjacency = Adjacency::new(mesh);
     token.check()?;
     if adjacency.inconsistent_edges == 0 {
         return Ok(None);
     }
-    let area = |f: usize| {
-        let [a, b, c] = mesh.corners(f);
-        (b - a).cross(c - a).length()
-    };
+    let area = |f: usize| normal(mesh.corners(f)).length();
     let mut flipped: Vec<Option<bool>> = vec![None; mesh.facets().len()];
     let mut facets = mesh.facets().to_vec();
     let mut count = 0;
@@ -209,8 +198,7 @@ const REACH: f64 = 10.0;
 fn spread(mesh: &TriMesh) -> (DVec3, f64, Vec<Option<f64>>) {
     let mut used = vec![false; mesh.positions().len()];
     mesh.facets().iter().flatten().for_each(|&v| used[v as usize] = true);
-    let half: Vec<DVec3> =
-        mesh.positions().iter().zip(&used).filter(|(_, used)| **used).map(|(p, _)| *p * 0.5).collect();
+    let half: Vec<DVec3> = mesh.positions().iter().zip(&used).filter(|p| *p.1).map(|p| *p.0 * 0.5).collect();
     let median = |mut values: Vec<f64>| {
         let middle = values.len() / 2;
         *values.select_nth_unstable_by(middle, f64::total_cmp).1

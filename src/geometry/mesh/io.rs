@@ -3,11 +3,10 @@
 //! Purpose: [`read`] and [`write()`] for a path, [`decode`] and [`encode`] for bytes. The format is the file's
 //! extension ([`Format`]). The functions with the suffix `_with_attributes` also read and write [`Attributes`]; an attribute that
 //! cannot be used is left aside and named, and never changes the surface.
-//! Invariant: no sequence of bytes makes a reader panic, hang, or allocate more than a small
-//! multiple of the bytes that are there, whatever counts they declare; of what is packed, no more than [`UNPACKED_RATIO`]
-//! times the bytes. A polygon of n corners becomes n - 2 facets: a fan around its first corner if it is convex, or ears
-//! (`polygons`). Positions are double precision; only STL and glTF, whose formats say so, hold single precision.
-//! Must not know: what is done with a surface.
+//! Invariant: no sequence of bytes makes a reader panic, hang, or allocate more than a small multiple of the bytes that are
+//! there, whatever counts they declare; of what is packed, no more than [`UNPACKED_RATIO`] times the bytes. A polygon of n
+//! corners becomes n - 2 facets: a fan around its first corner if it is convex, or ears (`polygons`). Positions are double
+//! precision; only STL and glTF, whose formats say so, hold single precision. Must not know: what is done with a surface.
 
 mod gltf;
 mod gmsh;
@@ -138,18 +137,15 @@ impl Format {
     }
 }
 
-/// The description of a format, given by its module.
 struct Codec {
     extension: &'static str,
     /// The preferred media type first.
     media_types: &'static [&'static str],
-    /// See [`Format::facet_bytes`].
     facet_bytes: u64,
     signature: Signature,
     /// Reads the surface, and its attributes if they are wanted.
     decode: fn(bytes: &[u8], wanted: bool) -> Result<Soup, DataError>,
     encode: fn(&TriMesh, &Held<'_>) -> Result<Vec<u8>, DataError>,
-    /// See [`counts`].
     counts: fn(&[u8]) -> Option<Counts>,
     holds: Holds,
     vertices: VertexNumbers,
@@ -168,11 +164,9 @@ pub struct Counts {
 
 /// How vertices of a file are numbered in the surface that is read from it.
 enum VertexNumbers {
-    /// Numbers are those of the file.
     Kept,
     /// The file has no vertices of its own.
     Absent,
-    /// In another order.
     Reordered(fn(&[u8]) -> Result<VertexOrder, DataError>),
 }
 
@@ -288,9 +282,6 @@ pub struct Loaded {
 }
 
 /// Reads a surface; the format is the extension's.
-///
-/// # Errors
-/// [`FileError`]: an unknown extension, a file that cannot be opened, or content that is wrong.
 pub fn read(path: &Path) -> Result<TriMesh, FileError> {
     read_as(path, decode)
 }
@@ -309,35 +300,24 @@ fn read_as<T>(path: &Path, decode: fn(Format, &[u8]) -> Result<T, DataError>) ->
 
 /// Writes a surface; the format is the extension's, and a name that ends in `.gz` is packed. An existing file is replaced.
 ///
-/// Vertices and facets keep their numbers (except in STL, which has none), and coordinates
-/// their bits (except in STL, which rounds them to single precision).
-///
-/// # Errors
-/// [`FileError`]: an unknown extension, a file that cannot be written, or coordinates that the format cannot hold.
+/// Vertices and facets keep their numbers, except in STL (none); coordinates keep their bits, except in STL and glTF.
 pub fn write(path: &Path, mesh: &TriMesh) -> Result<(), FileError> {
     write_with_attributes(path, mesh, &Attributes::new(mesh)).map(|_| ())
 }
 
 /// [`write()`], with attributes. Returns the names of the attributes that the format cannot hold.
 ///
-/// Numbers keep their bits, except colours that came in 8 bits, which PLY, OFF, VTK and glTF store so; glTF has all
-/// others in single precision.
+/// Numbers keep their bits; but glTF has single precision, and colours from 8 bits stay so in PLY, OFF, VTK and glTF.
 pub fn write_with_attributes(path: &Path, mesh: &TriMesh, attributes: &Attributes) -> Result<Vec<String>, FileError> {
     let format = Format::of_path(path)?;
     let encoded = encode_with_attributes(format, mesh, attributes);
     let (bytes, left_out) = encoded.map_err(|cause| FileError::Data { path: path.to_path_buf(), cause })?;
-    pack_for(path, bytes).and_then(|bytes| std::fs::write(path, bytes)).map_err(|cause| FileError::Io {
-        path: path.to_path_buf(),
-        action: "write",
-        cause,
-    })?;
+    let refused = |cause| FileError::Io { path: path.to_path_buf(), action: "write", cause };
+    pack_for(path, bytes).and_then(|bytes| std::fs::write(path, bytes)).map_err(refused)?;
     Ok(left_out)
 }
 
 /// Reads a surface from the bytes of a file.
-///
-/// # Errors
-/// [`DataError`], naming the line or the element.
 ///
 /// ```
 /// use tessera::mesh::io::{DataError, Format, decode};
@@ -351,10 +331,7 @@ pub fn decode(format: Format, bytes: &[u8]) -> Result<TriMesh, DataError> {
     Ok(TriMesh::new(positions, facets)?)
 }
 
-/// Reads a surface and its attributes from the bytes of a file.
-///
-/// # Errors
-/// [`DataError`], exactly where [`decode`] gives it.
+/// Reads a surface and its attributes from the bytes of a file. Fails exactly where [`decode`] does.
 ///
 /// ```
 /// use tessera::mesh::io::{DataError, Format, decode_with_attributes};
@@ -373,8 +350,7 @@ pub fn decode_with_attributes(format: Format, bytes: &[u8]) -> Result<Loaded, Da
 /// Vertices and facets that [`decode`] would find in a file, at most: a polygon of n corners counts as n - 2 facets, a facet
 /// of STL as three vertices. `None` if the bytes are no such file, or end before what its header declares; `decode` fails then.
 ///
-/// No vertex and no facet is kept, and no number is read that is not a count: this is several times as fast as reading. It takes
-/// memory in proportion to the bytes.
+/// It keeps no element and reads counts alone: several times as fast as reading, with memory in proportion to the bytes.
 pub fn counts(format: Format, bytes: &[u8]) -> Option<(u64, u64)> {
     let bytes = unpack(bytes, unpacked_limit(bytes.len())).ok()?;
     counts_of_plain(format, &bytes).map(|counts| (counts.vertices, counts.facets))
@@ -400,7 +376,6 @@ fn volumes(soup: &mut Soup, elements: usize, advice: &str) -> Result<(), DataErr
     }
 }
 
-/// A line of text that cannot be understood.
 fn syntax(line: usize, message: impl Into<String>) -> DataError {
     DataError::Syntax { line, message: message.into() }
 }
@@ -424,10 +399,7 @@ fn without_mark(bytes: &[u8]) -> &[u8] {
     bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes)
 }
 
-/// The bytes of a file that holds `mesh`.
-///
-/// # Errors
-/// [`DataError::SinglePrecision`] and [`DataError::Collapsed`] for STL and glTF.
+/// The bytes of a file that holds `mesh`. Only STL and glTF may not fit it.
 pub fn encode(format: Format, mesh: &TriMesh) -> Result<Vec<u8>, DataError> {
     (format.codec().encode)(mesh, &Held::default())
 }
@@ -443,9 +415,6 @@ pub fn encode(format: Format, mesh: &TriMesh) -> Result<Vec<u8>, DataError> {
 /// | glTF | yes | yes | yes | no |
 /// | Gmsh | no | no | no | yes |
 /// | STL, Medit | no | no | no | no |
-///
-/// # Errors
-/// [`DataError::SinglePrecision`] for STL and glTF; [`DataError::Attributes`] if they are another mesh's.
 pub fn encode_with_attributes(
     format: Format,
     mesh: &TriMesh,
@@ -464,7 +433,6 @@ struct Soup {
     facets: Vec<[u32; 3]>,
     /// Which of them are polygons' with more than three corners, all of them fans.
     fans: Vec<Fan>,
-    /// Attributes, not yet checked.
     raw: Raw,
 }
 

@@ -1,9 +1,8 @@
 //! Figures of a whole surface: its topology, and its quality as a remesh.
 //!
 //! Purpose: [`topology`] and [`quality`], with the definitions of the CVT literature.
-//! Invariant: exactly coincident vertices count as one and facets that name a point twice not at all.
-//! Both functions give the same figures whatever the number of threads.
-//! Must not know: how a surface came about.
+//! Invariant: exactly coincident vertices count as one and facets that name a point twice not at all. Both functions give
+//! the same figures whatever the number of threads. Must not know: how a surface came about.
 
 use std::collections::HashSet;
 
@@ -98,7 +97,6 @@ pub fn topology_unless(mesh: &TriMesh, adjacency: &Adjacency, token: &Token) -> 
     let representative = adjacency.representative();
     let live: Vec<usize> = (0..mesh.facets().len()).filter(|&f| !adjacency.is_collapsed(f)).collect();
     let vertex = |half: usize| representative[mesh.facets()[half / 3][half % 3] as usize] as usize;
-
     let mut used = vec![false; representative.len()];
     let mut surfaces = DisjointSets::new(representative.len());
     for (k, &facet) in live.iter().enumerate() {
@@ -110,11 +108,9 @@ pub fn topology_unless(mesh: &TriMesh, adjacency: &Adjacency, token: &Token) -> 
     }
     let vertices = used.iter().filter(|&&used| used).count();
     let components = (0..used.len()).filter(|&v| used[v] && surfaces.root(v) == v).count();
-
     token.check()?;
     let (mut fans, fans_at) = fans(mesh, adjacency);
     token.check()?;
-
     Ok(Topology {
         euler: vertices as i64 - adjacency.edges as i64 + live.len() as i64,
         components,
@@ -143,8 +139,7 @@ pub fn coincident_vertices(result: &TriMesh, token: &Token) -> Result<usize, Sto
     Ok(found.iter().filter(|&&(later, earlier, _)| !edges.contains(&undirected([later, earlier]))).count())
 }
 
-/// Quality of `result` against `original`. Distances are taken from about 100,000 random points and all
-/// vertices of each side to the other surface.
+/// Quality of `result` against `original`. Distances are from 100,000 random points and all vertices of each to the other.
 pub fn quality(original: &TriMesh, result: &TriMesh) -> Quality {
     quality_and_distances(original, None, result, &Token::default()).map(|(quality, _)| quality).unwrap_or_default()
 }
@@ -291,12 +286,10 @@ fn shape_quality(mesh: &TriMesh, adjacency: &Adjacency) -> Quality {
 }
 
 fn v567_percent(mesh: &TriMesh, adjacency: &Adjacency) -> f64 {
-    let representative = adjacency.representative();
-    let mut valence = vec![0u32; representative.len()];
-    let mut interior = vec![true; representative.len()];
+    let mut valence = vec![0u32; mesh.positions().len()];
+    let mut interior = vec![true; mesh.positions().len()];
     for half in 0..3 * mesh.facets().len() {
-        let corners = mesh.facets()[half / 3];
-        let ends = [half % 3, (half + 1) % 3].map(|c| representative[corners[c] as usize] as usize);
+        let ends = adjacency.ends(mesh, half).map(|v| v as usize);
         match adjacency.kind(half) {
             EdgeKind::Manifold | EdgeKind::Inconsistent => {
                 if adjacency.opposite(half).is_some_and(|other| half < other) {
@@ -312,8 +305,7 @@ fn v567_percent(mesh: &TriMesh, adjacency: &Adjacency) -> f64 {
     if inner().next().is_none() { 100.0 } else { 100.0 * regular as f64 / inner().count() as f64 }
 }
 
-/// Vertices of facets with an area, ascending. Facets without one are no part of the surface for samples and closest points,
-/// nor for distances.
+/// Vertices of facets with an area, ascending. Others are no part of the surface for samples, closest points and distances.
 fn solid_vertices(mesh: &TriMesh) -> impl Iterator<Item = u32> {
     let mut used = vec![false; mesh.positions().len()];
     let solid = mesh.facets().iter().enumerate().filter(|&(f, _)| !mesh.is_degenerate(f));
@@ -348,11 +340,9 @@ impl Probe {
     }
 }
 
-/// All points at which [`quality`] takes distances from `mesh`: random ones, and the vertices; and points on edges that are
-/// longer than the random points are apart.
+/// All points from which [`quality`] takes distances, and points on edges that are longer than the random points are apart.
 pub fn probes(mesh: &TriMesh, token: &Token) -> Result<Vec<Probe>, Stopped> {
-    let mut probes: Vec<Probe> =
-        sample(mesh, None, SAMPLES, SAMPLE_SEED).iter().map(|point| Probe::of(mesh, point)).collect();
+    let mut probes: Vec<Probe> = sample(mesh, None, SAMPLES, SAMPLE_SEED).iter().map(|p| Probe::of(mesh, p)).collect();
     token.check()?;
     let at = |v: u32| mesh.positions()[v as usize];
     probes.extend(solid_vertices(mesh).map(|v| Probe { position: at(v), vertices: [v; 3] }));
@@ -376,8 +366,7 @@ pub fn probes(mesh: &TriMesh, token: &Token) -> Result<Vec<Probe>, Stopped> {
     Ok(probes)
 }
 
-/// Largest and root mean square distance of `from`'s points to `to`, and that of each of its vertices, 0 where no facet with area
-/// has it; caller's units.
+/// Largest and root mean square distance of `from`'s points to `to`, and of each vertex, 0 without a facet; caller's units.
 fn distances(
     from: &TriMesh,
     to: &TriMesh,

@@ -2,10 +2,9 @@
 //!
 //! Purpose: points with a density ∝ √w: [`sample`], independent ones, for distances and as the seeds that benches begin at,
 //! and [`spread`], the first seeds of a remesh: the surface is cut into pieces of one mass along a curve that goes through
-//! all of it, and each piece has one point.
-//! Invariant: the same mesh, weights, count and seed give the same bits on every platform and with any number of threads
-//! (ChaCha8, one stream; of the floating-point functions only those that IEEE 754 rounds correctly).
-//! Must not know: the use of the points.
+//! all of it, and each piece has one point. Invariant: the same mesh, weights, count and seed give the same bits on every
+//! platform and with any number of threads (ChaCha8, one stream; of the floating-point functions only those that IEEE 754
+//! rounds correctly). Must not know: the use of the points.
 
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
@@ -14,10 +13,8 @@ use super::TriMesh;
 use super::bvh::morton;
 use super::closest_point::SurfacePoint;
 
-/// `count` random points on `mesh`, ∝ area times √weight (linear in each facet), from `seed`.
-///
-/// `weights` has one value a vertex; without it, or if its length is another or no value is
-/// positive, points are uniform. Values that are negative or not finite count as 0.
+/// `count` random points on `mesh`, ∝ area times √weight (linear in each facet), from `seed`. `weights` has a value a vertex;
+/// without it, or with another length or no positive value, points are uniform. Values negative or not finite count as 0.
 ///
 /// The density is exact within a facet as well: a facet is drawn ∝ area times the root of its largest weight, a point
 /// uniformly in it, and the pair is kept with probability √(w / largest), which is at least 8/15 on average.
@@ -27,7 +24,6 @@ pub fn sample(mesh: &TriMesh, weights: Option<&[f64]>, count: usize, seed: u64) 
     (0..count).map(|_| masses.draw(&mut rng)).collect()
 }
 
-/// Share of each facet in the points.
 struct Masses<'a> {
     mesh: &'a TriMesh,
     weights: Option<Vec<f64>>,
@@ -44,15 +40,13 @@ impl<'a> Masses<'a> {
         weights.and_then(|given| Self::new(mesh, Some(given))).or_else(|| Self::new(mesh, None))
     }
 
-    /// `None` if no facet has a mass.
     fn new(mesh: &'a TriMesh, weights: Option<&[f64]>) -> Option<Self> {
         if weights.is_some_and(|given| given.len() != mesh.positions().len()) {
             return None;
         }
         let valid = |w: f64| if w.is_finite() && w > 0.0 { w } else { 0.0 };
         // Only ratios matter; scaled to at most 1 they cannot overflow. Unused vertices do not count.
-        let used =
-            |given: &[f64]| mesh.facets().iter().flatten().map(|&v| valid(given[v as usize])).fold(0.0, f64::max);
+        let used = |w: &[f64]| mesh.facets().iter().flatten().map(|&v| valid(w[v as usize])).fold(0.0, f64::max);
         let largest = weights.map_or(1.0, used);
         let weights: Option<Vec<f64>> = weights.map(|given| given.iter().map(|&w| valid(w) / largest).collect());
         let (low, high) = mesh.bounds();
@@ -166,7 +160,6 @@ struct Curve<'a> {
     masses: &'a Masses<'a>,
     /// Facets with a mass.
     facets: Vec<u32>,
-    /// Running sums of their masses.
     sums: Vec<f64>,
 }
 
@@ -205,7 +198,6 @@ impl<'a> Curve<'a> {
         ahead.map_or(self.sums.len() - 1, |ahead| place + ahead)
     }
 
-    /// A random point about there.
     fn point(&self, place: usize, share: f64, count: usize, rng: &mut ChaCha8Rng) -> SurfacePoint {
         let before = if place > 0 { self.sums[place - 1] } else { 0.0 };
         let (facet, mass) = (self.facets[place] as usize, self.sums[place] - before);
@@ -228,13 +220,10 @@ impl<'a> Curve<'a> {
             let masses = quarters.map(|q| root_in_middle(weights, &q));
             let mut target = rest * masses.iter().sum::<f64>();
             // The last one, should rounding leave something.
-            let mut chosen = 3;
-            for (k, mass) in masses[..3].iter().enumerate() {
-                if target < *mass {
-                    chosen = k;
-                    break;
-                }
-                target -= mass;
+            let mut chosen = 0;
+            while chosen < 3 && target >= masses[chosen] {
+                target -= masses[chosen];
+                chosen += 1;
             }
             rest = if masses[chosen] > 0.0 { (target / masses[chosen]).clamp(0.0, 1.0) } else { 0.5 };
             part = quarters[chosen];

@@ -2,8 +2,7 @@
 //!
 //! Purpose: [`Shape::build`] makes a surface of about a given number of facets whose topology is known ([`Shape::euler`]).
 //! Invariant: every facet has an area, neighbours run the same way through their edges, and the outside is where the normals
-//! point. All are about one unit in size.
-//! Must not know: its callers.
+//! point. All are about one unit in size. Must not know: its callers.
 
 use std::collections::HashMap;
 use std::f64::consts::TAU;
@@ -49,17 +48,10 @@ pub const MAX_FACETS: usize = 50_000_000;
 
 impl Shape {
     /// One of each kind, genus 3 for the slabs.
-    pub const ALL: [Self; 9] = [
-        Self::Sphere,
-        Self::Torus,
-        Self::Genus(3),
-        Self::Block,
-        Self::Hills,
-        Self::Sheets,
-        Self::Slivers,
-        Self::Square,
-        Self::Plane,
-    ];
+    pub const ALL: [Self; 9] = {
+        use Shape::{Block, Genus, Hills, Plane, Sheets, Slivers, Sphere, Square, Torus};
+        [Sphere, Torus, Genus(3), Block, Hills, Sheets, Slivers, Square, Plane]
+    };
 
     /// Builds it with about `facets` facets: from 500 up within 20 % (for `genusN` from 500 (N + 1) up), below as
     /// near as the shape allows. `Square` always has 2.
@@ -69,8 +61,13 @@ impl Shape {
             Self::Sphere => sphere(target),
             Self::Torus => torus(target, 1.0),
             Self::Slivers => torus(target, 1000.0),
-            Self::Genus(holes) => slab(holes.min(MAX_GENUS), target),
-            Self::Block => block(target),
+            Self::Genus(holes) => {
+                // One row of square holes in a slab three cubes wide.
+                let holes = holes.min(MAX_GENUS) as i32;
+                surface([2 * holes + 1, 3, 1], target, |[x, y, _]| x % 2 == 0 || y != 1)
+            }
+            // Two cubes are left out, which do not touch.
+            Self::Block => surface([3, 2, 2], target, |cell| cell != [0, 1, 1] && cell != [2, 0, 1]),
             Self::Hills => grid(side(target), hill).finish(),
             Self::Plane => grid(side(target), |_, _| 0.0).finish(),
             Self::Square => grid(1, |_, _| 0.0).finish(),
@@ -118,7 +115,6 @@ impl FromStr for Shape {
     }
 }
 
-/// Vertices and facets in the making.
 #[derive(Default)]
 struct Draft {
     positions: Vec<DVec3>,
@@ -177,8 +173,7 @@ fn sheets(n: usize) -> TriMesh {
     draft.finish()
 }
 
-/// A regular solid, each face divided into n² triangles and blown up: 20 n² or, where that is
-/// much nearer to the target, 8 n² or 4 n² facets.
+/// A regular solid, each face divided into n² triangles and blown up: 20 n² facets, or 8 n² or 4 n² if much nearer.
 fn sphere(facets: usize) -> TriMesh {
     let phi = (1.0 + 5f64.sqrt()) / 2.0;
     // Coordinates of the corners, and the corners of the faces.
@@ -214,8 +209,7 @@ fn sphere(facets: usize) -> TriMesh {
     divide(corners, faces, best.2)
 }
 
-/// Divides each face into n² triangles. A lattice point is known by the corners that weigh in
-/// it, so that faces share the points of their edges.
+/// Divides each face into n² triangles. Points are known by the corners that weigh in them, so that faces share their edges.
 fn divide(corners: &[[f64; 3]], faces: &[[u32; 3]], n: u32) -> TriMesh {
     let mut draft = Draft::default();
     let mut numbers: HashMap<[(u32, u32); 3], u32> = HashMap::new();
@@ -225,11 +219,8 @@ fn divide(corners: &[[f64; 3]], faces: &[[u32; 3]], n: u32) -> TriMesh {
             key.iter_mut().filter(|(_, weight)| *weight == 0).for_each(|entry| *entry = (u32::MAX, 0));
             key.sort_unstable();
             *numbers.entry(key).or_insert_with(|| {
-                let sum: DVec3 = key
-                    .iter()
-                    .filter(|e| e.1 > 0)
-                    .map(|&(v, w)| DVec3::from_array(corners[v as usize]) * f64::from(w))
-                    .sum();
+                let part = |&(v, w): &(u32, u32)| DVec3::from_array(corners[v as usize]) * f64::from(w);
+                let sum: DVec3 = key.iter().filter(|e| e.1 > 0).map(part).sum();
                 draft.positions.push(sum.normalize());
                 (draft.positions.len() - 1) as u32
             })
@@ -264,47 +255,27 @@ fn torus(facets: usize, ratio: f64) -> TriMesh {
             draft.positions.push(dvec3(r * cos, r * sin, TUBE * s));
         }
     }
-    let vertex = |ring: usize, step: usize| (ring % rings * around + step % around) as u32;
+    let at = |ring: usize, step: usize| (ring % rings * around + step % around) as u32;
     for ring in 0..rings {
         for step in 0..around {
-            draft.quad([
-                vertex(ring, step),
-                vertex(ring + 1, step),
-                vertex(ring + 1, step + 1),
-                vertex(ring, step + 1),
-            ]);
+            draft.quad([at(ring, step), at(ring + 1, step), at(ring + 1, step + 1), at(ring, step + 1)]);
         }
     }
     draft.finish()
 }
 
-/// One row of `holes` square holes in a slab three cubes wide.
-fn slab(holes: u32, facets: usize) -> TriMesh {
-    let holes = holes as i32;
-    surface([2 * holes + 1, 3, 1], facets, |[x, y, _]| x % 2 == 0 || y != 1)
-}
-
-/// Three by two by two cubes without two of them, which do not touch.
-fn block(facets: usize) -> TriMesh {
-    surface([3, 2, 2], facets, |cell| cell != [0, 1, 1] && cell != [2, 0, 1])
-}
-
-/// The boundary of the cubes of `solid`, with squares divided into about `facets` facets. No two cubes may touch only in an
-/// edge or a corner.
+/// The boundary of the cubes of `solid`, as about `facets` facets. No two cubes may touch only in an edge or a corner.
 fn surface(size: [i32; 3], facets: usize, solid: impl Fn([i32; 3]) -> bool) -> TriMesh {
     let inside = |cell: [i32; 3]| (0..3).all(|k| (0..size[k]).contains(&cell[k])) && solid(cell);
     // Squares by axis of the normal.
     let mut squares = Vec::new();
-    for x in 0..size[0] {
-        for y in 0..size[1] {
-            for z in 0..size[2] {
-                for (axis, step) in [(0, -1), (0, 1), (1, -1), (1, 1), (2, -1), (2, 1)] {
-                    let mut neighbour = [x, y, z];
-                    neighbour[axis] += step;
-                    if inside([x, y, z]) && !inside(neighbour) {
-                        squares.push(([x, y, z], axis, step));
-                    }
-                }
+    let [nx, ny, nz] = size;
+    for cell in (0..nx * ny * nz).map(|k| [k / (ny * nz), k / nz % ny, k % nz]).filter(|&cell| inside(cell)) {
+        for (axis, step) in [(0, -1), (0, 1), (1, -1), (1, 1), (2, -1), (2, 1)] {
+            let mut neighbour = cell;
+            neighbour[axis] += step;
+            if !inside(neighbour) {
+                squares.push((cell, axis, step));
             }
         }
     }
@@ -327,10 +298,8 @@ fn surface(size: [i32; 3], facets: usize, solid: impl Fn([i32; 3]) -> bool) -> T
             })
         };
         let mut quads = Vec::new();
-        for j in 0..divisions[v] {
-            for i in 0..divisions[u] {
-                quads.push([point(i, j), point(i + 1, j), point(i + 1, j + 1), point(i, j + 1)]);
-            }
+        for (i, j) in (0..divisions[v]).flat_map(|j| (0..divisions[u]).map(move |i| (i, j))) {
+            quads.push([point(i, j), point(i + 1, j), point(i + 1, j + 1), point(i, j + 1)]);
         }
         quads.into_iter().for_each(|quad| draft.quad(quad));
     }

@@ -34,12 +34,8 @@ pub(super) fn curves(
     let mean_angle = |c: &[u32]| {
         c.windows(2).map(|p| graph.edges[&undirected([p[0], p[1]])].angle).sum::<f64>() / (c.len() - 1) as f64
     };
-    let mut corners: BTreeSet<u32> = graph
-        .neighbours
-        .iter()
-        .filter(|(v, l)| l.len() != 2 || kind(**v, l[0]) != kind(**v, l[1]))
-        .map(|(&v, _)| v)
-        .collect();
+    let is_corner = |(v, l): &(&u32, &Vec<u32>)| l.len() != 2 || kind(**v, l[0]) != kind(**v, l[1]);
+    let mut corners: BTreeSet<u32> = graph.neighbours.iter().filter(is_corner).map(|(&v, _)| v).collect();
     let mut curves = Vec::new();
     let mut done = BTreeSet::new();
     let ends: Vec<u32> = corners.iter().copied().chain(graph.neighbours.keys().copied()).collect();
@@ -69,7 +65,6 @@ pub(super) fn curves(
     Ok((curves, corners.into_iter().collect(), joined))
 }
 
-/// Cuts a chain where it turns sharply.
 fn split(
     chain: &[u32],
     closed: bool,
@@ -96,14 +91,9 @@ fn split(
     Ok(())
 }
 
-/// Places in a chain where it turns by more than [`CORNER_ANGLE`] between the points `reach` behind and
-/// ahead: the sharpest within each stretch of that length.
-fn sharp_turns(
-    chain: &[u32],
-    closed: bool,
-    (metric, reach): (Metric<'_>, f64),
-    token: &Token,
-) -> Result<Vec<usize>, Stopped> {
+/// Places where a chain turns by more than [`CORNER_ANGLE`] from `reach` before to `reach` after, the sharpest of each `reach`.
+fn sharp_turns(chain: &[u32], closed: bool, along: (Metric<'_>, f64), token: &Token) -> Result<Vec<usize>, Stopped> {
+    let (metric, reach) = along;
     let p: Vec<DVec3> = chain.iter().map(|&v| metric.at(v)).collect();
     let last = p.len() - 1;
     let mut along = vec![0.0];
@@ -129,8 +119,7 @@ fn sharp_turns(
         let d = (along[k] - along[j]).abs();
         if closed { d.min(total - d) } else { d }
     };
-    // Arc length ascends with the place, so that of those taken only the next ones count, and round the end of a closed
-    // chain the first and the last.
+    // Arc length ascends with the place: only the next taken ones count, and round a closed chain's end the outermost.
     let mut taken = BTreeSet::new();
     for (n, (_, k)) in found.into_iter().enumerate() {
         token.check_at(n)?;
@@ -158,7 +147,6 @@ const CREASE_FACTOR: f64 = 2.0;
 /// Least length of a loop, in chords.
 const MIN_LOOP: f64 = 3.0;
 
-/// The curves, the curves at each corner, and all lengths.
 struct Merger<'a> {
     curves: &'a mut [Curve],
     /// Empty for one that has become part of others.
@@ -175,18 +163,16 @@ fn merge_corners(
     merge: CornerMerge,
     token: &Token,
 ) -> Result<usize, Stopped> {
-    let mut short: Vec<(f64, usize)> = (0..curves.len())
-        .filter(|&c| !curves[c].closed && curves[c].kind == CurveKind::Boundary)
-        .map(|c| (metric.chain(&curves[c].vertices), c))
-        .filter(|(length, _)| *length < merge.length)
-        .collect();
+    let open = (0..curves.len()).filter(|&c| !curves[c].closed && curves[c].kind == CurveKind::Boundary);
+    let lengths = open.map(|c| (metric.chain(&curves[c].vertices), c));
+    let mut short: Vec<(f64, usize)> = lengths.filter(|(length, _)| *length < merge.length).collect();
     if short.is_empty() {
         return Ok(0);
     }
     short.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
     let mut at: BTreeMap<u32, Vec<usize>> = BTreeMap::new();
     for (c, curve) in curves.iter().enumerate().filter(|(_, curve)| !curve.closed) {
-        ends(curve).into_iter().for_each(|v| at.entry(v).or_default().push(c));
+        curve.ends().into_iter().for_each(|v| at.entry(v).or_default().push(c));
     }
     token.check()?;
     let mut merger = Merger { curves, at, metric, merge };
@@ -200,20 +186,13 @@ fn merge_corners(
     Ok(removed.len())
 }
 
-fn ends(curve: &Curve) -> [u32; 2] {
-    [curve.vertices[0], curve.vertices[curve.vertices.len() - 1]]
-}
-
 impl Merger<'_> {
     /// Makes one corner of the two ends of a curve, if that can be. Returns the one that is none any more.
     fn merge(&mut self, c: usize) -> Option<u32> {
         let curve = &self.curves[c];
+        let [a, b] = curve.ends();
         // It may have become longer since.
-        if self.is_as_long_as(&curve.vertices, self.merge.length) {
-            return None;
-        }
-        let [a, b] = ends(curve);
-        if a == b {
+        if a == b || self.is_as_long_as(&curve.vertices, self.merge.length) {
             return None;
         }
         let (removed, stays) = match (self.off(c, a, b), self.off(c, b, a)) {
@@ -242,16 +221,15 @@ impl Merger<'_> {
         Some(removed)
     }
 
-    /// Largest deviation of chords from `stays` from the curves that end in `removed`, once these continue along curve `c`;
-    /// `None` where they may not, or by too much.
+    /// How far chords from `stays` leave the curves to `removed` that continue along `c`; `None` if too far, or forbidden.
     fn off(&self, c: usize, removed: u32, stays: u32) -> Option<f64> {
         let others: Vec<&Curve> = self.at[&removed].iter().filter(|&&o| o != c).map(|&o| &self.curves[o]).collect();
         // A boundary does not divide.
         let goes_on = others.iter().filter(|o| o.kind == CurveKind::Boundary).count() == 1;
         // A curve that returns to its start needs room for a loop.
         let loops =
-            |o: &Curve| ends(o).contains(&stays) && self.is_as_long_as(&o.vertices, MIN_LOOP * self.merge.reach);
-        let returns = |o: &&Curve| ends(o) == [removed; 2] || ends(o).contains(&stays) && !loops(o);
+            |o: &Curve| o.ends().contains(&stays) && self.is_as_long_as(&o.vertices, MIN_LOOP * self.merge.reach);
+        let returns = |o: &&Curve| o.ends() == [removed; 2] || o.ends().contains(&stays) && !loops(o);
         if !goes_on || others.iter().any(returns) {
             return None;
         }
@@ -313,7 +291,7 @@ mod tests {
     }
 
     fn merged(positions: &[DVec3], mut curves: Vec<Curve>) -> (Vec<Curve>, Vec<u32>) {
-        let mut corners: BTreeSet<u32> = curves.iter().flat_map(ends).collect();
+        let mut corners: BTreeSet<u32> = curves.iter().flat_map(Curve::ends).collect();
         let metric = Metric { positions, resolution: &[] };
         let before = corners.len();
         let merged = merge_corners(

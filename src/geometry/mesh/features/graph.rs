@@ -16,15 +16,14 @@ use super::{CurveKind, Edge, Metric};
 use crate::mesh::TriMesh;
 use crate::mesh::adjacency::{Adjacency, EdgeKind};
 use crate::mesh::edges::undirected;
+use crate::mesh::normal as normal_of;
 use crate::token::{Stopped, Token};
 
 /// A network is a tangle if its curves are on average shorter than this share of the shortest crease.
 const TANGLED_SHARE: f64 = 0.5;
-/// The share that replaces [`TANGLED_SHARE`] if most of the network is sharp: sharp edges are intended, and short only
-/// compared with the remesh.
+/// The same if most of the network is sharp: sharp edges are intended, and short only compared with the remesh.
 const TANGLED_SHARP_SHARE: f64 = 0.15;
-/// Smaller angles, degrees, count as creases only if the caller asks for them. If they make a network a tangle, they alone are
-/// removed.
+/// Smaller angles, degrees, are creases only if the caller asks for them. Of a tangle with them, they alone go.
 const MODERATE_ANGLE: f64 = 30.0;
 /// Larger angles, degrees, are sharp.
 const SHARP_ANGLE: f64 = 75.0;
@@ -84,13 +83,11 @@ impl Graph {
         chain
     }
 
-    /// A chain that ends at corners.
     pub(super) fn chain_to(&self, v: u32, next: u32, corners: &BTreeSet<u32>) -> Vec<u32> {
         self.chain(v, next, |v| corners.contains(&v))
     }
 
-    /// Removes creases with a free end that are shorter than `min_length`, repeatedly, and then short networks and tangles.
-    /// Returns how many edges were removed.
+    /// Removes creases shorter than `min_length` with a free end, then short networks and tangles. Returns how many edges.
     pub(super) fn prune(&mut self, metric: Metric<'_>, min_length: f64, token: &Token) -> Result<usize, Stopped> {
         let before = self.edges.len();
         loop {
@@ -170,16 +167,13 @@ impl Graph {
             let least = if sharp >= 0.5 * total { TANGLED_SHARP_SHARE } else { TANGLED_SHARE };
             let tangled = total < least * min_length * chains;
             let weakest = edges.iter().map(|e| self.edges[e].angle).fold(f64::INFINITY, f64::min);
-            let removed = if total < 2.0 * min_length {
-                f64::INFINITY
-            } else if !tangled {
+            let short = total < 2.0 * min_length;
+            if !short && !tangled {
                 continue;
-            } else if weakest < MODERATE_ANGLE {
-                weakened = true;
-                MODERATE_ANGLE.min(2.0 * weakest)
-            } else {
-                f64::INFINITY
-            };
+            }
+            let moderate = !short && weakest < MODERATE_ANGLE;
+            weakened |= moderate;
+            let removed = if moderate { MODERATE_ANGLE.min(2.0 * weakest) } else { f64::INFINITY };
             let sharp = |e: &Edge| self.edges[e].angle;
             let removed: Vec<Edge> = edges.into_iter().filter(|e| sharp(e) < removed || sharp(e) == weakest).collect();
             for (k, e) in removed.into_iter().enumerate() {
@@ -225,8 +219,7 @@ impl<'a> DihedralAngles<'a> {
     }
 
     fn normal(&self, f: usize) -> DVec3 {
-        let [a, b, c] = self.corners(f);
-        (b - a).cross(c - a).normalize_or_zero()
+        normal_of(self.corners(f)).normalize_or_zero()
     }
 
     /// In the middle of a facet.
@@ -256,8 +249,7 @@ impl<'a> DihedralAngles<'a> {
         Some(n.cross(m).length().atan2(n.dot(m)).to_degrees())
     }
 
-    /// Whether a straight way into the facet of `half`, across it and `reach` long, meets no edge that is sharp by
-    /// more than `most`. It ends at a crease or a boundary.
+    /// Whether a straight way of `reach` across the facet of `half` meets no edge above `most` before a crease or boundary.
     fn is_smooth_beside(&self, half: usize, most: f64, crease: f64, reach: f64) -> bool {
         let (mut half, mut left) = (half, reach);
         let [a, b] = [half % 3, (half + 1) % 3].map(|k| self.corners(half / 3)[k]);
@@ -292,7 +284,6 @@ impl<'a> DihedralAngles<'a> {
 
     /// Edges that are a ridge and no crease, with their angles, ascending.
     fn ridges(&self, crease: f64, reach: f64, token: &Token) -> Result<Vec<(Edge, f64)>, Stopped> {
-        let class = self.adjacency.representative();
         let mut found = Vec::new();
         for half in 0..3 * self.mesh.facets().len() {
             token.check_at(8 * half)?;
@@ -302,17 +293,14 @@ impl<'a> DihedralAngles<'a> {
             };
             if [half, other].into_iter().all(|h| self.is_smooth_beside(h, NEIGHBOUR_ANGLE_SHARE * angle, crease, reach))
             {
-                let corners = self.mesh.facets()[half / 3];
-                let [a, b] = [half % 3, (half + 1) % 3].map(|k| class[corners[k] as usize]);
-                found.push((undirected([a, b]), angle));
+                found.push((undirected(self.adjacency.ends(self.mesh, half)), angle));
             }
         }
         found.sort_unstable_by_key(|r| r.0);
         Ok(found)
     }
 
-    /// Adds ridges to a graph of creases: chains between two creases, chains from the free end of one, and other chains of
-    /// at least `min_length`.
+    /// Adds ridges to a graph of creases: chains between two creases or from a free end, others from `min_length` on.
     pub(super) fn add_ridges(
         &self,
         graph: &mut Graph,

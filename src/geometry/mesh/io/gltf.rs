@@ -91,7 +91,6 @@ fn counts(json: &[u8], binary: Option<&[u8]>, length: usize) -> Option<Counts> {
     Some(counts)
 }
 
-/// The surface of a file of `length` bytes.
 fn surface(json: &[u8], binary: Option<&[u8]>, length: usize, wanted: bool) -> Result<Soup, DataError> {
     let document = Document::read(json)?;
     let buffers = buffers(&document, binary)?;
@@ -118,7 +117,6 @@ fn surface(json: &[u8], binary: Option<&[u8]>, length: usize, wanted: bool) -> R
     Ok(soup)
 }
 
-/// JSON, and the binary part if there is one.
 fn parts(bytes: &[u8]) -> Result<(&[u8], Option<&[u8]>), DataError> {
     let Some(rest) = bytes.strip_prefix(MAGIC) else {
         return Err(DataError::Header("it does not begin with \"glTF\"; name text .gltf".to_owned()));
@@ -256,9 +254,9 @@ impl Reader<'_> {
 
         // Read even if they are not wanted: colours part vertices, and all count against the bound.
         let [normals, texture, colours] = [
-            self.carried(primitive.attributes.normal, count, 3..=3),
-            self.carried(primitive.attributes.texture, count, 2..=2),
-            self.carried(primitive.attributes.colour, count, 3..=4),
+            self.carried(primitive.attributes.normal, count, 3, 3),
+            self.carried(primitive.attributes.texture, count, 2, 2),
+            self.carried(primitive.attributes.colour, count, 3, 4),
         ];
         let colour_of = |colours: &Option<(Vec<f64>, usize)>, i: usize| match colours {
             Some((values, n)) => {
@@ -305,34 +303,24 @@ impl Reader<'_> {
         Ok(())
     }
 
-    /// Numbers that vertices carry, and how many each has; what is wrong is left aside.
-    fn carried(
-        &mut self,
-        accessor: Option<u32>,
-        count: usize,
-        components: std::ops::RangeInclusive<usize>,
-    ) -> Option<(Vec<f64>, usize)> {
+    /// Numbers that vertices carry, and how many each has, `few` to `most`; what is wrong is left aside.
+    fn carried(&mut self, accessor: Option<u32>, count: usize, few: usize, most: usize) -> Option<(Vec<f64>, usize)> {
         let index = accessor?;
         let found = self.document.accessors.get(index as usize);
         let n = found.map_or(0, Accessor::components);
-        let read = if components.contains(&n) { self.numbers(index, n).ok() } else { None };
-        let right = read.filter(|values| values.len() == n * count);
-        match right {
-            Some(values) => {
-                if components == (3..=4) {
-                    self.eight &= found.is_some_and(|a| a.component_type == 5121 && a.normalized);
-                }
-                Some((values, n))
+        let read = if (few..=most).contains(&n) { self.numbers(index, n).ok() } else { None };
+        let Some(values) = read.filter(|values| values.len() == n * count) else {
+            // Once, however often nodes name its mesh.
+            if self.reported.insert(index) {
+                let message = format!("it has not {most} numbers for each of {count} vertices");
+                self.soup.raw.unreadable(&format!("accessor {index}"), message);
             }
-            None => {
-                // Once, however often nodes name its mesh.
-                if self.reported.insert(index) {
-                    let message = format!("it has not {} numbers for each of {count} vertices", components.end());
-                    self.soup.raw.unreadable(&format!("accessor {index}"), message);
-                }
-                None
-            }
+            return None;
+        };
+        if (few, most) == (3, 4) {
+            self.eight &= found.is_some_and(|a| a.component_type == 5121 && a.normalized);
         }
+        Some((values, n))
     }
 
     fn spend(&mut self, bytes: usize) -> Result<(), DataError> {
@@ -341,7 +329,6 @@ impl Reader<'_> {
         Ok(())
     }
 
-    /// The numbers of an accessor with this number of components.
     fn numbers(&mut self, index: u32, components: usize) -> Result<Vec<f64>, DataError> {
         let index = index as usize;
         let wrong = |message: &str| DataError::Element { element: "accessor", index, message: message.to_owned() };
@@ -353,13 +340,14 @@ impl Reader<'_> {
         if accessor.sparse.is_some() {
             return Err(wrong("it is sparse, which is not read; export it without"));
         }
-        let kind = match accessor.component_type {
-            5120 => Kind::I8,
-            5121 => Kind::U8,
-            5122 => Kind::I16,
-            5123 => Kind::U16,
-            5125 => Kind::U32,
-            5126 => Kind::F32,
+        // A type, and its number that stands for 1 where numbers are normalized.
+        let (kind, most) = match accessor.component_type {
+            5120 => (Kind::I8, 127.0),
+            5121 => (Kind::U8, 255.0),
+            5122 => (Kind::I16, 32767.0),
+            5123 => (Kind::U16, 65535.0),
+            5125 => (Kind::U32, 1.0),
+            5126 => (Kind::F32, 1.0),
             _ => return Err(wrong("its type of numbers is not known")),
         };
         let view = accessor.buffer_view.and_then(|view| document.views.get(view as usize));
@@ -381,16 +369,8 @@ impl Reader<'_> {
             let elements = data.chunks(stride).flat_map(|element| element[..size].iter().copied());
             Some(kind.floats(&elements.collect::<Vec<_>>(), Order::Little))
         };
-        let mut values = slice(buffer).ok_or_else(|| {
-            DataError::Truncated(format!("accessor {index} has {length} bytes that its buffer has not"))
-        })?;
-        let most = match kind {
-            Kind::I8 => 127.0,
-            Kind::U8 => 255.0,
-            Kind::I16 => 32767.0,
-            Kind::U16 => 65535.0,
-            _ => 1.0,
-        };
+        let beyond = || DataError::Truncated(format!("accessor {index} has {length} bytes that its buffer has not"));
+        let mut values = slice(buffer).ok_or_else(beyond)?;
         if accessor.normalized {
             values.iter_mut().for_each(|x| *x = (*x / most).max(-1.0));
         }
@@ -445,15 +425,13 @@ fn scene(mesh: &TriMesh, held: &Held<'_>) -> Result<(String, Vec<u8>), DataError
     let mut data = Vec::new();
     let (mut views, mut accessors) = (Vec::new(), Vec::new());
     // Adds an array of elements, each written by `write`; returns its accessor.
-    let mut add = |target: u32, component: &str, count: usize, shape: &str, write: &dyn Fn(&mut Vec<u8>, usize)| {
+    let mut add = |target: u32, kind: &str, n: usize, shape: &str, write: &dyn Fn(&mut Vec<u8>, usize)| {
         let (start, number) = (data.len(), accessors.len());
-        (0..count).for_each(|i| write(&mut data, i));
+        (0..n).for_each(|i| write(&mut data, i));
         let length = data.len() - start;
         data.resize(data.len().next_multiple_of(4), 0);
         views.push(format!("{{\"buffer\":0,\"byteOffset\":{start},\"byteLength\":{length},\"target\":{target}}}"));
-        accessors.push(format!(
-            "{{\"bufferView\":{number},\"componentType\":{component},\"count\":{count},\"type\":{shape}}}"
-        ));
+        accessors.push(format!("{{\"bufferView\":{number},\"componentType\":{kind},\"count\":{n},\"type\":{shape}}}"));
         number
     };
     let total = vertices.len();

@@ -37,17 +37,7 @@ fn decode(bytes: &[u8], wanted: bool) -> Result<Soup, DataError> {
 
 /// Reads all sections, or how much is in them if they are counted.
 fn read(bytes: &[u8], wanted: bool, counted: bool) -> Result<Reader<'_>, DataError> {
-    let mut reader = Reader {
-        cursor: Cursor::new(bytes),
-        size: Kind::U64,
-        is_4: false,
-        wanted,
-        counted,
-        counts: Counts::default(),
-        tags: Tags::default(),
-        soup: Soup::default(),
-        volumes: 0,
-    };
+    let mut reader = Reader { cursor: Cursor::new(bytes), wanted, counted, ..Reader::default() };
     if reader.cursor.word() != Some(b"$MeshFormat") {
         return Err(DataError::Header("it does not begin with \"$MeshFormat\"".to_owned()));
     }
@@ -66,8 +56,8 @@ fn read(bytes: &[u8], wanted: bool, counted: bool) -> Result<Reader<'_>, DataErr
                 Some(name) => {
                     let end = [b"$End", name].concat();
                     let at = reader.cursor.rest.windows(end.len()).position(|window| window == end);
-                    let at = at.ok_or_else(|| cut(&shown(word)))?;
-                    let passed = reader.cursor.take(at + end.len()).unwrap_or_default();
+                    let length = at.ok_or_else(|| cut(&shown(word)))? + end.len();
+                    let passed = reader.cursor.take(length).unwrap_or_default();
                     reader.cursor.line += passed.iter().filter(|&&b| b == b'\n').count();
                     continue;
                 }
@@ -118,13 +108,9 @@ impl Tags {
         }
         self.sorted = self.given.iter().copied().zip(0..).collect();
         self.sorted.sort_unstable();
-        match self.sorted.windows(2).find(|pair| pair[0].0 == pair[1].0) {
-            None => Ok(()),
-            Some(pair) => {
-                let (index, message) = (pair[1].1 as usize, format!("another node has the tag {}", pair[1].0));
-                Err(DataError::Element { element: "node", index, message })
-            }
-        }
+        let Some(pair) = self.sorted.windows(2).find(|pair| pair[0].0 == pair[1].0) else { return Ok(()) };
+        let (index, message) = (pair[1].1 as usize, format!("another node has the tag {}", pair[1].0));
+        Err(DataError::Element { element: "node", index, message })
     }
 
     fn vertex(&self, tag: i64) -> Option<i64> {
@@ -137,6 +123,7 @@ impl Tags {
     }
 }
 
+#[derive(Default)]
 struct Reader<'a> {
     cursor: Cursor<'a>,
     /// Type of counts and tags in version 4.
@@ -246,8 +233,7 @@ impl Reader<'_> {
                 self.counts.vertices += count as u64;
                 continue;
             }
-            let tags = self.cursor.integers(count, self.size, "nodes")?;
-            self.tags.given.extend(tags);
+            self.tags.given.extend(self.cursor.integers(count, self.size, "nodes")?);
             let numbers = self.cursor.floats(count.saturating_mul(each), Kind::F64, "nodes")?;
             self.soup.positions.extend(numbers.chunks_exact(each).map(|p| DVec3::from_slice(&p[..3])));
         }
@@ -255,27 +241,21 @@ impl Reader<'_> {
     }
 
     /// Elements of one type, each with `head` numbers before its nodes. The first has the number `index`; returns the next one.
-    fn block(
-        &mut self,
-        index: usize,
-        elements: usize,
-        (kind, head): (i64, usize),
-        size: Kind,
-    ) -> Result<usize, DataError> {
+    fn block(&mut self, index: usize, count: usize, (kind, head): (i64, usize), int: Kind) -> Result<usize, DataError> {
         let unknown = || DataError::Header(format!("elements of type {kind} are not known"));
         let (nodes, corners) = element(kind).ok_or_else(unknown)?;
         let each = head.saturating_add(nodes);
-        let all = elements.saturating_mul(each);
+        let all = count.saturating_mul(each);
         if self.counted {
-            self.cursor.pass(all, size, "elements")?;
-            self.counts.facets += elements as u64 * corners.map_or(0, |n| n.saturating_sub(2)) as u64;
+            self.cursor.pass(all, int, "elements")?;
+            self.counts.facets += count as u64 * corners.map_or(0, |n| n.saturating_sub(2)) as u64;
         } else {
-            let numbers = self.cursor.integers(all, size, "elements")?;
+            let numbers = self.cursor.integers(all, int, "elements")?;
             for (k, record) in numbers.chunks_exact(each).enumerate() {
                 self.push(index + k, corners, &record[head..])?;
             }
         }
-        Ok(index.saturating_add(elements))
+        Ok(index.saturating_add(count))
     }
 
     fn push(&mut self, index: usize, corners: Option<usize>, nodes: &[i64]) -> Result<(), DataError> {
@@ -331,7 +311,6 @@ impl Reader<'_> {
         Ok(())
     }
 
-    /// A number for each node is a scalar.
     fn node_data(&mut self) -> Result<(), DataError> {
         let mut name = String::new();
         for k in 0..self.cursor.parsed::<usize>("a number of names")? {

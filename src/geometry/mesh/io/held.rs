@@ -5,8 +5,8 @@
 //! Invariant: attributes that a format cannot hold, or that cannot be used, are named. Must not know: the syntax of a format.
 
 use super::{DataError, polygons};
-use crate::mesh::TriMesh;
 use crate::mesh::attributes::{AttributeError, Attributes, Colours, Normals, PerCorner, Scalar};
+use crate::mesh::{TriMesh, normal};
 use glam::{DVec2, DVec3};
 use rayon::prelude::*;
 
@@ -20,7 +20,6 @@ pub(super) struct Raw {
     pub(super) texture: Option<PerCorner<DVec2>>,
     pub(super) colours: Option<Colours>,
     pub(super) scalars: Vec<Scalar>,
-    /// Attributes that could not be understood.
     pub(super) unreadable: Vec<AttributeError>,
 }
 
@@ -30,22 +29,14 @@ impl Raw {
     }
 
     pub(super) fn is_unreadable(&self, attribute: &str) -> bool {
-        let is_it =
-            |error: &AttributeError| matches!(error, AttributeError::Unreadable { attribute: a, .. } if a == attribute);
-        self.unreadable.iter().any(is_it)
+        self.unreadable.iter().any(|e| matches!(e, AttributeError::Unreadable { attribute: a, .. } if a == attribute))
     }
 
-    /// Cuts values of corners as the surface's polygons were cut.
     pub(super) fn recut(&mut self, cuts: &[polygons::Cut]) {
-        let corners = [
-            self.texture.as_mut().map(|texture| &mut texture.corners),
-            match &mut self.normals {
-                Some(Normals::PerCorner(normals)) => Some(&mut normals.corners),
-                _ => None,
-            },
-        ];
-        for corners in corners.into_iter().flatten() {
-            cuts.iter().for_each(|cut| cut.apply(corners));
+        let apply = |corners: &mut [[u32; 3]]| cuts.iter().for_each(|cut| cut.apply(corners));
+        self.texture.iter_mut().for_each(|texture| apply(&mut texture.corners));
+        if let Some(Normals::PerCorner(normals)) = &mut self.normals {
+            apply(&mut normals.corners);
         }
     }
 
@@ -107,25 +98,20 @@ impl<'a> Held<'a> {
             (Some(_), By::None) => held.leave_out("normals"),
             (Some(Normals::PerVertex(values)), _) => held.normals = Some(values.clone()),
             (Some(Normals::PerCorner(normals)), By::Corner) => held.corner_normals = Some(normals),
-            (Some(Normals::PerCorner(normals)), By::Vertex | By::VertexOrCorner) => {
-                held.normals = normals.per_vertex(facets, vertices);
-                if held.normals.is_none() {
-                    held.leave_out("normals (they differ from facet to facet)");
-                }
-            }
+            (Some(Normals::PerCorner(normals)), _) => match normals.per_vertex(facets, vertices) {
+                None => held.leave_out("normals (they differ from facet to facet)"),
+                normals => held.normals = normals,
+            },
         }
         match (attributes.texture(), &holds.texture) {
             (None, _) => {}
             (Some(_), By::None) => held.leave_out("texture coordinates"),
             (Some(texture), By::Corner) => held.corner_uv = Some(texture),
-            (Some(texture), by) => {
-                held.uv = texture.per_vertex(facets, vertices);
-                match (&held.uv, by) {
-                    (Some(_), _) => {}
-                    (None, By::VertexOrCorner) => held.corner_uv = Some(texture),
-                    (None, _) => held.leave_out("texture coordinates (they have seams)"),
-                }
-            }
+            (Some(texture), by) => match (texture.per_vertex(facets, vertices), by) {
+                (None, By::VertexOrCorner) => held.corner_uv = Some(texture),
+                (None, _) => held.leave_out("texture coordinates (they have seams)"),
+                (uv, _) => held.uv = uv,
+            },
         }
         if let Some(colours) = attributes.colours() {
             held.colours = holds.colours.then_some(colours);
@@ -185,7 +171,6 @@ pub(super) fn eight_bit(component: f64) -> u8 {
 /// Facets that single precision makes lines or points of may have this share of the area.
 const LOSS: f64 = 1e-3;
 
-/// Refuses what rounding to single precision would spoil.
 pub(super) fn check_single(mesh: &TriMesh) -> Result<(), DataError> {
     let limit = f64::from(f32::MAX);
     if let Some(vertex) = mesh.positions().iter().position(|p| p.abs().max_element() > limit) {
@@ -201,10 +186,7 @@ pub(super) fn check_single(mesh: &TriMesh) -> Result<(), DataError> {
         // Scaled, so that no square vanishes. Slivers are no loss.
         let (low, high) = mesh.bounds();
         let extent = (high - low).max_element();
-        let area = |facet: usize| {
-            let [a, b, c] = mesh.corners(facet).map(|p| (p - low) / extent);
-            (b - a).cross(c - a).length()
-        };
+        let area = |facet: usize| normal(mesh.corners(facet).map(|p| (p - low) / extent)).length();
         let all: f64 = (0..mesh.facets().len()).map(area).sum();
         if collapsed.into_iter().map(area).sum::<f64>() > LOSS * all {
             return Err(DataError::Collapsed { facet });

@@ -1,10 +1,9 @@
 //! Lists beside a surface, as text: points, an edge length for each vertex, edges that are creases.
 //!
-//! Purpose: reads one element a line; empty lines and lines that begin with `#` are left out. Numbers of the file's vertices become
-//! those of the surface.
-//! Invariant: vertices keep their numbers, except in OBJ (numbered by first use in a face, unused ones left out), STL (no vertices)
-//! and glTF (a vertex several times). A list takes no more memory than the surface has vertices or edges for, however long the text.
-//! Must not know: the use of the lists.
+//! Purpose: reads one element a line; empty lines and lines that begin with `#` are left out. Numbers of the file's vertices
+//! become those of the surface. Invariant: vertices keep their numbers, except in OBJ (numbered by first use in a face,
+//! unused ones left out), STL (no vertices) and glTF (a vertex several times). A list takes no more memory than the surface
+//! has vertices or edges for, however long the text. Must not know: the use of the lists.
 
 use std::str::FromStr;
 
@@ -38,10 +37,7 @@ fn shown(line: &str) -> String {
     }
 }
 
-/// Points, `x y z` a line. Reading ends after one more than `most`, or once the token is stopped.
-///
-/// # Errors
-/// `Syntax` with the line; `List` if there is none.
+/// Points, `x y z` a line; none is an error. Reading ends after one more than `most`, or once the token is stopped.
 pub fn points(text: &str, most: usize, token: &Token) -> Result<Vec<DVec3>, DataError> {
     let mut points = Vec::new();
     for (number, line) in lines(text, token).take(most.saturating_add(1)) {
@@ -58,7 +54,6 @@ pub fn points(text: &str, most: usize, token: &Token) -> Result<Vec<DVec3>, Data
 
 /// How the vertices of a file are numbered in the surface that was read from it.
 pub struct FileVertices {
-    /// Vertices of the file.
     count: usize,
     /// For each of the surface's vertices its number in the file; `None` if the numbers are the same.
     order: Option<Vec<u32>>,
@@ -75,10 +70,7 @@ impl FileVertices {
         matches!(format.codec().vertices, VertexNumbers::Reordered(_))
     }
 
-    /// The vertices of `mesh`, which was read from these bytes.
-    ///
-    /// # Errors
-    /// `List` if their numbers are not known.
+    /// The vertices of `mesh`, which was read from these bytes. Fails if their numbers are not known.
     pub fn of(format: Format, bytes: &[u8], mesh: &TriMesh) -> Result<Self, DataError> {
         let (count, order) = match format.codec().vertices {
             VertexNumbers::Kept => return Ok(Self::of_arrays(mesh)),
@@ -98,25 +90,21 @@ impl FileVertices {
     }
 
     /// Reads one number above 0 a line for each of the file's vertices; returns one for each of the surface's. Reading ends early
-    /// once the token is stopped.
-    ///
-    /// # Errors
-    /// `Syntax` with the line; `List` if there are too few or too many.
+    /// once the token is stopped. Too few or too many are an error.
     pub fn lengths(&self, text: &str, token: &Token) -> Result<Vec<f64>, DataError> {
-        let mut lengths = Vec::with_capacity(self.count.min(text.len()));
+        let count = self.count;
+        let mut lengths = Vec::with_capacity(count.min(text.len()));
         for (number, line) in lines(text, token) {
-            if lengths.len() == self.count {
-                let text = format!("there are more lengths than the {} vertices of the surface", self.count);
-                return Err(syntax(number, text));
+            if lengths.len() == count {
+                return Err(syntax(number, format!("there are more lengths than the {count} vertices of the surface")));
             }
             match line.parse::<f64>() {
                 Ok(length) if length.is_finite() && length > 0.0 => lengths.push(length),
                 _ => return Err(syntax(number, format!("not a finite number above 0: {}", shown(line)))),
             }
         }
-        if lengths.len() != self.count {
-            let text =
-                format!("{} lengths, but the surface has {} vertices; give one for each", lengths.len(), self.count);
+        if lengths.len() != count {
+            let text = format!("{} lengths, but the surface has {count} vertices; give one for each", lengths.len());
             return Err(DataError::List(text));
         }
         Ok(match &self.order {
@@ -126,10 +114,7 @@ impl FileVertices {
     }
 
     /// Reads two of the file's vertices a line, numbered from 0; returns those of the surface, which has this number of facets.
-    /// Reading ends early once the token is stopped.
-    ///
-    /// # Errors
-    /// `Syntax` with the line, also of the first edge beyond [`most_edges`].
+    /// Reading ends early once the token is stopped. The first edge beyond [`most_edges`] is an error.
     pub fn edges(&self, text: &str, facets: usize, token: &Token) -> Result<Vec<[u32; 2]>, DataError> {
         // Where the file's vertices are in the surface.
         let place: Option<Vec<u32>> = self.order.as_ref().map(|order| {

@@ -1,9 +1,7 @@
-//! Medit: `.mesh`, text, and `.meshb`, binary, of versions 1 to 4. Writes version 2, with doubles, or 3 if a file is longer than
-//! 32 bits can say.
+//! Medit: `.mesh`, text, and `.meshb`, binary, versions 1 to 4. Writes version 2, with doubles; 3 where 32 bits are too few.
 //!
-//! Purpose: vertices, triangles and quadrilaterals, in either byte order; all other keywords are passed over. A vertex without a
-//! third coordinate, as of dimension 2, lies at 0. Our own reader: it is small.
-//! Must not know: other formats.
+//! Purpose: vertices, triangles and quadrilaterals, in either byte order; all other keywords are passed over. A vertex
+//! without a third coordinate, as of dimension 2, lies at 0. Our own reader: it is small. Must not know: other formats.
 
 use std::fmt::Write as _;
 
@@ -121,9 +119,8 @@ fn read_binary(bytes: &[u8], counted: bool) -> Result<Reader<'_>, DataError> {
         if next < bytes.len() - reader.cursor.rest.len() {
             return Err(DataError::Header(format!("keyword {keyword} leads back to byte {next}")));
         }
-        reader.cursor.rest = bytes.get(next..).ok_or_else(|| {
-            DataError::Truncated(format!("keyword {keyword} leads to byte {next} of {}", bytes.len()))
-        })?;
+        let beyond = || DataError::Truncated(format!("keyword {keyword} leads to byte {next} of {}", bytes.len()));
+        reader.cursor.rest = bytes.get(next..).ok_or_else(beyond)?;
     }
 }
 
@@ -147,6 +144,7 @@ fn surface(reader: Reader<'_>) -> Result<Soup, DataError> {
     Ok(soup)
 }
 
+#[derive(Default)]
 struct Reader<'a> {
     cursor: Cursor<'a>,
     dimension: usize,
@@ -163,20 +161,9 @@ struct Reader<'a> {
 
 impl<'a> Reader<'a> {
     fn new(bytes: &'a [u8], counted: bool) -> Self {
-        Self {
-            cursor: Cursor::new(bytes),
-            dimension: 3,
-            float: Kind::F64,
-            int: Kind::I32,
-            counted,
-            counts: Counts::default(),
-            soup: Soup::default(),
-            lists: Vec::new(),
-            volumes: 0,
-        }
+        Self { cursor: Cursor::new(bytes), dimension: 3, int: Kind::I32, counted, ..Self::default() }
     }
 
-    /// Reads the content of a keyword.
     fn keyword(&mut self, keyword: i64) -> Result<(), DataError> {
         let (float, int, n) = (self.float, self.int, self.dimension);
         let cursor = &mut self.cursor;

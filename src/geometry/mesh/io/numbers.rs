@@ -1,13 +1,11 @@
 //! Words and numbers of a file that is text, binary, or one after the other.
 //!
-//! Purpose: [`Cursor`] goes over the bytes once; arrays are read at once, of any [`Kind`].
-//! Invariant: a declared count is checked against the bytes that are left before room is made for it.
-//! Must not know: formats.
+//! Purpose: [`Cursor`] goes over the bytes once; arrays are read at once, of any [`Kind`]. Invariant: a declared count is
+//! checked against the bytes that are left before room is made for it. Must not know: formats.
 
 use super::{DataError, syntax};
 
-/// The type of a number in a file.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) enum Kind {
     I8,
     U8,
@@ -18,18 +16,20 @@ pub(super) enum Kind {
     I64,
     U64,
     F32,
+    #[default]
     F64,
 }
 
-/// Which byte of a number comes first.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) enum Order {
+    #[default]
     Little,
     Big,
 }
 
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) enum Encoding {
+    #[default]
     Text,
     Binary(Order),
 }
@@ -95,7 +95,6 @@ impl Kind {
     }
 }
 
-/// A number of text that fits its type.
 pub(super) fn parse<T: std::str::FromStr>(word: &[u8]) -> Option<T> {
     std::str::from_utf8(word).ok()?.parse().ok()
 }
@@ -110,7 +109,7 @@ pub(super) fn plain(text: &str, most: usize) -> String {
     text.chars().map(|c| if c.is_control() { ' ' } else { c }).take(most).collect()
 }
 
-#[derive(Clone)]
+#[derive(Clone, Default)]
 pub(super) struct Cursor<'a> {
     pub(super) rest: &'a [u8],
     /// Line of the last word, from 1.
@@ -121,9 +120,8 @@ pub(super) struct Cursor<'a> {
 }
 
 impl<'a> Cursor<'a> {
-    /// Over text, unless another encoding is set.
     pub(super) fn new(bytes: &'a [u8]) -> Self {
-        Self { rest: bytes, line: 1, encoding: Encoding::Text, has_comments: false }
+        Self { rest: bytes, line: 1, ..Self::default() }
     }
 
     pub(super) fn syntax(&self, message: impl Into<String>) -> DataError {
@@ -143,7 +141,6 @@ impl<'a> Cursor<'a> {
         }
     }
 
-    /// The next word, which stays.
     pub(super) fn peek(&self) -> Option<&'a [u8]> {
         self.clone().word()
     }
@@ -171,7 +168,6 @@ impl<'a> Cursor<'a> {
         self.rest = rest;
     }
 
-    /// A word that is a number of some type.
     pub(super) fn parsed<T: std::str::FromStr>(&mut self, what: &str) -> Result<T, DataError> {
         let word = self.word().ok_or_else(|| DataError::Truncated(format!("it ends where {what} should be")))?;
         parse(word).ok_or_else(|| self.syntax(format!("\"{}\" is not {what}", shown(word))))
@@ -193,7 +189,6 @@ impl<'a> Cursor<'a> {
         })
     }
 
-    /// Numbers, of words by `word` or of bytes by `binary`.
     fn array<T>(
         &mut self,
         (count, kind, what): (usize, Kind, &str),
@@ -257,7 +252,6 @@ impl<'a> Cursor<'a> {
         }
     }
 
-    /// One whole number that counts something.
     pub(super) fn count(&mut self, kind: Kind, what: &str) -> Result<usize, DataError> {
         let count = self.integer(kind, what)?;
         usize::try_from(count).map_err(|_| self.syntax(format!("{count} is not {what}")))

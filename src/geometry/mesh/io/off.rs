@@ -1,9 +1,8 @@
 //! Geomview OFF, text. Our own reader: no well-kept crate reads it.
 //!
-//! Purpose: bytes to triangles with what they carry, in one pass, and back. One vertex and one face a line. After the position
-//! come normals (N), colours (C) and texture coordinates (ST) of a vertex, in this order, as the keyword announces them; what
-//! follows the corners of a face (colours) is left aside.
-//! Must not know: other formats.
+//! Purpose: bytes to triangles with what they carry, in one pass, and back. One vertex and one face a line. After the
+//! position come normals (N), colours (C) and texture coordinates (ST) of a vertex, in this order, as the keyword announces
+//! them; what follows the corners of a face (colours) is left aside. Must not know: other formats.
 
 use std::fmt::Write as _;
 
@@ -28,10 +27,9 @@ pub(super) const CODEC: Codec = Codec {
     vertices: VertexNumbers::Kept,
 };
 
-/// Reads a surface; its attributes only if they are `wanted`.
 fn decode(bytes: &[u8], wanted: bool) -> Result<Soup, DataError> {
     let mut lines = Lines { rest: bytes, line: 0 };
-    let Header { kinds, vertices, faces } = header(&mut lines)?;
+    let (kinds, vertices, faces) = header(&mut lines)?;
     let mut carried = (wanted && !kinds.is_empty()).then(|| Carried::of(kinds));
     let mut soup = Soup::default();
     // Counts are the file's word. A line of a vertex has at least 6 bytes, of a face 8.
@@ -77,7 +75,6 @@ fn decode(bytes: &[u8], wanted: bool) -> Result<Soup, DataError> {
     Ok(soup)
 }
 
-/// Attributes of vertices, so far.
 #[derive(Default)]
 struct Carried {
     normals: Option<Vec<DVec3>>,
@@ -100,8 +97,7 @@ impl Carried {
         }
     }
 
-    /// Takes the words of a vertex after its position. What is missing or no number is NaN, and refused with the others that
-    /// are not finite.
+    /// Takes the words of a vertex after its position. What is missing or no number is NaN, and refused later.
     fn push(&mut self, mut words: Vec<&str>) {
         let number = |word: Option<&&str>| word.and_then(|w| w.parse::<f64>().ok()).unwrap_or(f64::NAN);
         if let Some(normals) = &mut self.normals {
@@ -124,15 +120,12 @@ impl Carried {
 
     fn finish(self, facets: &[[u32; 3]]) -> Raw {
         let eight = !self.has_fractions && self.above_one;
-        let scale = if eight { 255.0 } else { 1.0 };
+        let (scale, depth) = if eight { (255.0, ColourDepth::Eight) } else { (1.0, ColourDepth::Float) };
         let component = |x: f64| if x == f64::INFINITY { 1.0 } else { x / scale };
         Raw {
             normals: self.normals.map(Normals::PerVertex),
             texture: self.texture.map(|values| PerCorner { values, corners: facets.to_vec() }),
-            colours: self.colours.map(|colours| Colours {
-                values: colours.into_iter().map(|c| c.map(component)).collect(),
-                depth: if eight { ColourDepth::Eight } else { ColourDepth::Float },
-            }),
+            colours: self.colours.map(|all| Colours { values: all.iter().map(|c| c.map(component)).collect(), depth }),
             ..Raw::default()
         }
     }
@@ -141,7 +134,7 @@ impl Carried {
 /// Vertices and facets, of every line its first word at most.
 fn counts(bytes: &[u8]) -> Option<Counts> {
     let mut lines = Lines { rest: bytes, line: 0 };
-    let Header { vertices, faces, .. } = header(&mut lines).ok()?;
+    let (_, vertices, faces) = header(&mut lines).ok()?;
     for _ in 0..vertices {
         lines.next().ok()??;
     }
@@ -192,15 +185,8 @@ fn encode(mesh: &TriMesh, held: &Held<'_>) -> Result<Vec<u8>, DataError> {
     Ok(text.into_bytes())
 }
 
-struct Header<'a> {
-    /// The letters before the keyword.
-    kinds: &'a str,
-    vertices: usize,
-    faces: usize,
-}
-
-/// Reads the keyword, which may be missing, and the counts, which may be on its line.
-fn header<'a>(lines: &mut Lines<'a>) -> Result<Header<'a>, DataError> {
+/// Reads the keyword, if any, and the counts, maybe on its line: letters before it, numbers of vertices and faces.
+fn header<'a>(lines: &mut Lines<'a>) -> Result<(&'a str, usize, usize), DataError> {
     let short = || DataError::Truncated("it ends inside the header".to_owned());
     let (mut line, mut text) = lines.next()?.ok_or_else(short)?;
     let mut kinds = "";
@@ -225,7 +211,7 @@ fn header<'a>(lines: &mut Lines<'a>) -> Result<Header<'a>, DataError> {
         }
         return Err(syntax(line, "expected the numbers of vertices, faces and edges"));
     };
-    Ok(Header { kinds, vertices, faces })
+    Ok((kinds, vertices, faces))
 }
 
 fn cut(what: &str, read: usize, declared: usize) -> DataError {

@@ -15,8 +15,7 @@ use std::borrow::Cow;
 use std::io::{self, Read as _, Write};
 use std::path::Path;
 
-/// Largest unpacked length, as a multiple of the file's, beyond the first MiB. Meshes pack to a third or a twentieth, files that are
-/// made to fill the memory to a thousandth.
+/// Largest unpacked length, in lengths of the file, beyond 1 MiB. Meshes pack to 1/3 or 1/20, malicious files to 1/1000.
 pub const UNPACKED_RATIO: usize = 64;
 
 /// The default limit on the unpacked length of a file of `bytes`.
@@ -24,12 +23,7 @@ pub fn limit(bytes: usize) -> usize {
     bytes.saturating_mul(UNPACKED_RATIO).saturating_add(1 << 20)
 }
 
-/// The bytes of a file, unpacked if gzip packed them. Readers limit the length by [`UNPACKED_RATIO`]; a caller that trusts a file
-/// that packs better unpacks it first.
-///
-/// # Errors
-/// [`DataError::TooLong`] if more than `limit` bytes come out; [`DataError::Truncated`] and [`DataError::Header`] for what gzip
-/// did not make.
+/// The bytes of a file, unpacked if gzip packed them. Readers' limit is [`UNPACKED_RATIO`]; callers may unpack more first.
 ///
 /// ```
 /// use tessera::mesh::io::unpack;
@@ -82,7 +76,6 @@ pub struct Measure {
     limit: usize,
 }
 
-/// Counts bytes and drops them.
 struct Counted {
     bytes: usize,
     limit: usize,
@@ -103,10 +96,7 @@ impl Measure {
         Self { decoder: unpacker(Counted { bytes: 0, limit }), limit }
     }
 
-    /// Takes the next packed bytes.
-    ///
-    /// # Errors
-    /// [`DataError::TooLong`] and [`DataError::Header`], as [`unpack`].
+    /// Takes the next packed bytes. Fails as [`unpack`] does.
     pub fn add(&mut self, bytes: &[u8]) -> Result<(), DataError> {
         self.decoder.write_all(bytes).map_err(|error| unpacked_wrong(&error, self.limit))
     }
@@ -118,7 +108,6 @@ impl Measure {
     }
 }
 
-/// Whether a file's name is that of a packed file.
 pub(super) fn is_packed(path: &Path) -> bool {
     path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("gz"))
 }
@@ -133,8 +122,7 @@ pub fn pack_for(path: &Path, bytes: Vec<u8>) -> io::Result<Vec<u8>> {
     packer.finish()
 }
 
-/// Bytes of lists for each byte of the file. A node of a glTF with a mesh and a matrix takes less than 3; empty nodes take more
-/// and are refused in large numbers.
+/// Bytes of lists a byte of the file. A glTF's node with mesh and matrix takes less than 3; many empty ones are refused.
 const LIST_RATIO: usize = 4;
 
 #[derive(Clone, Copy, Debug, Default)]
@@ -144,7 +132,6 @@ pub(super) struct Room {
 }
 
 impl Room {
-    /// For lists of a file of `bytes`.
     pub(super) fn of(bytes: usize) -> Self {
         let all = bytes.saturating_mul(LIST_RATIO).saturating_add(1 << 20);
         Self { all, left: all }
@@ -174,13 +161,11 @@ impl Room {
 }
 
 pub(super) enum Signature {
-    /// The function recognizes the start.
     Start(fn(&Head<'_>) -> bool),
     /// The first word is one of these, after empty lines and lines that begin with `#`.
     Words(&'static [&'static str]),
 }
 
-/// The first bytes of a file, and its length.
 pub(super) struct Head<'a> {
     pub(super) bytes: &'a [u8],
     length: u64,
@@ -189,12 +174,10 @@ pub(super) struct Head<'a> {
 }
 
 impl<'a> Head<'a> {
-    /// Whether the file is of this length, in bytes.
     pub(super) fn has_length(&self, expected: u64) -> bool {
         (self.length ^ expected) & self.known == 0
     }
 
-    /// The bytes without a byte order mark.
     pub(super) fn text(&self) -> &'a [u8] {
         without_mark(self.bytes)
     }
@@ -206,14 +189,12 @@ impl<'a> Head<'a> {
         first.split(u8::is_ascii_whitespace).next().unwrap_or_default()
     }
 
-    /// Whether the text begins with this character and has this name in it.
     pub(super) fn is_document(&self, first: u8, name: &[u8]) -> bool {
         let text = self.text().trim_ascii_start();
         text.first() == Some(&first) && text.windows(name.len()).any(|window| window == name)
     }
 }
 
-/// Bytes of a file that are looked at.
 const HEAD_BYTES: usize = 64 << 10;
 
 /// The format of a file; of a packed one, by the file inside.

@@ -12,7 +12,7 @@ mod header;
 
 use super::held::{By, Held, Holds, eight_bit};
 use super::numbers::Encoding;
-use super::{Codec, Counts, DataError, Soup, VertexNumbers};
+use super::{Codec, Counts, DataError, Signature, Soup, VertexNumbers};
 use crate::mesh::TriMesh;
 use crate::mesh::attributes::{ColourDepth, Colours};
 use carried::{Carried, PREFIX, TAKEN};
@@ -23,9 +23,7 @@ pub(super) const CODEC: Codec = Codec {
     media_types: &["application/x-ply", "model/ply", "model/x-ply", "application/ply"],
     // Half a vertex of three floats, and a face of a byte and three indices.
     facet_bytes: 19,
-    signature: super::packed::Signature::Start(|head| {
-        head.bytes.starts_with(b"ply\n") || head.bytes.starts_with(b"ply\r")
-    }),
+    signature: Signature::Start(|head| head.bytes.starts_with(b"ply\n") || head.bytes.starts_with(b"ply\r")),
     decode,
     encode,
     counts,
@@ -33,7 +31,6 @@ pub(super) const CODEC: Codec = Codec {
     vertices: VertexNumbers::Kept,
 };
 
-/// Reads a surface; its attributes only if they are `wanted`.
 fn decode(bytes: &[u8], wanted: bool) -> Result<Soup, DataError> {
     let header = header::read(bytes)?;
     check_header(&header)?;
@@ -43,7 +40,6 @@ fn decode(bytes: &[u8], wanted: bool) -> Result<Soup, DataError> {
     Ok(soup)
 }
 
-/// Vertices and facets; nothing where the data end before what is declared.
 fn counts(bytes: &[u8]) -> Option<Counts> {
     let header = header::read(bytes).ok()?;
     check_header(&header).ok()?;
@@ -52,7 +48,6 @@ fn counts(bytes: &[u8]) -> Option<Counts> {
 
 /// Refuses headers without a surface, and counts that the remaining bytes cannot hold.
 fn check_header(header: &Header<'_>) -> Result<(), DataError> {
-    let remaining = header.data.len();
     let element = |name: &str| {
         header.element(name).ok_or_else(|| {
             let strips = header.element("tristrips").is_some();
@@ -83,6 +78,7 @@ fn check_header(header: &Header<'_>) -> Result<(), DataError> {
         needed += each as u128 * element.count as u128;
     }
     // The last line of an ascii file may lack its line break.
+    let remaining = header.data.len();
     if needed > remaining as u128 + 1 {
         let message = format!("the header declares at least {needed} bytes of data and {remaining} follow");
         return Err(DataError::Truncated(message));
@@ -108,10 +104,9 @@ fn encode(mesh: &TriMesh, held: &Held<'_>) -> Result<Vec<u8>, DataError> {
     if let Some(Colours { values, depth }) = held.colours {
         let opaque = values.iter().all(|c| c[3] == 1.0);
         let (names, n) = if opaque { ("red green blue", 3) } else { ("red green blue alpha", 4) };
+        let eight = move |out: &mut Vec<u8>, v: usize| out.extend(values[v][..n].iter().map(|&x| eight_bit(x)));
         columns.push(match depth {
-            ColourDepth::Eight => {
-                (names, "uchar", Box::new(move |out, v| out.extend(values[v][..n].iter().map(|&x| eight_bit(x)))))
-            }
+            ColourDepth::Eight => (names, "uchar", Box::new(eight)),
             ColourDepth::Float => (names, "double", Box::new(move |out, v| doubles(out, &values[v][..n]))),
         });
     }

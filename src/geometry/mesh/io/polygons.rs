@@ -3,13 +3,14 @@
 //! Purpose: readers make a fan of every polygon, which is right for convex ones. [`recut`] finds those of which it is not,
 //! as some of its triangles would lie outside, turned over, and cuts them by clipping ears (`earcut`).
 //! Invariant: a polygon of n corners stays n - 2 facets with each of its corners, so that neighbours keep their edges; one
-//! that crosses itself, of which nothing would be right, keeps its fan. What stands for the corners beside the facets
-//! can be cut in the same way ([`Cut::apply`]).
-//! Must not know: formats.
+//! that crosses itself, of which nothing would be right, keeps its fan. What stands for the corners beside the facets can be
+//! cut in the same way ([`Cut::apply`]). Must not know: formats.
 
 use earcut::Earcut;
 use earcut::utils3d::project3d_to_2d;
 use glam::DVec3;
+
+use crate::mesh::normal;
 
 /// The facets of a polygon with more than three corners: the first of them and how many there are.
 pub(super) type Fan = (u32, u32);
@@ -27,7 +28,6 @@ pub(super) struct Cut {
 }
 
 impl Cut {
-    /// Makes of a fan the triangles of this cut.
     pub(super) fn apply(&self, facets: &mut [[u32; 3]]) {
         let fan = facets.get_mut(self.first as usize..).and_then(|f| f.get_mut(..self.triangles.len()));
         let Some(fan) = fan else { return };
@@ -42,7 +42,6 @@ fn ring(fan: &[[u32; 3]]) -> Vec<u32> {
     first.chain(fan.iter().map(|t| t[2])).collect()
 }
 
-/// Cuts the polygons that are not convex anew. Their corners are among `positions`.
 pub(super) fn recut(positions: &[DVec3], facets: &[[u32; 3]], fans: &[Fan]) -> Vec<Cut> {
     let mut scratch = Scratch::default();
     let mut cuts = Vec::new();
@@ -59,10 +58,7 @@ pub(super) fn recut(positions: &[DVec3], facets: &[[u32; 3]], fans: &[Fan]) -> V
 
 /// Whether no triangle of a fan is turned over.
 fn is_right(fan: &[[u32; 3]], place: impl Fn(u32) -> DVec3) -> bool {
-    let twice = |t: &[u32; 3]| {
-        let [a, b, c] = t.map(&place);
-        (b - a).cross(c - a)
-    };
+    let twice = |t: &[u32; 3]| normal(t.map(&place));
     let whole: DVec3 = fan.iter().map(twice).sum();
     let least = -TURNED * whole.length_squared();
     // Positions that are not finite are refused later.

@@ -2,10 +2,9 @@
 //!
 //! Purpose: bytes to triangles and back. Corners with the same position bits become one vertex
 //! (0 and -0 are the same), numbered by first use; normals are left aside.
-//! Why some of the reading is done around the crate: it takes every file that begins with "solid " for
-//! ascii, which many binary ones do, so the records of binary files are read here; of several solids it reads
-//! the first; it wants keywords in lower case and a name after "solid"; and it refuses normals that are no numbers.
-//! Must not know: other formats.
+//! Why some of the reading is done around the crate: it takes every file that begins with "solid " for ascii, which many
+//! binary ones do, so the records of binary files are read here; of several solids it reads the first; it wants keywords in
+//! lower case and a name after "solid"; and it refuses normals that are no numbers. Must not know: other formats.
 
 use std::collections::HashMap;
 use std::io::{Cursor, ErrorKind, Read, Seek};
@@ -38,16 +37,13 @@ pub(super) const CODEC: Codec = Codec {
 const HEADER: usize = 84;
 const RECORD: usize = 50;
 
-/// Whether the first word is "solid". There are no comments before it: the title of a VTK file, after a line with `#`, may be
-/// that word too.
+/// Whether the first word is "solid", with no comment before it: the title of a VTK file may be that word too.
 fn is_solid(text: &[u8]) -> bool {
     text.trim_ascii_start().split(u8::is_ascii_whitespace).next() == Some(&b"solid"[..])
 }
 
-/// Whether the file is as long as its count of facets says.
 fn is_binary(head: &super::packed::Head<'_>) -> bool {
-    let count = head.bytes.get(80..).and_then(<[u8]>::first_chunk).map(|count| u32::from_le_bytes(*count));
-    count.is_some_and(|count| head.has_length(HEADER as u64 + RECORD as u64 * u64::from(count)))
+    declared_facets(head.bytes).is_some_and(|count| head.has_length(HEADER as u64 + RECORD as u64 * count as u64))
 }
 
 fn decode(bytes: &[u8], _wanted: bool) -> Result<Soup, DataError> {
@@ -58,17 +54,13 @@ fn decode(bytes: &[u8], _wanted: bool) -> Result<Soup, DataError> {
             welder.read(&mut Cursor::new(solid))?;
         }
     } else {
-        let declared = declared_facets(bytes);
+        let short = || DataError::Truncated("it ends inside the header".to_owned());
+        let declared = declared_facets(bytes).ok_or_else(short)?;
         let held = bytes.len().saturating_sub(HEADER) / RECORD;
-        match declared {
-            Some(declared) if declared <= held => {}
-            Some(declared) => {
-                return Err(DataError::Truncated(format!("{declared} facets are declared and {held} are there")));
-            }
-            None => return Err(DataError::Truncated("it ends inside the header".to_owned())),
+        if declared > held {
+            return Err(DataError::Truncated(format!("{declared} facets are declared and {held} are there")));
         }
-        let records = bytes[HEADER..].as_chunks::<RECORD>().0;
-        records.iter().take(declared.unwrap_or(0)).for_each(|record| welder.take(record));
+        bytes[HEADER..].as_chunks::<RECORD>().0.iter().take(declared).for_each(|record| welder.take(record));
     }
     Ok(welder.soup)
 }
@@ -113,8 +105,7 @@ fn declared_facets(bytes: &[u8]) -> Option<usize> {
 /// Text begins with "solid" and has not exactly the size that a binary file of its count would have.
 fn is_ascii(bytes: &[u8]) -> bool {
     let binary_size = declared_facets(bytes).and_then(|n| n.checked_mul(RECORD)).map(|n| n + HEADER);
-    let start = bytes.trim_ascii_start();
-    start.get(..5).is_some_and(|word| word.eq_ignore_ascii_case(b"solid"))
+    bytes.trim_ascii_start().get(..5).is_some_and(|word| word.eq_ignore_ascii_case(b"solid"))
         && binary_size != Some(bytes.len())
         // A binary file that is cut short has a size of its own, but hardly text throughout.
         && !bytes[..bytes.len().min(512)].contains(&0)
@@ -146,7 +137,6 @@ fn solids(text: &[u8]) -> Vec<Vec<u8>> {
     solids
 }
 
-/// Gives equal positions one number, by first use.
 #[derive(Default)]
 struct Welder {
     soup: Soup,

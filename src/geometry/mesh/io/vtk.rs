@@ -1,9 +1,8 @@
 //! Files of the Visualization Toolkit: legacy `.vtk` ([`legacy`]) and XML `.vtp` ([`xml`]).
 //!
-//! Purpose: what the two have in common: types of cells and of numbers, and what arrays of points are as attributes. An array
-//! of three or four bytes is a colour, and so is one of numbers that is named like one; one number for each point is a scalar.
-//! Arrays of cells, and vectors and tensors of points, are left aside.
-//! Must not know: how arrays are written.
+//! Purpose: what the two have in common: types of cells and of numbers, and what arrays of points are as attributes. An
+//! array of three or four bytes is a colour, and so is one of numbers that is named like one; one number for each point is a
+//! scalar. Arrays of cells, and vectors and tensors of points, are left aside. Must not know: how arrays are written.
 
 pub(super) mod legacy;
 pub(super) mod xml;
@@ -29,6 +28,8 @@ const KINDS: [(&str, &str, Kind); 10] = [
     ("double", "Float64", Kind::F64),
 ];
 
+const COLOURS: [&str; 6] = ["rgb", "rgba", "color", "colors", "colour", "colours"];
+
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Role {
     Normals,
@@ -36,7 +37,6 @@ enum Role {
     Colours,
     /// Its name and its numbers decide.
     Any,
-    /// Not an attribute.
     None,
 }
 
@@ -54,9 +54,7 @@ impl Array {
     fn role(&self) -> Role {
         let named = |names: &[&str]| names.iter().any(|name| name.eq_ignore_ascii_case(&self.name));
         match (self.role, self.components) {
-            (Role::Any, 3 | 4) if self.eight || named(&["rgb", "rgba", "color", "colors", "colour", "colours"]) => {
-                Role::Colours
-            }
+            (Role::Any, 3 | 4) if self.eight || named(&COLOURS) => Role::Colours,
             (Role::Any, 3) if named(&["normals", "normal"]) => Role::Normals,
             (Role::Any, 2 | 3) if named(&["texture coordinates", "tcoords", "uv", "texcoords"]) => Role::Texture,
             (role, _) => role,
@@ -78,19 +76,13 @@ fn carried(arrays: Vec<Array>, soup: &mut Soup) {
             }
             Role::Texture if raw.texture.is_none() && (1..=3).contains(&n) => {
                 let uv = |t: &[f64]| DVec2::new(t[0], t.get(1).copied().unwrap_or(0.0));
-                raw.texture =
-                    Some(PerCorner { values: values.chunks_exact(n).map(uv).collect(), corners: facets.to_vec() });
+                let values = values.chunks_exact(n).map(uv).collect();
+                raw.texture = Some(PerCorner { values, corners: facets.to_vec() });
             }
             Role::Colours if raw.colours.is_none() && (3..=4).contains(&n) => {
-                let scale = if array.eight { 255.0 } else { 1.0 };
-                let colour = |t: &[f64]| {
-                    let opacity = t.get(3).map_or(1.0, |a| a / scale);
-                    [t[0] / scale, t[1] / scale, t[2] / scale, opacity]
-                };
-                raw.colours = Some(Colours {
-                    values: values.chunks_exact(n).map(colour).collect(),
-                    depth: if array.eight { ColourDepth::Eight } else { ColourDepth::Float },
-                });
+                let (one, depth) = if array.eight { (255.0, ColourDepth::Eight) } else { (1.0, ColourDepth::Float) };
+                let colour = |t: &[f64]| [t[0] / one, t[1] / one, t[2] / one, t.get(3).map_or(1.0, |a| a / one)];
+                raw.colours = Some(Colours { values: values.chunks_exact(n).map(colour).collect(), depth });
             }
             Role::None => {}
             _ if n == 1 => raw.scalars.push(Scalar { name: array.name, values: array.values }),
@@ -105,14 +97,14 @@ fn carried(arrays: Vec<Array>, soup: &mut Soup) {
 
 fn written(held: &Held<'_>) -> Vec<Array> {
     let mut arrays = Vec::new();
-    let mut add = |name: &str, role, components, values| {
-        arrays.push(Array { name: name.to_owned(), role, components, eight: false, values });
+    let mut add = |name: &str, role, components, eight, values| {
+        arrays.push(Array { name: name.to_owned(), role, components, eight, values });
     };
     if let Some(normals) = &held.normals {
-        add("Normals", Role::Normals, 3, normals.iter().flat_map(|n| n.to_array()).collect());
+        add("Normals", Role::Normals, 3, false, normals.iter().flat_map(|n| n.to_array()).collect());
     }
     if let Some(uv) = &held.uv {
-        add("TCoords", Role::Texture, 2, uv.iter().flat_map(|t| t.to_array()).collect());
+        add("TCoords", Role::Texture, 2, false, uv.iter().flat_map(|t| t.to_array()).collect());
     }
     if let Some(colours) = held.colours {
         let opaque = colours.values.iter().all(|c| c[3] == 1.0);
@@ -120,16 +112,9 @@ fn written(held: &Held<'_>) -> Vec<Array> {
         let eight = colours.depth == ColourDepth::Eight;
         let number = |&x: &f64| if eight { f64::from(eight_bit(x)) } else { x };
         let values = colours.values.iter().flat_map(|c| c[..n].iter().map(number)).collect();
-        arrays.push(Array { name: name.to_owned(), role: Role::Colours, components: n, eight, values });
+        add(name, Role::Colours, n, eight, values);
     }
-    let scalar = |s: &Scalar| Array {
-        name: s.name.clone(),
-        role: Role::Any,
-        components: 1,
-        eight: false,
-        values: s.values.clone(),
-    };
-    arrays.extend(held.scalars.iter().map(scalar));
+    held.scalars.iter().for_each(|s| add(&s.name, Role::Any, 1, false, s.values.clone()));
     arrays
 }
 
@@ -157,7 +142,6 @@ impl Cell {
         }
     }
 
-    /// How many facets a cell with `points` points has.
     fn facets(&self, points: usize) -> usize {
         match self {
             Self::Polygon | Self::Pixel | Self::Strip => points.saturating_sub(2),

@@ -32,7 +32,6 @@ pub(super) struct Document<'a> {
     pub(super) accessors: Vec<Accessor>,
     pub(super) views: Vec<View>,
     pub(super) buffers: Vec<Buffer<'a>>,
-    /// An extension that packs the data.
     packing: Option<String>,
     room: Room,
 }
@@ -44,12 +43,10 @@ pub(super) struct Node {
     end: u32,
     /// The end of its numbers.
     place: u32,
-    has_translation: bool,
-    has_rotation: bool,
-    has_scale: bool,
+    /// Whether it has a translation, a rotation, a scale.
+    has: [bool; 3],
 }
 
-/// Triangles and the accessors of their vertices.
 #[derive(Debug, Default, Deserialize)]
 #[serde(default)]
 pub(super) struct Primitive {
@@ -91,26 +88,21 @@ pub(super) struct Accessor {
     pub(super) sparse: Option<IgnoredAny>,
 }
 
+/// A shape's number is that of its components.
 #[derive(Clone, Copy, Debug, Deserialize)]
 #[serde(rename_all = "UPPERCASE")]
 enum Shape {
-    Scalar,
-    Vec2,
-    Vec3,
-    Vec4,
+    Scalar = 1,
+    Vec2 = 2,
+    Vec3 = 3,
+    Vec4 = 4,
     #[serde(other)]
-    Other,
+    Other = 0,
 }
 
 impl Accessor {
     pub(super) fn components(&self) -> usize {
-        match self.shape {
-            Shape::Scalar => 1,
-            Shape::Vec2 => 2,
-            Shape::Vec3 => 3,
-            Shape::Vec4 => 4,
-            Shape::Other => 0,
-        }
+        self.shape as usize
     }
 }
 
@@ -145,9 +137,7 @@ impl<'a> Document<'a> {
             false => syntax(error.line().max(1), plain(&error.to_string(), 200)),
         })?;
         match document.packing {
-            Some(name) => {
-                Err(DataError::Header(format!("it is packed with {name}, which is not read; export it without")))
-            }
+            Some(by) => Err(DataError::Header(format!("it is packed with {by}, which is not read; export it without"))),
             None => Ok(document),
         }
     }
@@ -188,7 +178,7 @@ impl<'a> Document<'a> {
     /// The place of a node, which is there, in that of its parent.
     pub(super) fn place(&self, node: usize) -> DMat4 {
         let begin = node.checked_sub(1).map_or(0, |before| self.nodes[before].place);
-        let Node { place, has_translation, has_rotation, has_scale, .. } = self.nodes[node];
+        let Node { place, has, .. } = self.nodes[node];
         let mut numbers = &self.numbers[begin as usize..place as usize];
         if let Ok(matrix) = <&[f64; 16]>::try_from(numbers) {
             return DMat4::from_cols_array(matrix);
@@ -198,9 +188,9 @@ impl<'a> Document<'a> {
             numbers = rest;
             is_there.then_some(found)
         };
-        let translation = next(has_translation, 3).map_or(DVec3::ZERO, DVec3::from_slice);
-        let rotation = next(has_rotation, 4).map_or(DQuat::IDENTITY, DQuat::from_slice);
-        let scale = next(has_scale, 3).map_or(DVec3::ONE, DVec3::from_slice);
+        let translation = next(has[0], 3).map_or(DVec3::ZERO, DVec3::from_slice);
+        let rotation = next(has[1], 4).map_or(DQuat::IDENTITY, DQuat::from_slice);
+        let scale = next(has[2], 3).map_or(DVec3::ONE, DVec3::from_slice);
         let columns = DMat4::from_quat(rotation);
         let turned = [columns.x_axis * scale.x, columns.y_axis * scale.y, columns.z_axis * scale.z];
         DMat4::from_cols(turned[0], turned[1], turned[2], translation.extend(1.0))
@@ -212,18 +202,14 @@ impl<'a> Document<'a> {
 
     /// Adds a node with the children that were read since the one before.
     fn end_node(&mut self, Placed { mesh, matrix, translation, rotation, scale }: Placed) -> Result<(), DataError> {
-        let (has_translation, has_rotation, has_scale) = match &matrix {
-            Some(_) => (false, false, false),
-            None => (translation.is_some(), rotation.is_some(), scale.is_some()),
-        };
         let parts =
             [translation.as_ref().map(|t| &t[..]), rotation.as_ref().map(|r| &r[..]), scale.as_ref().map(|s| &s[..])];
-        let parts = parts.into_iter().filter(|_| matrix.is_none()).flatten();
-        for &number in matrix.iter().map(|matrix| &matrix[..]).chain(parts).flatten() {
+        let parts = parts.map(|part| part.filter(|_| matrix.is_none()));
+        for &number in matrix.iter().map(|matrix| &matrix[..]).chain(parts.into_iter().flatten()).flatten() {
             self.room.push(&mut self.numbers, number)?;
         }
         let (end, place) = (self.children.len() as u32, self.numbers.len() as u32);
-        let node = Node { mesh: mesh.unwrap_or(NONE), end, place, has_translation, has_rotation, has_scale };
+        let node = Node { mesh: mesh.unwrap_or(NONE), end, place, has: parts.map(|part| part.is_some()) };
         self.room.push(&mut self.nodes, node)
     }
 }
@@ -284,7 +270,6 @@ enum Key {
     Other,
 }
 
-/// Reads a part into the document's lists.
 struct Part<'d, 'a> {
     document: &'d mut Document<'a>,
     at: At,
@@ -326,23 +311,16 @@ impl<'a> Visitor<'a> for Part<'_, 'a> {
                 (At::Scene, Key::Nodes) => At::SceneNodes,
                 (At::Node, Key::Children) => At::Children,
                 (At::Mesh, Key::Primitives) => At::Primitives,
-                (At::Root, Key::Scene) => {
-                    document.scene = map.next_value()?;
-                    continue;
-                }
-                (At::Node, key) => {
-                    match key {
-                        Key::Mesh => node.mesh = map.next_value()?,
-                        Key::Matrix => node.matrix = map.next_value()?,
-                        Key::Translation => node.translation = map.next_value()?,
-                        Key::Rotation => node.rotation = map.next_value()?,
-                        Key::Scale => node.scale = map.next_value()?,
+                _ => {
+                    match (at, key) {
+                        (At::Root, Key::Scene) => document.scene = map.next_value()?,
+                        (At::Node, Key::Mesh) => node.mesh = map.next_value()?,
+                        (At::Node, Key::Matrix) => node.matrix = map.next_value()?,
+                        (At::Node, Key::Translation) => node.translation = map.next_value()?,
+                        (At::Node, Key::Rotation) => node.rotation = map.next_value()?,
+                        (At::Node, Key::Scale) => node.scale = map.next_value()?,
                         _ => drop(map.next_value::<IgnoredAny>()?),
                     }
-                    continue;
-                }
-                _ => {
-                    map.next_value::<IgnoredAny>()?;
                     continue;
                 }
             };

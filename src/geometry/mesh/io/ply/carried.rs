@@ -1,5 +1,4 @@
-//! Attributes of a PLY file: normals, texture coordinates, colours and all other scalar properties of its vertices, and
-//! `texcoord` of its faces.
+//! Attributes of a PLY file: normals, texture, colours and other scalars of its vertices, and `texcoord` of its faces.
 //!
 //! Purpose: [`Carried`] takes numbers as they are read, and makes attributes of them at the end.
 //! Invariant: an attribute has all its properties or stays a number of scalars. Must not know: how numbers are written.
@@ -18,10 +17,8 @@ pub(super) const PREFIX: &str = "scalar_";
 
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Role {
-    /// A coordinate of a vertex.
     Axis(usize),
     Corners,
-    /// A scalar of a vertex; see [`Carried::push`].
     Column(usize),
     /// Texture coordinates of a face's corners.
     Wedges,
@@ -43,7 +40,6 @@ pub(super) struct Carried {
 }
 
 impl Carried {
-    /// All attributes that a header declares.
     pub(super) fn of(header: &Header<'_>) -> Self {
         let column = |p: &Property| Column { name: p.name.clone(), kind: p.item, values: Vec::new() };
         let is_column = |p: &&Property| p.length.is_none() && !matches!(p.name.as_str(), "x" | "y" | "z");
@@ -73,7 +69,6 @@ impl Carried {
         }
     }
 
-    /// Ends a face with this number of corners.
     pub(super) fn end_face(&mut self, corners: usize) {
         if let Some(wedges) = &mut self.wedges {
             wedges.push_face(corners);
@@ -101,7 +96,6 @@ impl Carried {
         Some(names.map(|name| self.find(name).map_or_else(empty, |i| self.columns.remove(i))))
     }
 
-    /// Makes attributes of the columns, for a surface of these facets.
     pub(super) fn finish(mut self, facets: &[[u32; 3]]) -> Raw {
         let mut raw = Raw::default();
         if let Some([x, y, z]) = self.take(["nx", "ny", "nz"]) {
@@ -114,10 +108,11 @@ impl Carried {
         }
         let names = [["s", "t"], ["u", "v"], ["texture_u", "texture_v"]];
         let per_vertex = names.into_iter().find_map(|names| self.take(names)).map(|[u, v]| {
-            let values = u.values.iter().zip(&v.values).map(|(&u, &v)| DVec2::new(u, v)).collect();
-            PerCorner { values, corners: facets.to_vec() }
+            let values = u.values.iter().zip(&v.values).map(|(&u, &v)| DVec2::new(u, v));
+            PerCorner { values: values.collect(), corners: facets.to_vec() }
         });
-        raw.texture = self.wedges.and_then(|wedges| wedges.finish(facets)).or(per_vertex);
+        let wedges = self.wedges.filter(|w| w.any).map(|w| PerCorner { values: w.values, corners: w.corners });
+        raw.texture = wedges.map(|wedges| shared(facets, wedges)).or(per_vertex);
         let plain = |name: String| match name.strip_prefix(PREFIX) {
             Some(rest) if TAKEN.contains(&rest) => rest.to_owned(),
             _ => name,
@@ -148,7 +143,6 @@ fn colours(rgb: &[Column; 3], alpha: Option<&Column>) -> Colours {
     Colours { values: values.collect(), depth: if eight { ColourDepth::Eight } else { ColourDepth::Float } }
 }
 
-/// Texture coordinates of the faces' corners.
 #[derive(Default)]
 struct Wedges {
     /// Numbers of the current face.
@@ -177,10 +171,6 @@ impl Wedges {
             self.corners.push([first, first.saturating_add(k), first.saturating_add(next)]);
         }
         self.face.clear();
-    }
-
-    fn finish(self, facets: &[[u32; 3]]) -> Option<PerCorner<DVec2>> {
-        self.any.then(|| shared(facets, PerCorner { values: self.values, corners: self.corners }))
     }
 }
 

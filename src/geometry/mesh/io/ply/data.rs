@@ -42,8 +42,8 @@ pub(super) fn read(header: &Header<'_>, carried: &mut Carried) -> Result<Soup, D
     let mut soup = Soup { positions: rows.positions, ..Soup::default() };
     let mut start = 0;
     for (index, end) in ends.into_iter().enumerate() {
-        let pushed = soup.push_polygon(&rows.corners[start..end]);
-        pushed.map_err(|message| DataError::Element { element: "face", index, message })?;
+        let wrong = |message| DataError::Element { element: "face", index, message };
+        soup.push_polygon(&rows.corners[start..end]).map_err(wrong)?;
         start = end;
     }
     Ok(soup)
@@ -52,7 +52,6 @@ pub(super) fn read(header: &Header<'_>, carried: &mut Carried) -> Result<Soup, D
 struct Rows<'a> {
     cursor: Cursor<'a>,
     positions: Vec<DVec3>,
-    /// Corners of all faces.
     corners: Vec<i64>,
     carried: &'a mut Carried,
 }
@@ -147,7 +146,10 @@ fn records(header: &Header<'_>, carried: &mut Carried) -> Option<Soup> {
         match element.name.as_str() {
             "vertex" => {
                 soup.positions = layout.positions(records)?;
-                let column = |name| Some(layout.column(records, layout.scalar(name)?));
+                let column = |name| {
+                    let (at, kind) = layout.scalar(name)?;
+                    Some(numbers!(kind, f64, column(records, layout.stride, at)))
+                };
                 columns = carried.columns().map(column).collect::<Option<_>>()?;
             }
             "face" => soup.facets = layout.facets(records, vertices)?,
@@ -211,29 +213,15 @@ impl<'a> Layout<'a> {
         let facets: Vec<[u32; 3]> = records.par_chunks_exact(self.stride).map(facet).collect();
         facets.par_iter().all(|facet| facet.iter().all(|&v| v < most)).then_some(facets)
     }
-
-    fn column(&self, records: &[u8], (at, kind): (usize, Kind)) -> Vec<f64> {
-        numbers!(kind, f64, column(records, self.stride, at))
-    }
 }
 
-fn vectors<const N: usize>(
-    records: &[u8],
-    stride: usize,
-    at: [usize; 3],
-    number: impl Fn([u8; N]) -> f64 + Sync,
-) -> Vec<DVec3> {
-    let vector = |r: &[u8]| DVec3::from_array(at.map(|at| number(bytes(r, at))));
-    records.par_chunks_exact(stride).map(vector).collect()
+fn vectors<const N: usize>(rows: &[u8], size: usize, at: [usize; 3], of: impl Fn([u8; N]) -> f64 + Sync) -> Vec<DVec3> {
+    let vector = |r: &[u8]| DVec3::from_array(at.map(|at| of(bytes(r, at))));
+    rows.par_chunks_exact(size).map(vector).collect()
 }
 
-fn column<const N: usize>(
-    records: &[u8],
-    stride: usize,
-    at: usize,
-    number: impl Fn([u8; N]) -> f64 + Sync,
-) -> Vec<f64> {
-    records.par_chunks_exact(stride).map(|r| number(bytes(r, at))).collect()
+fn column<const N: usize>(rows: &[u8], size: usize, at: usize, of: impl Fn([u8; N]) -> f64 + Sync) -> Vec<f64> {
+    rows.par_chunks_exact(size).map(|r| of(bytes(r, at))).collect()
 }
 
 /// Bytes of one number; a record has them all, by how the layout was made.

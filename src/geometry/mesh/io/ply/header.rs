@@ -1,5 +1,4 @@
-//! The header, as files in use have it: comments in Latin-1, blank and indented lines, a carriage return for each line break, and
-//! names like `scalar_distance[<10]`.
+//! The header, as files have it: Latin-1, blank and indented lines, carriage returns, names like `scalar_distance[<10]`.
 //!
 //! Purpose: [`read`] takes the header apart.
 //! Invariant: names within an element differ. A header is short, whatever its bytes. Must not know: data.
@@ -38,7 +37,6 @@ pub(super) struct Property {
 }
 
 impl Property {
-    /// Whether this is a list of a face's corners.
     pub(super) fn is_corners(&self) -> bool {
         matches!(self.name.as_str(), "vertex_indices" | "vertex_index")
             && self.length.is_some()
@@ -46,7 +44,6 @@ impl Property {
     }
 }
 
-/// Rows of the same properties.
 #[derive(Debug)]
 pub(super) struct Element {
     pub(super) name: String,
@@ -54,7 +51,6 @@ pub(super) struct Element {
     pub(super) properties: Vec<Property>,
 }
 
-/// The declarations of a header, and what comes after it.
 pub(super) struct Header<'a> {
     pub(super) encoding: Encoding,
     pub(super) elements: Vec<Element>,

@@ -1,5 +1,4 @@
-//! Legacy VTK, text and binary (big-endian), versions 1 to 5.1: polygonal data and unstructured grids. Writes version 4.2,
-//! binary, with doubles.
+//! Legacy VTK, text and big-endian, versions 1 to 5.1: polygonal data, unstructured grids. Writes 4.2, binary, with doubles.
 //!
 //! Purpose: bytes to triangles with what the points carry, section by section, and back. Our own reader: the crate `vtkio`
 //! (0.6) does not know the cells of version 5, which all VTK writes now. Must not know: XML.
@@ -64,7 +63,11 @@ fn read(bytes: &[u8], wanted: bool, counted: bool) -> Result<(Soup, Counts), Dat
                 }
             }
             b"CELLS" => cells = Some(reader.lists()?),
-            b"CELL_TYPES" => kinds = reader.kinds()?,
+            b"CELL_TYPES" => {
+                let count = reader.count("a number of cells")?;
+                reader.cursor.begin_data();
+                kinds = reader.cursor.integers(count, Kind::I32, "types of cells")?;
+            }
             b"FIELD" => reader.field(false)?,
             b"METADATA" => reader.metadata(),
             b"POINT_DATA" | b"CELL_DATA" => {
@@ -93,7 +96,6 @@ fn facets(cell: impl Fn(usize) -> Cell, ends: &[i64]) -> u64 {
     lengths.enumerate().map(|(index, length)| cell(index).facets(length) as u64).fold(0, u64::saturating_add)
 }
 
-/// The cells of an unstructured grid.
 fn grid(soup: &mut Soup, ends: &[i64], points: &[i64], kinds: &[i64]) -> Result<(), DataError> {
     if kinds.len() != ends.len() {
         return Err(DataError::Truncated(format!("there are {} cells and {} types of cells", ends.len(), kinds.len())));
@@ -153,10 +155,10 @@ impl Reader<'_> {
         let all = count.saturating_mul(3);
         if self.counted {
             self.cursor.pass(all, kind, "points")?;
-            return Ok(count as u64);
+        } else {
+            let numbers = self.cursor.floats(all, kind, "points")?;
+            self.soup.positions = numbers.as_chunks::<3>().0.iter().map(|&p| DVec3::from_array(p)).collect();
         }
-        let numbers = self.cursor.floats(all, kind, "points")?;
-        self.soup.positions = numbers.as_chunks::<3>().0.iter().map(|&p| DVec3::from_array(p)).collect();
         Ok(count as u64)
     }
 
@@ -221,12 +223,6 @@ impl Reader<'_> {
         // Numbers that belong to no list.
         self.cursor.pass(left, Kind::I32, "cells")?;
         Ok(ends)
-    }
-
-    fn kinds(&mut self) -> Result<Vec<i64>, DataError> {
-        let count = self.count("a number of cells")?;
-        self.cursor.begin_data();
-        self.cursor.integers(count, Kind::I32, "types of cells")
     }
 
     /// Passes over lines to an empty one.
@@ -358,7 +354,6 @@ impl Reader<'_> {
     }
 }
 
-/// The attributes of an array, which stand before its values.
 struct Header {
     name: String,
     role: Role,

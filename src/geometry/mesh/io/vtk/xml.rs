@@ -1,11 +1,9 @@
-//! VTK's XML for polygonal data, `.vtp`: text, base64, and data appended raw or in base64, plain or packed by zlib. Writes
-//! base64 in place, with doubles.
+//! VTK's XML for polygonal data, `.vtp`: text, base64, appended data, plain or by zlib. Writes base64 in place, doubles.
 //!
-//! Purpose: finds the arrays first (`quick-xml`) and reads those that matter then, since appended data come last. Several pieces
-//! are one surface.
-//! Invariant: arrays together are no longer than the file, or, where they are packed, than [`super::super::UNPACKED_RATIO`] times
-//! the file: any number of arrays may name the same bytes. Records of pieces and arrays are bounded by the file too ([`Room`]).
-//! Must not know: legacy files.
+//! Purpose: finds the arrays first (`quick-xml`) and reads those that matter then, since appended data come last. Several
+//! pieces are one surface. Invariant: arrays together are no longer than the file, or, where they are packed, than
+//! [`super::super::UNPACKED_RATIO`] times the file: any number of arrays may name the same bytes. Records of pieces and
+//! arrays are bounded by the file too ([`Room`]). Must not know: legacy files.
 
 use std::collections::HashMap;
 use std::io::Read as _;
@@ -136,6 +134,7 @@ struct Piece<'a> {
     texture: String,
 }
 
+#[derive(Default)]
 struct File<'a> {
     order: Order,
     /// Type of the lengths before data.
@@ -164,28 +163,22 @@ fn number(tag: &BytesStart<'_>, name: &str) -> usize {
 
 impl<'a> File<'a> {
     fn walk(bytes: &'a [u8]) -> Result<Self, DataError> {
-        let mut file = File {
-            order: Order::Little,
-            length: Kind::U32,
-            packed: false,
-            pieces: Vec::new(),
-            appended: &[],
-            appended_raw: false,
-            left: bytes.len(),
-            room: Room::of(bytes.len()),
-        };
+        let (left, room) = (bytes.len(), Room::of(bytes.len()));
+        let mut file = File { length: Kind::U32, left, room, ..File::default() };
         if !bytes.trim_ascii_end().ends_with(b"</VTKFile>") {
             let begins = bytes.trim_ascii_start().starts_with(b"<");
             let text = "it does not end with \"</VTKFile>\"".to_owned();
             return Err(if begins { DataError::Truncated(text) } else { DataError::Header(text) });
         }
         let mut reader = Reader::from_reader(bytes);
-        let mut lines = Lines { bytes, at: 0, line: 1 };
+        let (mut line, mut passed) = (1, 0);
         let mut section = Vec::new();
         let mut array: Option<(DataArray<'a>, usize)> = None;
         loop {
             let event = reader.read_event();
-            let line = lines.at(reader.buffer_position());
+            let at = usize::try_from(reader.buffer_position()).unwrap_or(usize::MAX).min(bytes.len());
+            line += bytes.get(passed..at).unwrap_or_default().iter().filter(|&&b| b == b'\n').count();
+            passed = passed.max(at);
             let event = event.map_err(|error| syntax(line, plain(&error.to_string(), 200)))?;
             match &event {
                 Event::Start(tag) | Event::Empty(tag) => {
@@ -216,8 +209,7 @@ impl<'a> File<'a> {
                             }
                         }
                         b"AppendedData" if !empty => {
-                            let at = usize::try_from(reader.buffer_position()).unwrap_or(usize::MAX);
-                            file.append(tag, bytes.get(at..).unwrap_or_default())?;
+                            file.append(tag, &bytes[at..])?;
                             break;
                         }
                         _ => {}
@@ -242,10 +234,8 @@ impl<'a> File<'a> {
                         && content.trim_ascii().is_empty()
                     {
                         // A slice of the file, which outlives the event.
-                        let end = usize::try_from(reader.buffer_position()).unwrap_or(0).min(bytes.len());
-                        let start = end.saturating_sub(text.len());
-                        *content = &bytes[start..end];
-                        found.line = line - bytes[start..end].iter().filter(|&&b| b == b'\n').count();
+                        *content = &bytes[at.saturating_sub(text.len())..at];
+                        found.line = line - content.iter().filter(|&&b| b == b'\n').count();
                     }
                 }
                 Event::Eof if !section.is_empty() => {
@@ -281,9 +271,8 @@ impl<'a> File<'a> {
                 self.left = unpacked_limit(self.left);
             }
             Some(other) => {
-                let message =
-                    format!("the compressor {} is not known; write it with zlib or without", plain(other, 40));
-                return Err(DataError::Header(message));
+                let text = format!("the compressor {} is not known; write it with zlib or without", plain(other, 40));
+                return Err(DataError::Header(text));
             }
         }
         Ok(())
@@ -303,7 +292,6 @@ impl<'a> File<'a> {
         }
     }
 
-    /// Takes an array that was found within these elements.
     fn put(&mut self, section: &[Vec<u8>], mut found: DataArray<'a>) -> Result<(), DataError> {
         let (Some(piece), Some(section)) = (self.pieces.last_mut(), section.last()) else { return Ok(()) };
         match section.as_slice() {
@@ -333,14 +321,13 @@ impl<'a> File<'a> {
     /// How many numbers an array declares, at most as many as a file of this size can hold; whether they are binary.
     fn numbers(&self, array: &DataArray<'_>) -> Option<(usize, bool)> {
         let kind = array.kind?;
-        let source = match self.source(array) {
-            Ok(source) => source,
-            Err(text) => {
-                return Some((text.split(u8::is_ascii_whitespace).filter(|word| !word.is_empty()).count(), false));
+        match self.source(array) {
+            Ok(source) => {
+                let length = self.length_of(&source).ok()?;
+                (length <= self.left).then_some((length / kind.bytes(), true))
             }
-        };
-        let length = self.length_of(&source).ok()?;
-        (length <= self.left).then_some((length / kind.bytes(), true))
+            Err(text) => Some((text.split(u8::is_ascii_whitespace).filter(|word| !word.is_empty()).count(), false)),
+        }
     }
 
     /// The bytes of an array, with the length before them; its text, if it is text.
@@ -355,13 +342,11 @@ impl<'a> File<'a> {
         }
     }
 
-    /// Numbers before data.
     fn lengths(&self, data: &[u8]) -> Vec<usize> {
         let all = self.length.integers(data, self.order);
         all.into_iter().map(|n| usize::try_from(n).unwrap_or(usize::MAX)).collect()
     }
 
-    /// How many bytes an array declares.
     fn length_of(&self, source: &Source<'_>) -> Result<usize, String> {
         let size = self.length.bytes();
         match (self.packed, self.lengths(&source.after(0, if self.packed { 3 * size } else { size })?).as_slice()) {
@@ -375,7 +360,6 @@ impl<'a> File<'a> {
         self.values(array, count, |c, n, k| c.integers(n, k, "cells"))
     }
 
-    /// All numbers of an array that should have `count`.
     fn values<T>(
         &mut self,
         array: &DataArray<'_>,
@@ -448,8 +432,7 @@ impl<'a> File<'a> {
         Ok(out)
     }
 
-    /// Reads what the points of a piece carry; `first` points come before it. What is wrong is left aside. Arrays of the pieces that
-    /// follow are those of the same name.
+    /// Reads what a piece's points carry, after `first` others; wrong arrays are left aside. Later pieces go by names.
     fn data(
         &mut self,
         arrays: &mut Vec<Array>,
@@ -484,14 +467,12 @@ impl<'a> File<'a> {
     }
 }
 
-/// Of packed data the number of blocks that are as long as the first, and the bytes of all, by the header: the number of blocks, the
-/// size of each but the last, and of the last.
+/// How many blocks of packed data are full, and all bytes, by the header: count, size of each but the last, of the last.
 fn blocks([blocks, block, last]: [usize; 3]) -> (usize, usize) {
     let full = if last == 0 { blocks } else { blocks.saturating_sub(1) };
     (full, full.saturating_mul(block).saturating_add(if blocks > 0 { last } else { 0 }))
 }
 
-/// Bytes, as they are or to be decoded.
 enum Source<'a> {
     Raw(&'a [u8]),
     Base64(std::borrow::Cow<'a, [u8]>),
@@ -529,23 +510,6 @@ impl<'a> Source<'a> {
         out.truncate(total);
         out.drain(..passed.min(out.len()));
         Ok(out)
-    }
-}
-
-/// Lines up to places that only grow.
-struct Lines<'a> {
-    bytes: &'a [u8],
-    at: usize,
-    line: usize,
-}
-
-impl Lines<'_> {
-    fn at(&mut self, place: u64) -> usize {
-        let place = usize::try_from(place).unwrap_or(usize::MAX).min(self.bytes.len());
-        let passed = self.bytes.get(self.at..place).unwrap_or_default();
-        self.line += passed.iter().filter(|&&b| b == b'\n').count();
-        self.at = self.at.max(place);
-        self.line
     }
 }
 
