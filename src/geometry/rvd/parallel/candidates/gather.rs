@@ -2,17 +2,14 @@
 //!
 //! Purpose: from any seed to all that count on a facet, and on demand to those that still count when every
 //! seed has moved a little.
-//! Invariant: a seed that is left out is farther from all three corners than another one of the list, whatever
-//! way either moves within its [`Skin`], and so farther from the whole facet, as their bisector is linear
-//! on it. A comparison that rounding could get wrong keeps the seed. No later duplicate is listed.
-//! Must not know: pieces; how long a list is kept.
+//! Invariant: a seed that is left out is farther from all three corners than another one of the list, whatever way either
+//! moves within its [`Skin`], and so farther from the whole facet, as their bisector is linear on it. A comparison that
+//! rounding could get wrong keeps the seed. No later duplicate is listed. Must not know: pieces; how long a list is kept.
 
 use glam::DVec3;
 
-use crate::rvd::clip::SECURITY;
-use crate::rvd::incident;
-use crate::rvd::incident::Diagram;
-use crate::rvd::parallel::divide::facets::LISTED;
+use crate::rvd::incident::{self, Diagram};
+use crate::rvd::{clip::SECURITY, parallel::divide::facets::LISTED};
 
 /// A list with more is made shorter here, not together with others.
 const ENOUGH: usize = LISTED;
@@ -50,14 +47,12 @@ pub(crate) struct Skin<'a> {
 }
 
 impl Skin<'_> {
-    /// No seed moves.
     pub(crate) const NONE: Self = Self { share: 0.0, width: &[], most: 0.0 };
 
     pub(crate) fn of(&self, seed: u32) -> f64 {
         if self.share > 0.0 { self.share * self.width[seed as usize] } else { 0.0 }
     }
 
-    /// Whether there is none.
     pub(crate) fn is_none(&self) -> bool {
         self.share == 0.0
     }
@@ -71,7 +66,6 @@ impl Skin<'_> {
     }
 }
 
-/// One thread's scratch memory.
 #[derive(Default)]
 pub(crate) struct Gatherer {
     looked_at: Vec<u32>,
@@ -80,11 +74,9 @@ pub(crate) struct Gatherer {
     pub list: Vec<u32>,
 }
 
-/// A seed around a facet.
 struct Kept {
     seed: u32,
-    /// At each corner: distances that it has at least and at most, whatever way it moves; squared distances until all
-    /// are known.
+    /// At each corner: distances that it has at least and at most, however it moves; squared ones until all are known.
     least: [f64; 3],
     most: [f64; 3],
 }
@@ -92,15 +84,13 @@ struct Kept {
 /// The facet as seen from a seed.
 struct View {
     corner: [DVec3; 3],
-    /// From the seed to each corner.
     distance: [f64; 3],
     skin: f64,
 }
 
 impl Gatherer {
-    /// Finds the seeds that count on the facet with these corners, beginning at any seed; the nearer, the
-    /// sooner. Returns a seed of those that is nearer to the facet's centroid, if there is one, and whether there are few
-    /// enough.
+    /// Finds the seeds that count on the facet with these corners, beginning at any seed; the nearer, the sooner. Returns a
+    /// seed of those that is nearer to the facet's centroid, if there is one, and whether there are few enough.
     pub(crate) fn gather(
         &mut self,
         diagram: Diagram<'_>,
@@ -175,8 +165,7 @@ impl Gatherer {
         Some(nearest)
     }
 
-    /// Lists all seeds around the facet that may be nearer at some corner than the view's. Returns whether there are
-    /// few enough.
+    /// Lists all seeds around the facet that may be nearer at some corner than the view's. Returns whether they are few enough.
     fn look_around(&mut self, diagram: Diagram<'_>, skin: Skin<'_>, few: Few, view: &View) -> bool {
         let mut low = DVec3::INFINITY;
         let mut high = DVec3::NEG_INFINITY;

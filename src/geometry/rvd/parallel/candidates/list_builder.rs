@@ -3,30 +3,24 @@
 //! Purpose: lists of all facets, by rows of neighbours or, where seeds are spread evenly, without. For a pass with escaped seeds
 //! it takes the Verlet list of each facet that none concerns, and makes a new one for each other facet.
 //! Invariant: no seed that counts is missing from a list: neither one within its skin that a seed within its own does
-//! not beat at all corners, nor an escaped seed that such a one does not beat.
-//! Must not know: what becomes of a list.
+//! not beat at all corners, nor an escaped seed that such a one does not beat. Must not know: what becomes of a list.
 
 use std::ops::Range;
 
 use glam::DVec3;
 use pulp::{Arch, Simd, WithSimd};
 
-use super::Lists;
 use super::escaped::{Bounds, Reach};
 use super::gather::{Few, Gatherer, Skin};
-use super::members::Listed;
 use super::neighbourhood::{self, GROUP, Neighbourhood};
-use super::verlet::Verlet;
-use crate::rvd::incident::Diagram;
-use crate::rvd::parallel::divide::facets::LISTED;
-use crate::rvd::parallel::schedule::Stretch;
+use super::{Lists, members::Listed, verlet::Verlet};
+use crate::rvd::parallel::{divide::facets::LISTED, schedule::Stretch};
+use crate::rvd::{incident::Diagram, refill};
 
 /// Seeds to examine for one seed within its skin.
 const LOOKED_AT: usize = 1024;
-/// How often the search is widened.
 const WIDENED: usize = 6;
 
-/// One thread's scratch memory.
 #[derive(Default)]
 pub(crate) struct ListBuilder {
     gatherer: Gatherer,
@@ -45,7 +39,6 @@ pub(crate) struct ListBuilder {
     seeds: Vec<u32>,
 }
 
-/// Lists of facets without rows.
 struct Evenly<'a> {
     builder: &'a mut ListBuilder,
     diagram: Diagram<'a>,
@@ -55,7 +48,6 @@ struct Evenly<'a> {
     out: &'a mut Lists,
 }
 
-/// Lists for one pass with escaped seeds.
 struct Renew<'a> {
     builder: &'a mut ListBuilder,
     listed: Listed<'a>,
@@ -232,8 +224,7 @@ fn steady(
 }
 
 impl ListBuilder {
-    /// Lists of all facets by rows of neighbours; `starts` become seeds near them. A facet with too many gets an empty
-    /// list. Returns how many get no Verlet list.
+    /// Lists by rows of neighbours, empty where they are too long; `starts` get near seeds. Returns how many are no Verlet list.
     pub(crate) fn list(
         &mut self,
         diagram: Diagram<'_>,
@@ -279,15 +270,12 @@ impl ListBuilder {
     /// Whether escaped seeds concern the facets. If so, [`Self::renew`] makes lists for this pass.
     pub(crate) fn meets_escaped(&mut self, lists: &Lists, verlet: Verlet<'_>) -> bool {
         let bounds = lists.bounds.iter().fold(Bounds::NONE, |all, &bounds| all.with(bounds));
-        self.near.clear();
-        self.near.extend(verlet.escaped.within(bounds).map(|(p, _)| p));
-        self.were.clear();
-        self.were.extend(verlet.escaped.were_within(bounds));
+        refill(&mut self.near, verlet.escaped.within(bounds).map(|(p, _)| p));
+        refill(&mut self.were, verlet.escaped.were_within(bounds));
         !self.near.is_empty() || !self.were.is_empty()
     }
 
-    /// Lists of all facets for one pass with escaped seeds, with the diagram as it was when `listed` were made. Returns whether
-    /// it could.
+    /// Lists for one pass with escaped seeds, with the diagram as it was when `listed` were made. Returns whether it could.
     pub(crate) fn renew(&mut self, listed: Listed<'_>, was: Diagram<'_>, verlet: Verlet<'_>, out: &mut Lists) -> bool {
         out.clear();
         Arch::new().dispatch(Renew { builder: self, listed, was, verlet, out })
