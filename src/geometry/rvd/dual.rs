@@ -26,7 +26,6 @@ pub struct Dual {
     pub triangles: Vec<[u32; 3]>,
     /// The components, ordered by seed and then by first facet.
     pub components: Vec<Component>,
-    /// Cells with more than one component.
     pub split_cells: usize,
     /// RVD vertices whose three cells disagree. Their triangles go to the largest component of the cell that does not know.
     pub inconsistent: usize,

@@ -29,7 +29,6 @@ pub(super) struct Written {
     pub integrals: Vec<Integrals>,
     /// Where those of each facet begin, and the end of the last.
     begin: Vec<u32>,
-    /// Those of facets that were walked.
     pub walked: Vec<(u32, Integrals)>,
     /// Of each facet that was walked its place, and the end of its pieces among those.
     inserts: Vec<(usize, usize)>,

@@ -32,6 +32,14 @@ impl Few {
     pub(crate) const TO_WALK: Self = Self { seen: 16 * LISTED, kept: 4 * LISTED };
 }
 
+/// Among which seeds lists are made, how far those may move, and how long lists may be.
+#[derive(Clone, Copy)]
+pub(crate) struct Search<'a> {
+    pub diagram: Diagram<'a>,
+    pub skin: Skin<'a>,
+    pub few: Few,
+}
+
 /// Squared distances are compared with so much room, far more than their roundings.
 pub(crate) const ROOM: f64 = 1.0 + 1e-14;
 
@@ -91,47 +99,26 @@ struct View {
 impl Gatherer {
     /// Finds the seeds that count on the facet with these corners, beginning at any seed; the nearer, the sooner. Returns a
     /// seed of those that is nearer to the facet's centroid, if there is one, and whether there are few enough.
-    pub(crate) fn gather(
-        &mut self,
-        diagram: Diagram<'_>,
-        (skin, few): (Skin<'_>, Few),
-        corner: &[DVec3; 3],
-        centroid: DVec3,
-        start: u32,
-    ) -> (u32, bool) {
-        if let Some(nearest) = self.read_row(diagram, skin, corner, centroid, start) {
+    pub(crate) fn gather(&mut self, by: Search<'_>, corner: &[DVec3; 3], centroid: DVec3, start: u32) -> (u32, bool) {
+        if let Some(nearest) = self.read_row(by, corner, centroid, start) {
             return (nearest, true);
         }
-        let nearest = incident::nearest(diagram, centroid, start);
-        if nearest != start && self.read_row(diagram, skin, corner, centroid, nearest).is_some() {
+        let nearest = incident::nearest(by.diagram, centroid, start);
+        if nearest != start && self.read_row(by, corner, centroid, nearest).is_some() {
             return (nearest, true);
         }
-        let view = View::new(diagram, skin, corner, nearest);
-        (nearest, self.look_around(diagram, skin, few, &view))
+        (nearest, self.look_around(by, &View::new(by, corner, nearest)))
     }
 
     /// The same as seen from seed `i`, whether there are nearer ones or not. Returns whether there are few enough.
-    pub(crate) fn gather_from(
-        &mut self,
-        diagram: Diagram<'_>,
-        (skin, few): (Skin<'_>, Few),
-        corner: &[DVec3; 3],
-        i: u32,
-    ) -> bool {
-        self.read_row(diagram, skin, corner, corner[0], i).is_some()
-            || self.look_around(diagram, skin, few, &View::new(diagram, skin, corner, i))
+    pub(crate) fn gather_from(&mut self, by: Search<'_>, corner: &[DVec3; 3], i: u32) -> bool {
+        self.read_row(by, corner, corner[0], i).is_some() || self.look_around(by, &View::new(by, corner, i))
     }
 
     /// Lists seed `i` and its row, as far as the facet needs it (\[LB12\]: no farther than twice its farthest corner).
     /// Returns the nearest to the centroid; `None` if the row ends before that.
-    fn read_row(
-        &mut self,
-        diagram: Diagram<'_>,
-        skin: Skin<'_>,
-        corner: &[DVec3; 3],
-        centroid: DVec3,
-        i: u32,
-    ) -> Option<u32> {
+    fn read_row(&mut self, by: Search<'_>, corner: &[DVec3; 3], centroid: DVec3, i: u32) -> Option<u32> {
+        let Search { diagram, skin, .. } = by;
         let (row, complete) = diagram.table.row(i);
         let origin = diagram.seeds[i as usize];
         let squared = |a: DVec3| a.distance_squared(origin);
@@ -166,7 +153,8 @@ impl Gatherer {
     }
 
     /// Lists all seeds around the facet that may be nearer at some corner than the view's. Returns whether they are few enough.
-    fn look_around(&mut self, diagram: Diagram<'_>, skin: Skin<'_>, few: Few, view: &View) -> bool {
+    fn look_around(&mut self, by: Search<'_>, view: &View) -> bool {
+        let Search { diagram, skin, few } = by;
         let mut low = DVec3::INFINITY;
         let mut high = DVec3::NEG_INFINITY;
         for (corner, distance) in view.corner.iter().zip(view.distance) {
@@ -220,9 +208,9 @@ impl Gatherer {
 }
 
 impl View {
-    fn new(diagram: Diagram<'_>, skin: Skin<'_>, corner: &[DVec3; 3], seed: u32) -> Self {
-        let origin = diagram.seeds[seed as usize];
+    fn new(by: Search<'_>, corner: &[DVec3; 3], seed: u32) -> Self {
+        let origin = by.diagram.seeds[seed as usize];
         let distance = corner.map(|p| p.distance(origin));
-        Self { corner: *corner, distance, skin: skin.of(seed) }
+        Self { corner: *corner, distance, skin: by.skin.of(seed) }
     }
 }

@@ -11,7 +11,7 @@ use glam::DVec3;
 use pulp::{Arch, Simd, WithSimd};
 
 use super::escaped::{Bounds, Reach};
-use super::gather::{Few, Gatherer, Skin};
+use super::gather::{Few, Gatherer, Search, Skin};
 use super::neighbourhood::{self, GROUP, Neighbourhood};
 use super::{Lists, members::Listed, verlet::Verlet};
 use crate::rvd::parallel::{divide::facets::LISTED, schedule::Stretch};
@@ -64,6 +64,7 @@ impl WithSimd for Evenly<'_> {
     fn with_simd<S: Simd>(self, simd: S) -> Option<u64> {
         let Self { builder, diagram, skin, facets, starts, out } = self;
         let ListBuilder { gatherer, neighbourhood, reaches, parts, .. } = builder;
+        let search = Search { diagram, skin, few: Few::TO_WALK };
         let mut unlisted = 0;
         for (facets, starts) in facets.chunks(GROUP).zip(starts.chunks_mut(GROUP)) {
             reaches.clear();
@@ -74,11 +75,11 @@ impl WithSimd for Evenly<'_> {
             let mut alone = |k: usize, start: &mut u32, out: &mut Lists| {
                 let corner = facets.corners(k);
                 *start = diagram.index.nearest(facets.centroid(k));
-                let mut few = gatherer.gather_from(diagram, (skin, Few::TO_WALK), &corner, *start);
+                let mut few = gatherer.gather_from(search, &corner, *start);
                 if !few && !skin.is_none() {
                     // Whether there are too many does not depend on what was before.
                     unlisted += 1;
-                    few = gatherer.gather_from(diagram, (Skin::NONE, Few::TO_WALK), &corner, *start);
+                    few = gatherer.gather_from(Search { skin: Skin::NONE, ..search }, &corner, *start);
                 }
                 out.push(gatherer.list.iter().copied());
                 bounds = bounds.with(Reach::of(diagram, skin, &corner, *start).bounds());
@@ -174,7 +175,8 @@ impl Renew<'_> {
             });
         } else {
             for ((&at, reach), &from) in renewed.iter().zip(&*reaches).zip(&*from) {
-                if !gatherer.gather_from(*was, (skin, Few::TO_WALK), &reach.corner, from) {
+                let search = Search { diagram: *was, skin, few: Few::TO_WALK };
+                if !gatherer.gather_from(search, &reach.corner, from) {
                     return false;
                 }
                 out.copy(lists, next..at);
@@ -233,17 +235,17 @@ impl ListBuilder {
         (facets, starts): (Stretch<'_>, &mut [u32]),
         out: &mut Lists,
     ) -> u64 {
-        let most = if by_rows { Few::TO_DIVIDE } else { Few::TO_WALK };
+        let search = Search { diagram, skin, few: if by_rows { Few::TO_DIVIDE } else { Few::TO_WALK } };
         let gatherer = &mut self.gatherer;
         let mut unlisted = 0;
         for (at, start) in starts.iter_mut().enumerate() {
             let (corner, centroid) = (facets.corners(at), facets.centroid(at));
-            let (nearest, mut few) = gatherer.gather(diagram, (skin, most), &corner, centroid, *start);
+            let (nearest, mut few) = gatherer.gather(search, &corner, centroid, *start);
             *start = nearest;
             if !few && !skin.is_none() {
                 // Whether there are too many does not depend on what was before.
                 unlisted += 1;
-                (_, few) = gatherer.gather(diagram, (Skin::NONE, most), &corner, centroid, *start);
+                (_, few) = gatherer.gather(Search { skin: Skin::NONE, ..search }, &corner, centroid, *start);
             }
             out.push(gatherer.list.iter().copied().take(if few { usize::MAX } else { 0 }));
         }

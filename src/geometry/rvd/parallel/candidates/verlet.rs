@@ -44,7 +44,6 @@ const USED: f64 = 1.0 - 1e-6;
 /// Seeds per task.
 const CHUNK: usize = 2048;
 
-/// All lists, and the seeds that they hold for.
 #[derive(Default)]
 pub(crate) struct VerletLists {
     /// Lists by chunk of `facets` facets.
@@ -95,7 +94,6 @@ impl VerletLists {
         self.hold_but_for(few, seeds)
     }
 
-    /// The same for at most `escaped` escaped seeds.
     fn hold_but_for(&mut self, escaped: usize, seeds: &[DVec3]) -> bool {
         let skin = skin(self.share, self.most, &self.width);
         self.escaped.find(seeds, &self.made_at, (skin, USED), escaped)
@@ -103,7 +101,6 @@ impl VerletLists {
             && !self.escaped.meet(seeds)
     }
 
-    /// None are made now.
     pub(crate) fn leave(&mut self) {
         self.there = false;
         self.share = 0.0;

@@ -97,7 +97,6 @@ impl PieceRows {
         self.there.0[lane] == SMALL
     }
 
-    /// The integrals in one lane, if there is a piece.
     #[inline(always)]
     pub(crate) fn get(&self, lane: usize) -> Option<Integrals> {
         let [mass, x, y, z, energy, area] = &self.values;

@@ -341,7 +341,7 @@ mod tests {
     use super::*;
     use crate::knn::{SeedIndex, Threads};
     use crate::mesh::shapes::Shape;
-    use crate::rvd::parallel::candidates::gather::{Few, Gatherer};
+    use crate::rvd::parallel::candidates::gather::{Few, Gatherer, Search};
     use crate::rvd::{Capacities, Surface};
 
     /// What a chunk of all facets finds with registers of one kind.
@@ -378,8 +378,8 @@ mod tests {
             let facets = order.all();
             for at in 0..facets.len() {
                 let (corner, centroid) = (facets.corners(at), facets.centroid(at));
-                let (_, few) =
-                    gatherer.gather(diagram, (Skin::NONE, Few::TO_WALK), &corner, centroid, index.near(centroid));
+                let search = Search { diagram, skin: Skin::NONE, few: Few::TO_WALK };
+                let (_, few) = gatherer.gather(search, &corner, centroid, index.near(centroid));
                 assert!(few);
                 lists.push(gatherer.list.iter().copied());
             }
