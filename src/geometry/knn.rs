@@ -3,8 +3,7 @@
 //! Purpose: for every seed its nearest other seeds in order, and the nearest seed of a point.
 //! Invariant: a row of k neighbours is a prefix of every longer row of the same seed, so that a longer table never changes
 //! what a shorter one decided. Order: squared distance, then index. A seed exactly on an earlier one is no neighbour of any
-//! seed; its own row is that earlier seed alone, which makes its cell empty.
-//! Must not know: facets, polygons.
+//! seed; its own row is that earlier seed alone, which makes its cell empty. Must not know: facets, polygons.
 
 mod grid;
 mod index;

@@ -3,10 +3,8 @@
 //! Purpose: [`Backend`] makes a [`Session`] for one surface; a session takes seeds and answers
 //! with sums per cell or with the pieces themselves. Three backends stand behind the trait:
 //! [`Serial`] (f64, the reference), [`Parallel`] (f64, all cores) and `gpu` (f32, WGSL).
-//! Invariant: every (facet, cell) pair of the diagram is in the answer. A pair that runs out
-//! of a capacity gets a [`PairStatus`] and is done again with more; capacities tune, they never
-//! change a result.
-//! Must not know: iterations, jobs, files.
+//! Invariant: every (facet, cell) pair of the diagram is in the answer. A pair that runs out of a capacity gets a [`PairStatus`]
+//! and is done again with more; capacities tune, they never change a result. Must not know: iterations, jobs, files.
 
 pub mod cells;
 pub mod clip;
@@ -92,8 +90,7 @@ pub trait Backend: Send + Sync {
     }
     /// How many threads the pool has (1 for `serial`).
     fn threads(&self) -> usize;
-    /// A session whose pieces the dual may be read from: f64. A backend that works in less
-    /// precision hands out another one's.
+    /// A session whose pieces the dual may be read from: f64; another backend's where this one works in less precision.
     fn exact_session(&self, surface: Arc<Surface>, options: SessionOptions) -> Result<Box<dyn Session>, RvdError> {
         self.session(surface, options)
     }
@@ -105,12 +102,10 @@ pub trait Backend: Send + Sync {
 ///
 /// All coordinates are in the surface's unit frame ([`Surface::frame`]).
 pub trait Session: Send {
-    /// Sets the seeds. Their neighbour table is built by the next pass, which can be cancelled. May
-    /// be called any number of times, with another number of seeds each time, up to `max_seeds`.
+    /// Sets seeds, any number up to `max_seeds`, any number of times. The next pass, which can be cancelled, builds their table.
     fn set_seeds(&mut self, seeds: &[DVec3]) -> Result<(), RvdError>;
 
-    /// The sums over every cell for the present seeds. `out` is reset to their number.
-    /// The statistics include the neighbour table, if these seeds are new.
+    /// Sums over every cell for the present seeds; `out` gets their number. The statistics include new seeds' table.
     fn sums(&mut self, out: &mut CellSums, token: &Token) -> Result<PassStats, RvdError>;
 
     /// The pieces in `facets`, ordered by facet and then by seed. `out` is cleared first.
@@ -131,8 +126,7 @@ pub trait Session: Send {
         None
     }
 
-    /// The seeds last set, to be moved where they are; `None` where they lie in the host's memory, whose
-    /// vectors are the caller's own.
+    /// The seeds last set, to be moved where they are; `None` where they lie in the host's memory and vectors are the caller's.
     #[doc(hidden)]
     fn resident(&mut self) -> Option<&mut dyn Resident> {
         None
@@ -216,7 +210,12 @@ pub fn check_seed(seed: usize, p: DVec3) -> Result<(), RvdError> {
 /// Checks new seeds and takes them, on the grid of [`surface::snap`].
 pub fn take_seeds(seeds: &[DVec3], limit: usize, into: &mut Vec<DVec3>) -> Result<(), RvdError> {
     check_seeds(seeds, limit)?;
-    into.clear();
-    into.extend(seeds.iter().map(|&p| surface::snap(p)));
+    refill(into, seeds.iter().map(|&p| surface::snap(p)));
     Ok(())
+}
+
+/// Puts other items into memory that is there already.
+fn refill<T>(vec: &mut Vec<T>, items: impl IntoIterator<Item = T>) {
+    vec.clear();
+    vec.extend(items);
 }

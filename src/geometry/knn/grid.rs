@@ -2,12 +2,13 @@
 //!
 //! Purpose: rows and nearest seeds from the few cells around a place, where seeds are spread evenly enough over a surface.
 //! Invariant: an answer is given only if no seed outside the searched cells can belong to it; it is then the one that
-//! [`super`] promises. Otherwise the caller must search.
-//! Must not know: the kd-tree.
+//! [`super`] promises. Otherwise the caller must search. Must not know: the kd-tree.
 
 use rayon::prelude::*;
 
 use super::{NeighbourRow, Threads, squared_distance};
+
+type Point = [f64; 3];
 
 /// Seeds sorted by their cell.
 #[derive(Default)]
@@ -15,7 +16,6 @@ pub(super) struct Grid {
     origin: [f64; 3],
     /// Cells per unit of length.
     inverse: f64,
-    /// Number of cells along each axis.
     cells: [usize; 3],
     /// Seeds that share a seed's cell, on average.
     occupancy: f64,
@@ -24,8 +24,7 @@ pub(super) struct Grid {
     /// Seed at each place; the hidden ones at the end.
     order: Vec<u32>,
     /// Position at each place, without the hidden ones.
-    points: Vec<[f64; 3]>,
-    /// Place of each seed.
+    points: Vec<Point>,
     place: Vec<u32>,
 }
 
@@ -50,8 +49,7 @@ impl Block {
     }
 }
 
-/// Seeds that share a seed's cell, itself among them, on average: cells of two and a half spacings, so
-/// that the cells around one hold the 16 nearest seeds of all its seeds, and the 24 nearest of most.
+/// Mean number of seeds in a seed's cell, of 2.5 spacings: the cells around hold the 16 nearest of all, the 24 of most.
 const OCCUPANCY: f64 = 6.0;
 /// Occupancy above which rows of neighbours are found sooner than all seeds in a box.
 const EVEN: f64 = 30.0;
@@ -74,7 +72,7 @@ const DISTANCE: u64 = !0 << 32;
 
 impl Grid {
     /// A grid over finite points; `None` if a grid of equal cells does not suit them.
-    pub(super) fn new(points: &[[f64; 3]], threads: Threads) -> Option<Self> {
+    pub(super) fn new(points: &[Point], threads: Threads) -> Option<Self> {
         let (mut low, mut high) = ([f64::INFINITY; 3], [f64::NEG_INFINITY; 3]);
         for p in points {
             for c in 0..3 {
@@ -126,8 +124,8 @@ impl Grid {
     }
 
     /// Finds the cell of every point and counts them: `begin` gets the end of each cell.
-    fn sort_into(&mut self, points: &[[f64; 3]], cell: &mut Vec<u32>, threads: Threads) {
-        let of = |p: &[f64; 3]| {
+    fn sort_into(&mut self, points: &[Point], cell: &mut Vec<u32>, threads: Threads) {
+        let of = |p: &Point| {
             let [x, y, z] = self.cell(self.at(p));
             ((z * self.cells[1] + y) * self.cells[0] + x) as u32
         };
@@ -145,7 +143,7 @@ impl Grid {
     }
 
     /// Gives every point its place, in the order of the indices within a cell.
-    fn place_all(&mut self, points: &[[f64; 3]], cell: &[u32], threads: Threads) {
+    fn place_all(&mut self, points: &[Point], cell: &[u32], threads: Threads) {
         let mut next = self.begin.clone();
         self.order.resize(points.len(), 0);
         self.place.clear();
@@ -158,7 +156,6 @@ impl Grid {
         self.points = mapped(&self.order, threads, |&i| points[i as usize]);
     }
 
-    /// Whether cells hold few enough seeds for a fast search in a box.
     pub(super) fn is_even(&self) -> bool {
         self.occupancy <= EVEN
     }
@@ -202,13 +199,11 @@ impl Grid {
         }
     }
 
-    /// All seeds by cell, the hidden ones at the end.
     pub(super) fn order(&self) -> &[u32] {
         &self.order
     }
 
-    /// The row of seed `i`, which is not hidden, about `k` long and at least about `least`; `false` if the
-    /// cells around it do not prove it.
+    /// The row of seed `i`, not hidden, about `k` long and at least about `least`; `false` if the cells do not prove it.
     pub(super) fn row(
         &self,
         i: u32,
@@ -262,7 +257,7 @@ impl Grid {
     }
 
     /// Sorts the `enough` nearest of `keys` to the front; others may follow.
-    fn arrange(&self, p: &[f64; 3], enough: usize, keys: &mut Vec<u64>) {
+    fn arrange(&self, p: &Point, enough: usize, keys: &mut Vec<u64>) {
         // Not many more are sorted sooner than they are set apart.
         if keys.len() > 2 * enough {
             let last = *keys.select_nth_unstable(enough - 1).1 & DISTANCE;
@@ -292,7 +287,7 @@ impl Grid {
     }
 
     /// The only nearest seed of a point; `None` if the cells around it do not prove it, or if it is not unique.
-    pub(super) fn nearest(&self, p: &[f64; 3]) -> Option<u32> {
+    pub(super) fn nearest(&self, p: &Point) -> Option<u32> {
         let at = self.at(p);
         let cell = self.cell(at);
         let mut best = self.first_of_rings(cell, p, 3);
@@ -308,22 +303,15 @@ impl Grid {
     }
 
     /// A seed of the cells around a point, the nearest of the first that have any; `None` if none has.
-    pub(super) fn near(&self, p: &[f64; 3]) -> Option<u32> {
+    pub(super) fn near(&self, p: &Point) -> Option<u32> {
         let cell = self.cell(self.at(p));
         let best = self.first_of_rings(cell, p, 2);
         (best.squared < f64::INFINITY).then(|| self.order[best.place as usize])
     }
 
-    /// Calls `found` with the seeds of all cells that meet a box, and their places. Returns `false` early if there are more
-    /// than `most`, or more lines of cells.
+    /// Calls `found` with seeds and places of all cells that meet a box; `false` early if seeds or lines of cells exceed `most`.
     #[inline(always)]
-    pub(super) fn in_box(
-        &self,
-        low: &[f64; 3],
-        high: &[f64; 3],
-        most: usize,
-        mut found: impl FnMut(u32, &[f64; 3]),
-    ) -> bool {
+    pub(super) fn in_box(&self, low: &Point, high: &Point, most: usize, mut found: impl FnMut(u32, &Point)) -> bool {
         // A place and an end of the box may be rounded apart by this.
         let (low, high) = (self.at(low).map(|x| x - ROUNDING), self.at(high).map(|x| x + ROUNDING));
         let block = Block { low: self.cell(low), high: self.cell(high) };
@@ -344,7 +332,7 @@ impl Grid {
     }
 
     /// The nearest seed of the first block around a cell, with at most `rings` rings, that has any.
-    fn first_of_rings(&self, cell: [usize; 3], p: &[f64; 3], rings: usize) -> Nearest {
+    fn first_of_rings(&self, cell: [usize; 3], p: &Point, rings: usize) -> Nearest {
         let mut best = Nearest { squared: f64::INFINITY, place: 0, several: false };
         for ring in 0..rings {
             self.visit(self.around(cell, ring), p, &mut best);
@@ -355,7 +343,7 @@ impl Grid {
         best
     }
 
-    fn visit(&self, block: Block, p: &[f64; 3], best: &mut Nearest) {
+    fn visit(&self, block: Block, p: &Point, best: &mut Nearest) {
         for z in block.low[2]..=block.high[2] {
             for y in block.low[1]..=block.high[1] {
                 let (begin, end) = self.range(block, y, z);
@@ -372,7 +360,7 @@ impl Grid {
     }
 
     /// Coordinates in cells.
-    fn at(&self, p: &[f64; 3]) -> [f64; 3] {
+    fn at(&self, p: &Point) -> [f64; 3] {
         [0, 1, 2].map(|c| (p[c] - self.origin[c]) * self.inverse)
     }
 
@@ -427,7 +415,7 @@ impl Grid {
     }
 
     /// The keys of all places in the ranges within the given squared distance.
-    fn read(&self, p: &[f64; 3], within: f64, scratch: &mut Scratch) {
+    fn read(&self, p: &Point, within: f64, scratch: &mut Scratch) {
         let keys = &mut scratch.keys;
         let count: u32 = scratch.ranges.iter().map(|r| r.1 - r.0).sum();
         keys.clear();

@@ -75,8 +75,7 @@ impl SeedIndex {
         self.grid.as_ref().is_some_and(Grid::is_even)
     }
 
-    /// A nearest seed of a point, never a later duplicate. Among seeds at the same distance the choice is fixed but
-    /// unspecified.
+    /// A nearest seed of a point, never a later duplicate. Of several at the same distance it is a fixed but unspecified one.
     pub fn nearest(&self, p: DVec3) -> u32 {
         let p = p.to_array();
         // The tree decides between several seeds at one distance.
@@ -89,8 +88,7 @@ impl SeedIndex {
         near.unwrap_or_else(|| self.nearest(p))
     }
 
-    /// Appends all seeds in a closed box, some around it, and no later duplicate. Returns `false` if there are more than
-    /// `most`, or if the search would be slow.
+    /// Appends all seeds in a closed box, and some around it; no later duplicate. `false` if over `most` or if it were slow.
     pub fn in_box(&self, low: DVec3, high: DVec3, most: usize, out: &mut Vec<u32>) -> bool {
         self.each_in_box(low, high, most, |seed, _| out.push(seed))
     }
@@ -109,8 +107,7 @@ impl SeedIndex {
         self.row_with(i, (k, k), &mut Scratch::default(), out);
     }
 
-    /// [`Self::row`] without an allocation of its own, and shorter where that saves work, but of about `least`
-    /// neighbours at least.
+    /// [`Self::row`] without an allocation of its own, and shorter where that saves work, but about `least` long at least.
     pub(super) fn row_with(&self, i: u32, (least, k): (usize, usize), scratch: &mut Scratch, out: &mut NeighbourRow) {
         if let Some(&first) = self.earlier.get(&i) {
             out.seeds.clear();
@@ -126,8 +123,7 @@ impl SeedIndex {
         self.grid.as_ref().map(Grid::order)
     }
 
-    /// The tree. The first caller builds it alone: a thread that waits for helpers may take up another search, which would
-    /// wait for this tree.
+    /// The first caller builds it alone: a thread that waits for helpers may take up another search, which would wait for it.
     fn tree(&self) -> &Tree {
         self.tree.get_or_init(|| Tree::new(&self.seeds, &self.earlier, Threads::One))
     }
@@ -144,7 +140,6 @@ pub(super) struct Tree {
 const PARALLEL_BUILD: usize = 8192;
 
 impl Tree {
-    /// Builds the tree; `earlier` holds the seeds to leave out.
     pub(super) fn new(seeds: &[[f64; 3]], earlier: &HashMap<u32, u32>, threads: Threads) -> Self {
         let kept = || (0..seeds.len() as u32).filter(|i| !earlier.contains_key(i)).collect::<Vec<_>>();
         let item_seed = (!earlier.is_empty()).then(kept);
@@ -160,7 +155,6 @@ impl Tree {
         Self { tree, item_seed }
     }
 
-    /// A nearest seed of a point.
     pub(super) fn nearest(&self, p: &[f64; 3]) -> u32 {
         let Some(tree) = &self.tree else { return 0 };
         let found = tree.query(p).nearest_one::<SquaredEuclidean<f64>>().execute();

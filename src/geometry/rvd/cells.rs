@@ -29,13 +29,11 @@ pub struct PieceBatch {
     pub seed: Vec<u32>,
     /// First vertex of each piece, and the total at the end.
     pub offset: Vec<u32>,
-    /// Vertex positions: unit frame from a [`Session`](super::Session), caller's coordinates from a
-    /// [`Diagram`](super::Diagram).
+    /// Vertex positions: unit frame from a [`Session`](super::Session), caller's from a [`Diagram`](super::Diagram).
     pub position: Vec<DVec3>,
     /// Density weight at each vertex.
     pub weight: Vec<f64>,
-    /// For the edge from each vertex to the next of its piece: the seed on the other side, or
-    /// a facet edge ([`facet_edge`]).
+    /// For the edge from each vertex to the next of its piece: the seed across it, or a facet edge ([`facet_edge`]).
     pub opposite: Vec<u32>,
 }
 
@@ -123,8 +121,7 @@ impl PieceBatch {
     }
 }
 
-/// A file being written. Vertices go behind a header of fixed length, polygons to a second
-/// file that is appended at the end, when their numbers are known.
+/// A file being written: vertices behind a header of fixed length, and polygons in a second file that is appended at the end.
 pub struct CellWriter<V, P: Write> {
     vertices: V,
     polygons: BufWriter<P>,

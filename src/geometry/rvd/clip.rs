@@ -1,29 +1,25 @@
 //! Clipping one facet to one Voronoi cell in f64 (\[HYWZ17\], Algorithm 2; re-entrant clipping after \[SH74\]).
 //!
 //! Purpose: the polygon in which facet and cell meet, and its integrals.
-//! Invariant: coordinates are relative to the seed, so nothing cancels; a point on a bisector
-//! belongs to the lower seed index (two-way sign); a side that rounding could get wrong is decided
-//! exactly from the vertex's identity (`rvd::exact`); where a bisector meets a mesh edge the point is
-//! computed from the edge's own ends, from the lower vertex index to the higher, so that both
-//! facets of the edge get the same bits.
-//! Must not know: which pairs there are, where neighbours come from.
+//! Invariant: coordinates are relative to the seed, so nothing cancels; a point on a bisector belongs to the lower seed index
+//! (two-way sign); a side that rounding could get wrong is decided exactly from the vertex's identity (`rvd::exact`); where a
+//! bisector meets a mesh edge the point is computed from the edge's own ends, from the lower vertex index to the higher, so that
+//! both facets of the edge get the same bits. Must not know: which pairs there are, where neighbours come from.
 
 use glam::DVec3;
 
 use super::cells::{FACET_EDGE, facet_edge};
-use super::exact::Sides;
-use super::{PairStatus, Surface};
+use super::{PairStatus, Surface, exact::Sides};
 use crate::token::{Pace, Token};
 
-/// A polygon vertex: position relative to the seed, density weight, and the label of the edge
-/// from here to the next vertex (opposite seed, or a facet edge; see [`facet_edge`]).
+/// A polygon vertex.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Vertex {
     /// The point relative to the seed, `p - x_i`, unit frame.
     pub p: DVec3,
     /// Density weight at p.
     pub w: f64,
-    /// What lies across the edge to the next vertex.
+    /// What lies across the edge to the next vertex: the opposite seed, or a facet edge ([`facet_edge`]).
     pub edge: u32,
 }
 
@@ -40,12 +36,10 @@ pub struct Integrals {
     pub area: f64,
 }
 
-/// Four times the squared radius bounds the squared distance of a seed that can cut; a little
-/// more, so that rounding of either does not matter.
+/// Four times the squared radius bounds the squared distance of a seed that can cut; a little more covers rounding.
 pub(super) const SECURITY: f64 = 4.0 * (1.0 + 1e-9);
 
-/// A cut that rounding may have moved by more than this share of the radius is placed exactly: the
-/// two lines are nearly parallel there, one cut in some ten thousand.
+/// A cut that rounding may move by more than this share of the radius is placed exactly: lines nearly parallel, one in 10⁴.
 const MAX_SLIP: f64 = 1e-11;
 
 /// Corners of one facet relative to one seed.
@@ -58,18 +52,19 @@ struct Corners {
 /// Scratch memory for clipping, and the last polygon.
 #[derive(Debug, Default)]
 pub struct Clipper {
-    polygon: Vec<Vertex>,
+    pub(super) polygon: Vec<Vertex>,
     next: Vec<Vertex>,
     /// Value of the bisector at each vertex, and the exact side.
     side: Vec<(f64, bool)>,
-    cutter: u32,
+    /// The seed whose bisector cut last. After an empty result it is nearer to the facet than the seed that was clipped.
+    pub(super) cutter: u32,
     /// Bound on the distance of each vertex from the seed.
     radius: f64,
     /// Bound on the error of each vertex's position.
     error: f64,
-    /// Work of the last cut.
     steps: usize,
-    token: Token,
+    /// Where it is stopped clips end early, without a polygon.
+    pub(super) token: Token,
     pace: Pace,
 }
 
@@ -77,19 +72,8 @@ pub struct Clipper {
 const EXACT: usize = 64;
 
 impl Clipper {
-    /// From now on clips end early where `token` is stopped, without a polygon.
-    pub fn listen(&mut self, token: &Token) {
-        self.token = token.clone();
-    }
-
-    /// Whether work is to end, after `steps` more steps.
-    pub fn is_stopped_after(&mut self, steps: usize) -> bool {
+    pub(super) fn is_stopped_after(&mut self, steps: usize) -> bool {
         self.token.is_stopped_after(steps, &mut self.pace)
-    }
-
-    /// Whether work was found to end.
-    pub fn is_stopped(&self) -> bool {
-        self.token.is_told_to_stop()
     }
 
     /// The last polygon; empty if the cell does not meet the facet.
@@ -97,20 +81,8 @@ impl Clipper {
         &self.polygon
     }
 
-    /// Forgets the last polygon.
-    pub fn clear(&mut self) {
-        self.polygon.clear();
-    }
-
-    /// The seed whose bisector cut last. After an empty result it is nearer to the facet than
-    /// the seed that was clipped.
-    pub fn cutter(&self) -> u32 {
-        self.cutter
-    }
-
-    /// Clips `facet` to the cell of seed `i` by the bisectors with `row`, nearest first, until
-    /// the security radius closes (\[LB12\]: no seed farther than twice the polygon's radius can
-    /// cut it). `complete` says that no other seed can matter; `slots` bounds the polygon.
+    /// Clips `facet` to the cell of seed `i` by the bisectors with `row`, nearest first, until the security radius closes
+    /// (\[LB12\]: no seed beyond twice the polygon's radius cuts). With `complete` no other matters; `slots` bounds the polygon.
     pub fn clip(
         &mut self,
         surface: &Surface,
@@ -171,8 +143,7 @@ impl Clipper {
     fn cut(&mut self, bisector: Bisector, corners: &Corners, sides: Sides<'_>) -> bool {
         let n = self.polygon.len();
         let inherited = self.error;
-        // d = |b|²/2 - p·b in floating point is off by at most this: three roundings in the dot
-        // product and one of |b|²/2, and the vertex's own error along b.
+        // By how much d = |b|²/2 - p·b may be off: three roundings in p·b, one of |b|²/2, and the vertex's own error along b.
         let unsure = bisector.length * (self.error + 4.0 * f64::EPSILON * (bisector.length + self.radius));
         self.side.clear();
         self.steps = n;
@@ -245,17 +216,15 @@ impl Clipper {
     }
 }
 
-/// Where the segment between two points (position, weight, bisector's value off by at most `unsure`)
-/// meets the bisector, in a direction that does not depend on which of the two facets asks; and how
-/// far along the segment that may be wrong.
+/// Where the segment between two points (position, weight, bisector's value off by at most `unsure`) meets the bisector, in
+/// a direction that does not depend on which of the two facets asks; and how far along the segment that may be wrong.
 fn between(v: (DVec3, f64, f64), u: (DVec3, f64, f64), unsure: f64) -> (DVec3, f64, f64) {
     let ((p, wp, dp), (q, wq, dq)) = if v.2 > u.2 { (v, u) } else { (u, v) };
     let t = parameter(dp, dq);
     (p + t * (q - p), wp + t * (wq - wp), 2.0 * unsure / (dp - dq) * p.distance(q))
 }
 
-/// Where a linear function with values `a` and `b` at 0 and 1 is zero, kept in [0, 1]: exact
-/// signs have said that it is, whatever rounding makes of it.
+/// Where a linear function with values `a` and `b` at 0 and 1 is zero, kept in [0, 1], where exact signs put it.
 fn parameter(a: f64, b: f64) -> f64 {
     let t = a / (a - b);
     if t.is_nan() { 0.5 } else { t.clamp(0.0, 1.0) }
@@ -271,8 +240,7 @@ impl Corners {
         }
     }
 
-    /// Where edge `e` meets a bisector, from its own ends, the lower mesh vertex first; and how far
-    /// along the edge that may be wrong.
+    /// Where edge `e` meets a bisector, from its own ends, the lower mesh vertex first; and how far along it that may be wrong.
     fn meet(&self, e: usize, bisector: &Bisector) -> (DVec3, f64, f64) {
         let (mut lo, mut hi) = (e, (e + 1) % 3);
         if self.vertex[lo] > self.vertex[hi] {

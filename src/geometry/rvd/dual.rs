@@ -26,10 +26,8 @@ pub struct Dual {
     pub triangles: Vec<[u32; 3]>,
     /// The components, ordered by seed and then by first facet.
     pub components: Vec<Component>,
-    /// Cells with more than one component.
     pub split_cells: usize,
-    /// RVD vertices whose three cells do not agree that they meet there. Their triangles are
-    /// attached to the largest component of the cell that does not know.
+    /// RVD vertices whose three cells disagree. Their triangles go to the largest component of the cell that does not know.
     pub inconsistent: usize,
     /// Components that are not a disk: their surroundings may have another topology than the surface. Ascending.
     pub not_disks: Vec<u32>,
@@ -39,37 +37,29 @@ pub struct Dual {
     pub multiple_boundary_arcs: Vec<u32>,
     /// The pieces, in facet order.
     pub pieces: Vec<Piece>,
-    /// Area of all pieces, unit frame.
     pub area: f64,
-    /// Cells without any piece.
     pub empty_cells: usize,
-    /// What the pass did.
     pub stats: PassStats,
 }
 
-/// Where a cell meets a facet.
+/// Where a cell meets a facet, unit frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Piece {
     /// The part of a cell that it belongs to, in [`Dual::components`].
     pub component: u32,
-    /// The facet.
     pub facet: u32,
     /// Bit c: corner c of the facet is in it.
     pub corners: u8,
-    /// Its area, unit frame.
     pub area: f64,
-    /// Its centroid, unit frame.
     pub centroid: DVec3,
 }
 
-/// One connected part of a restricted cell.
+/// One connected part of a restricted cell, unit frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Component {
-    /// The cell's seed.
     pub seed: u32,
-    /// Its area, unit frame.
     pub area: f64,
-    /// Its centroid (density 1), unit frame.
+    /// For density 1.
     pub centroid: DVec3,
     /// Whether it is all of its cell.
     pub whole: bool,
@@ -114,8 +104,7 @@ pub(super) type Stretch = [u32; 2];
 /// Where such a curve crosses a mesh edge: (edge, seeds in order) -> stretch.
 pub(super) type Crossing = ((u32, [u32; 2]), u32);
 
-/// Components that are not a disk, ascending. `pieces` has the component of each piece; `joints` the
-/// component of each mesh edge between two pieces; `inner` that of each mesh vertex inside.
+/// `pieces` has the component of each piece, `joints` of each mesh edge between two, `inner` of each mesh vertex inside.
 pub(super) fn not_disks(components: usize, pieces: &[u32], joints: &[u32], inner: &[u32]) -> Vec<u32> {
     let mut chi = vec![0i64; components];
     pieces.iter().for_each(|&c| chi[c as usize] += 1);
@@ -124,20 +113,17 @@ pub(super) fn not_disks(components: usize, pieces: &[u32], joints: &[u32], inner
     numbers(chi, |&chi| chi != 1)
 }
 
-/// Components that meet the boundary in more than one stretch, ascending. `ends` has the component of every
-/// end of a stretch.
+/// `ends` has the component of every end of a stretch of boundary.
 pub(super) fn multiple_boundary_arcs(components: usize, ends: impl Iterator<Item = u32>) -> Vec<u32> {
     let mut count = vec![0u32; components];
     ends.for_each(|c| count[c as usize] += 1);
     numbers(count, |&ends| ends > 2)
 }
 
-/// Where it is so.
 fn numbers<T>(of: Vec<T>, is_so: impl Fn(&T) -> bool) -> Vec<u32> {
     (0..).zip(of).filter(|(_, value)| is_so(value)).map(|(number, _)| number).collect()
 }
 
-/// Pairs of components that meet in more than one curve, ascending.
 pub(super) fn multiple_edges(stretches: &[Stretch], mut crossings: Vec<Crossing>, component: &[u32]) -> Vec<[u32; 2]> {
     let mut curves = DisjointSets::new(stretches.len());
     crossings.par_sort_unstable();

@@ -2,27 +2,22 @@
 //!
 //! Purpose: on which side of a bisector a symbolic RVD vertex lies, in integers; and where it is,
 //! when two lines are so nearly parallel that rounding would put it elsewhere.
-//! Invariant: the answer depends on the vertex's identity alone (mesh vertex; mesh edge and one
-//! bisector; facet and two bisectors), not on the caller or how the vertex was computed, so that all
-//! cells and facets around a vertex agree. There are no ties: seed i is given the infinitesimal
-//! weight w_i of a power diagram, w_0 ≫ w_1 ≫ … > 0 (simulation of simplicity, Edelsbrunner and
-//! Mücke 1990), so a point on a bisector belongs to the lower index.
-//! Must not know: polygons, neighbours.
+//! Invariant: the answer depends on the vertex's identity alone (mesh vertex; mesh edge and one bisector; facet and two
+//! bisectors), not on the caller or how the vertex was computed, so that all cells and facets around a vertex agree. There are
+//! no ties: seed i is given the infinitesimal weight w_i of a power diagram, w_0 ≫ w_1 ≫ … > 0 (simulation of simplicity,
+//! Edelsbrunner and Mücke 1990), so a point on a bisector belongs to the lower index. Must not know: polygons, neighbours.
 //!
-//! Positions are multiples of 2⁻⁵² ([`super::surface::snap`]), so all values are integers. In the
-//! plane of a facet with corners p_a, L_l(p) = |p - x_l|² - |p - x_i|² is linear, and is known by
-//! its three corner values M_a = L_l(p_a). Where bisectors with corner values J and K meet, the
-//! barycentric coordinates are J × K over their sum, so L_l has the sign of det(M, J, K) · det(1, J, K)
-//! there; on the edge from corner a to b, that of (J_a M_b - J_b M_a)(J_a - J_b). A weight adds
-//! δ_l = w_i - w_l to all three values; the determinants being linear in each row, the weights'
+//! Positions are multiples of 2⁻⁵² ([`super::surface::snap`]), so all values are integers. In the plane of a facet with
+//! corners p_a, L_l(p) = |p - x_l|² - |p - x_i|² is linear, and is known by its three corner values M_a = L_l(p_a).
+//! Where bisectors with corner values J and K meet, the barycentric coordinates are J × K over their sum, so L_l has
+//! the sign of det(M, J, K) · det(1, J, K) there; on the edge from corner a to b, that of (J_a M_b - J_b M_a)(J_a -
+//! J_b). A weight adds δ_l = w_i - w_l to all three values; the determinants being linear in each row, the weights'
 //! coefficients are the same determinants with one row replaced by ones.
 
 use num_bigint::{BigInt, Sign};
 use num_traits::ToPrimitive;
 
-use super::Surface;
-use super::cells::facet_edge;
-use super::surface::GRID;
+use super::{Surface, cells::facet_edge, surface::GRID};
 
 type Values = [BigInt; 3];
 
@@ -36,8 +31,7 @@ pub(super) struct Sides<'a> {
 }
 
 impl Sides<'_> {
-    /// Whether the vertex between polygon edges `before` and `after` (labels as in
-    /// [`super::cells`]) is on the side of seed i of the bisector with seed `l`.
+    /// Whether the vertex between polygon edges `before` and `after` is on the side of seed i of the bisector with seed `l`.
     pub(super) fn inside(&self, before: u32, after: u32, l: u32) -> bool {
         let m = self.values(l);
         match (facet_edge(before), facet_edge(after)) {
@@ -111,8 +105,7 @@ fn det(a: &Values, b: &Values, c: &Values) -> BigInt {
     &a[0] * minor(1, 2) + &a[1] * minor(2, 0) + &a[2] * minor(0, 1)
 }
 
-/// Whether `value` / `scale` is positive; if it is zero, the weight of the lowest seed index with a
-/// coefficient decides.
+/// Whether `value` / `scale` is positive; if it is zero, the weight of the lowest seed index with a coefficient decides.
 fn positive<const N: usize>(value: BigInt, mut weights: [(u32, BigInt); N], scale: &BigInt) -> bool {
     weights.sort_by_key(|w| w.0);
     let sign = std::iter::once(value.sign())

@@ -9,13 +9,14 @@
 //! Must not know: sums, threads, batches, how seeds that count on a facet were listed.
 
 use std::collections::{HashMap, HashSet};
+use std::iter::repeat_n;
 use std::ops::Range;
 
 use glam::DVec3;
 use rayon::prelude::*;
 
 use super::clip::Clipper;
-use super::{Capacities, PairStatus, PassStats, Surface};
+use super::{Capacities, PairStatus, PassStats, Surface, refill};
 use crate::knn::{NeighbourRow, NeighbourTable, SeedIndex, squared_distance};
 use crate::token::Token;
 
@@ -47,9 +48,8 @@ pub struct FacetWalker {
 const STEPS: usize = 64;
 
 impl FacetWalker {
-    /// Visits every cell that meets `facet`, beginning at `start`, a seed whose cell holds a point of the facet. `visit` gets
-    /// the seed and a non-empty polygon. A `list` holds all seeds that could be nearest to some point of the facet; the index and
-    /// the table are not read then.
+    /// Visits every cell that meets `facet` with its non-empty polygon, beginning at `start`, whose cell holds a point of it. A
+    /// `list` holds all seeds that could be nearest to some point of the facet; index and table are not read then.
     pub fn walk(
         &mut self,
         list: Option<&[u32]>,
@@ -68,18 +68,15 @@ impl FacetWalker {
         let mut others = 0;
         loop {
             let Some(&i) = self.cells.order.get(next) else {
-                // Where two seeds are equally far from the centroid but for a rounding, the start's cell may not
-                // meet the facet, nor that of the seed that cut it last. One does: its neighbours', most
-                // often, or else any.
+                // Where two seeds are equally far from the centroid but for a rounding, the start's cell may not meet
+                // the facet, nor that of the seed that cut it last. One does: its neighbours', most often, or else any.
                 let (row, rest) = match list {
                     None => (diagram.table.row(start).0, diagram.seeds.len()),
                     Some(list) => (list, 0),
                 };
                 let all = row.len() + rest;
-                if found || others == all || diagram.surface.facet_area(facet) == 0.0 {
-                    break;
-                }
-                if self.clipper.is_stopped_after(1) {
+                let no_area = || diagram.surface.facet_area(facet) == 0.0;
+                if found || others == all || no_area() || self.clipper.is_stopped_after(1) {
                     break;
                 }
                 self.cells.insert(row.get(others).copied().unwrap_or((others.max(row.len()) - row.len()) as u32));
@@ -88,14 +85,14 @@ impl FacetWalker {
             };
             next += 1;
             let status = self.clip_by(list.is_some(), diagram, facet, i, stats);
-            if status == PairStatus::NonFinite && self.clipper.is_stopped() {
+            if status == PairStatus::NonFinite && self.clipper.token.is_told_to_stop() {
                 break;
             }
             let polygon = self.clipper.polygon();
             if polygon.is_empty() {
                 if !found {
                     // A start that only touches the facet: the seed that took the last of it is nearer.
-                    self.cells.insert(self.clipper.cutter());
+                    self.cells.insert(self.clipper.cutter);
                 }
                 continue;
             }
@@ -143,13 +140,12 @@ impl FacetWalker {
             };
             // Where many seeds are near one another, rows are long.
             if self.clipper.is_stopped_after(row.0.len() + STEPS) {
-                self.clipper.clear();
+                self.clipper.polygon.clear();
                 return PairStatus::NonFinite;
             }
             match self.clipper.clip(surface, facet, seeds, i, row, slots) {
                 PairStatus::NeighboursExhausted => {
-                    // From what was asked for, not from what came: a row without its ties at the end may
-                    // be as short as the last one, or empty.
+                    // Not from what came alone: a row without its ties at the end may be as short as the last, or empty.
                     k = (k.max(row.0.len()).max(capacities.neighbours).max(1) + 1) * 4;
                     stats.relaunched_neighbours += 1;
                 }
@@ -162,11 +158,10 @@ impl FacetWalker {
         }
     }
 
-    /// Forgets rows of an earlier seed set. From now on walks end early where `token` is stopped; the caller checks the token
-    /// before it uses what they found.
+    /// Forgets rows of earlier seeds. From now on walks end early where `token` is stopped; check it before using what they found.
     pub fn reset(&mut self, token: &Token) {
         self.long_rows = LongRows::default();
-        self.clipper.listen(token);
+        self.clipper.token = token.clone();
     }
 
     /// Whether walks are to end.
@@ -196,10 +191,8 @@ impl Listed {
 
     fn set(&mut self, list: Option<&[u32]>) {
         let Some(list) = list else { return };
-        self.seeds.clear();
-        self.seeds.extend_from_slice(list);
-        self.sorted.clear();
-        self.sorted.resize(list.len(), 0);
+        list.clone_into(&mut self.seeds);
+        refill(&mut self.sorted, repeat_n(0, list.len()));
         self.rows.resize(list.len() * list.len(), 0);
     }
 
@@ -302,9 +295,8 @@ pub struct Starts {
 }
 
 impl Starts {
-    /// Finds those of `facets` on all threads of the present pool. The guess is the last answer for
-    /// the same facets, or the one before where that is near; without one the index answers, which is faster than a
-    /// walk from afar. Ends early where `token` is stopped; the answers are then of no use.
+    /// Finds those of `facets` on all threads of the present pool, from the last answer or from the one before where that is
+    /// near, or else by the index. Ends early where `token` is stopped; the answers are then of no use.
     pub fn find(&mut self, diagram: Diagram<'_>, facets: Range<u32>, token: &Token) -> &mut [u32] {
         let guessed = self.facets == facets;
         self.seeds.resize(facets.len(), 0);

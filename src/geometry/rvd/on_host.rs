@@ -3,19 +3,19 @@
 //! Purpose: makes any session [`Resident`]: the vectors of an optimiser as plain arrays (`vectors`), every
 //! pass through the session's own `sums`.
 //! Invariant: one order of additions, whatever the number of threads, so that all backends whose sums have the same bits
-//! walk the same path. The vectors cost a few per cent of a pass.
-//! Must not know: how sums are computed, line searches.
+//! walk the same path. The vectors cost a few per cent of a pass. Must not know: how sums are computed, line searches.
 
 mod vectors;
 
 use std::collections::VecDeque;
+use std::iter::repeat_n;
 use std::ops::Range;
 use std::sync::Arc;
 
 use glam::DVec3;
 
 use super::resident::HISTORY;
-use super::{CellSums, Evaluation, PassStats, PieceBatch, Resident, RvdError, Session};
+use super::{CellSums, Evaluation, PassStats, PieceBatch, Resident, RvdError, Session, refill};
 use crate::knn::Threads;
 use crate::token::Token;
 
@@ -59,13 +59,11 @@ impl<S> OnHost<S> {
     }
 
     fn reset(&mut self, n: usize) {
-        self.d.clear();
-        self.d.resize(n, DVec3::ZERO);
+        refill(&mut self.d, repeat_n(DVec3::ZERO, n));
         self.history.clear();
     }
 }
 
-/// Works on vectors of `seeds` seeds.
 fn on<R: Send>(pool: Option<&rayon::ThreadPool>, seeds: usize, work: impl FnOnce(Threads) -> R + Send) -> R {
     match pool {
         Some(pool) if seeds >= LONG => pool.install(|| work(Threads::Pool)),
@@ -76,11 +74,9 @@ fn on<R: Send>(pool: Option<&rayon::ThreadPool>, seeds: usize, work: impl FnOnce
 impl<S: Session> Session for OnHost<S> {
     fn set_seeds(&mut self, seeds: &[DVec3]) -> Result<(), RvdError> {
         self.session.set_seeds(seeds)?;
-        self.x.clear();
-        self.x.extend_from_slice(seeds);
+        seeds.clone_into(&mut self.x);
         if self.held.len() != seeds.len() {
-            self.held.clear();
-            self.held.resize(seeds.len(), false);
+            refill(&mut self.held, repeat_n(false, seeds.len()));
         }
         self.reset(seeds.len());
         Ok(())
@@ -104,8 +100,7 @@ impl<S: Session> Resident for OnHost<S> {
         if held.len() != self.x.len() {
             return Err(RvdError::Internal(format!("{} marks for {} seeds", held.len(), self.x.len())));
         }
-        self.held.clear();
-        self.held.extend_from_slice(held);
+        held.clone_into(&mut self.held);
         self.reset(held.len());
         Ok(())
     }
@@ -157,8 +152,7 @@ impl<S: Session> Resident for OnHost<S> {
     }
 
     fn probe(&mut self, step: f64, token: &Token) -> Result<Evaluation, RvdError> {
-        self.trial.clear();
-        self.trial.extend(self.x.iter().zip(&self.d).map(|(&x, &d)| x + step * d));
+        refill(&mut self.trial, self.x.iter().zip(&self.d).map(|(&x, &d)| x + step * d));
         self.session.set_seeds(&self.trial)?;
         let stats = self.session.sums(&mut self.trial_sums, token)?;
         let Self { pool, trial_g: g, trial_sums: sums, held, d, .. } = self;
@@ -191,8 +185,7 @@ impl<S: Session> Resident for OnHost<S> {
     }
 
     fn read(&mut self, out: &mut Vec<DVec3>) -> Result<(), RvdError> {
-        out.clear();
-        out.extend_from_slice(&self.x);
+        out.clone_from(&self.x);
         Ok(())
     }
 

@@ -51,8 +51,7 @@ pub enum Strategy {
     Facet,
     /// Each cell looks for the facets that it reaches.
     Cell,
-    /// The publication's rule: by cell for the facets that are expected to meet more than
-    /// [`CELLS_PER_FACET`] cells.
+    /// The publication's rule: by cell for the facets that are expected to meet more than [`CELLS_PER_FACET`] cells.
     Auto,
 }
 
@@ -233,6 +232,5 @@ pub enum RvdError {
     Internal(String),
 }
 
-/// The farthest seed that is accepted, in bounding boxes: beyond it a double's rounding of the
-/// distance to the seed is as large as the spacing of 10⁶ seeds.
+/// The farthest seed accepted, in bounding boxes: beyond it distances are rounded by the spacing of 10⁶ seeds.
 pub const MAX_SEED_DISTANCE: f64 = 1e6;

@@ -3,11 +3,10 @@
 //! Purpose: the fast CPU backend. Sums are taken of all cells of a facet at once (`facets`), from lists (`builder`) that
 //! serve several passes (`lists`) but for a few seeds (`escaped seeds`), and by [`super::serial`]'s walk where that does not
 //! suffice; pieces by the walk alone.
-//! Invariant: the diagram of [`super::serial`], pieces to the bit and sums to rounding; and the same
-//! bits whatever the number of threads and whatever passes came before: facets are taken in one order (`order`), blocks
-//! of it, whose size depends on the counts of facets and seeds alone, are added up for themselves, and every cell adds
-//! those sums up in that order.
-//! Must not know: iterations.
+//! Invariant: the diagram of [`super::serial`], pieces to the bit and sums to rounding; and the same bits whatever the
+//! number of threads and whatever passes came before: facets are taken in one order (`order`), blocks of it, whose size
+//! depends on the counts of facets and seeds alone, are added up for themselves, and every cell adds those sums up in
+//! that order. Must not know: iterations.
 
 mod candidates;
 mod divide;
@@ -23,12 +22,11 @@ use rayon::prelude::*;
 
 use self::candidates::verlet::VerletLists;
 use self::schedule::chunk::{self, Chunk, Task, Walkers};
-use super::incident::Diagram;
-use super::incident::Starts;
+use super::incident::{Diagram, Starts};
 use super::on_host::OnHost;
 use super::{
-    Backend, BackendKind, Capacities, CellSums, PassStats, PieceBatch, RvdError, Session, SessionOptions, Surface,
-    elapsed_ms, take_seeds,
+    Backend, BackendKind, CellSums, PassStats, PieceBatch, RvdError, Session, SessionOptions, Surface, elapsed_ms,
+    take_seeds,
 };
 use crate::knn::{NeighbourTable, SeedIndex, Threads};
 use crate::token::Token;
@@ -74,9 +72,7 @@ impl Backend for Parallel {
         let session = ParallelSession {
             pool: Arc::clone(&self.pool),
             surface,
-            max_seeds: options.max_seeds,
-            flat_pieces: options.flat_pieces,
-            capacities: options.capacities,
+            options,
             seeds: Vec::new(),
             index: SeedIndex::new(&[]),
             table: NeighbourTable::default(),
@@ -132,9 +128,7 @@ enum From {
 struct ParallelSession {
     pool: Arc<rayon::ThreadPool>,
     surface: Arc<Surface>,
-    max_seeds: usize,
-    flat_pieces: bool,
-    capacities: Capacities,
+    options: SessionOptions,
     seeds: Vec<DVec3>,
     index: SeedIndex,
     table: NeighbourTable,
@@ -169,14 +163,13 @@ impl ParallelSession {
             return if self.seeds.is_empty() { Err(RvdError::NoSeeds) } else { Ok(0.0) };
         }
         let begin = Instant::now();
-        self.lists.lose_index();
+        self.lists.indexed = false;
         self.index = SeedIndex::with_threads(&self.seeds, Threads::Pool);
         (self.stale, self.no_rows) = (false, true);
         Ok(elapsed_ms(begin))
     }
 
-    /// Builds the index of where seeds are expected to go, instead of one of where they are. Returns whether lists can be
-    /// made about that.
+    /// Builds the index of where seeds are expected to go, not of where they are. Returns whether lists can be made about it.
     fn look_ahead(&mut self, area: f64) -> bool {
         let Some(places) = self.lists.look_ahead(&self.seeds, area) else { return false };
         self.index = SeedIndex::with_threads(places, Threads::Pool);
@@ -195,7 +188,8 @@ impl ParallelSession {
             return Ok(index_ms);
         }
         let begin = Instant::now();
-        if !self.table.fill(&self.index, self.capacities.neighbours, Threads::Pool, &|| token.is_stopped()) {
+        let neighbours = self.options.capacities.neighbours;
+        if !self.table.fill(&self.index, neighbours, Threads::Pool, &|| token.is_stopped()) {
             token.check()?;
         }
         self.no_rows = false;
@@ -211,7 +205,7 @@ impl ParallelSession {
         let listed = self.stale && !self.seeds.is_empty() && !coarse;
         if listed
             && self.lists.hold(&self.seeds, blocks.facets * blocks.a_chunk)
-            && let Some(stats) = self.pass(out, (blocks, From::Lists), token)?
+            && let Some(stats) = self.pass(out, From::Lists, token)?
         {
             return Ok(stats);
         }
@@ -222,7 +216,7 @@ impl ParallelSession {
             let ahead = self.look_ahead(area);
             stats.neighbours_ms += elapsed_ms(begin);
             if ahead {
-                if let Some(pass) = self.pass(out, (blocks, From::Ahead), token)? {
+                if let Some(pass) = self.pass(out, From::Ahead, token)? {
                     stats.add(&pass);
                     return Ok(stats);
                 }
@@ -235,7 +229,7 @@ impl ParallelSession {
             let begin = Instant::now();
             self.lists.choose_evenly(&self.seeds, &self.index, area);
             stats.neighbours_ms += elapsed_ms(begin);
-            if let Some(pass) = self.pass(out, (blocks, From::Index), token)? {
+            if let Some(pass) = self.pass(out, From::Index, token)? {
                 stats.add(&pass);
                 return Ok(stats);
             }
@@ -247,27 +241,22 @@ impl ParallelSession {
             true => self.lists.leave(),
             false => self.lists.choose(&self.seeds, &self.table),
         }
-        stats.add(&self.pass(out, (blocks, From::Rows { coarse }), token)?.unwrap_or_default());
+        stats.add(&self.pass(out, From::Rows { coarse }, token)?.unwrap_or_default());
         Ok(stats)
     }
 
     /// Sums of all facets; `None` if those lists do not do.
-    fn pass(
-        &mut self,
-        out: &mut CellSums,
-        (blocks, from): (Blocks, From),
-        token: &Token,
-    ) -> Result<Option<PassStats>, RvdError> {
+    fn pass(&mut self, out: &mut CellSums, from: From, token: &Token) -> Result<Option<PassStats>, RvdError> {
         out.reset(self.seeds.len());
         self.reset_walkers(token);
         let mut stats = PassStats::default();
-        let Blocks { facets: block, a_chunk } = blocks;
+        let Blocks { facets: block, a_chunk } = self.blocks(self.order.len());
         let size = block * a_chunk;
         let tasks = self.order.len().div_ceil(size);
         self.chunks.resize_with(WAVE.min(tasks), Chunk::default);
         let table = if matches!(from, From::Rows { .. }) { &self.table } else { &self.no_table };
-        let Self { surface, seeds, index, capacities, .. } = self;
-        let diagram = Diagram { surface, seeds, index, table, capacities: *capacities };
+        let Self { surface, options, seeds, index, .. } = self;
+        let diagram = Diagram { surface, seeds, index, table, capacities: options.capacities };
         let begin = Instant::now();
         let (facets, starts) = self.order.guesses(diagram, from != From::Lists, token);
         token.check()?;
@@ -332,12 +321,12 @@ impl ParallelSession {
         let begin = Instant::now();
         let Blocks { facets: block, a_chunk } = self.blocks(facets.len());
         let size = block * a_chunk;
-        let Self { surface, seeds, index, table, capacities, .. } = self;
-        let diagram = Diagram { surface, seeds, index, table, capacities: *capacities };
+        let Self { surface, options, seeds, index, table, .. } = self;
+        let diagram = Diagram { surface, seeds, index, table, capacities: options.capacities };
         let starts = self.starts.find(diagram, facets.clone(), token);
         token.check()?;
         stats.start_ms = elapsed_ms(begin);
-        let flat = self.flat_pieces;
+        let flat = self.options.flat_pieces;
         self.chunks.resize_with(WAVE.min(facets.len().div_ceil(size)), Chunk::default);
         for (w, starts) in starts.chunks(size * WAVE).enumerate() {
             token.check()?;
@@ -366,18 +355,14 @@ impl ParallelSession {
     /// Forgets what scratch memory has of other seeds.
     fn reset_walkers(&mut self, token: &Token) {
         for walkers in &mut self.walkers {
-            match walkers.get_mut() {
-                Ok(walkers) => walkers.reset(token),
-                // A panic left it as it was.
-                Err(_) => {
-                    *walkers = Mutex::default();
-                    walkers.get_mut().unwrap_or_else(PoisonError::into_inner).reset(token);
-                }
+            // A panic left it as it was.
+            if walkers.is_poisoned() {
+                *walkers = Mutex::default();
             }
+            walkers.get_mut().unwrap_or_else(PoisonError::into_inner).walker.reset(token);
         }
     }
 
-    /// How `facets` facets are shared out.
     fn blocks(&self, facets: usize) -> Blocks {
         // A facet meets its share of the cells and some more at its rim.
         let per_facet = 3 + 2 * self.seeds.len() / self.surface.facets().len();
@@ -389,7 +374,7 @@ impl ParallelSession {
 
 impl Session for ParallelSession {
     fn set_seeds(&mut self, seeds: &[DVec3]) -> Result<(), RvdError> {
-        take_seeds(seeds, self.max_seeds, &mut self.seeds)?;
+        take_seeds(seeds, self.options.max_seeds, &mut self.seeds)?;
         self.stale = true;
         Ok(())
     }

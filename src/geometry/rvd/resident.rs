@@ -41,8 +41,7 @@ pub trait Resident {
     /// One pass at the present point x; its gradient g is kept. The slope is 0.
     fn evaluate(&mut self, token: &Token) -> Result<Evaluation, RvdError>;
 
-    /// After [`Resident::evaluate`]: every seed that is not held goes to its cell's centroid; the seed
-    /// of an empty cell stays. Clears the history.
+    /// After [`Resident::evaluate`]: seeds go to their cells' centroids, if not held or of an empty cell. Clears the history.
     fn to_centroids(&mut self) -> Result<(), RvdError>;
 
     /// One Lloyd step at least and `steps` at most, each as [`Resident::evaluate`] and then

@@ -2,8 +2,7 @@
 //!
 //! Purpose: what the other backends are judged by. It takes one facet after the other, walks its
 //! cells and adds each piece to its cell's sums, and nothing else.
-//! Invariant: a cell's sums are added in the order of the facets.
-//! Must not know: batches, threads.
+//! Invariant: a cell's sums are added in the order of the facets. Must not know: batches, threads.
 
 use std::ops::Range;
 use std::sync::Arc;
@@ -15,8 +14,8 @@ use super::clip::Clipper;
 use super::incident::{Diagram, FacetWalker};
 use super::on_host::OnHost;
 use super::{
-    Backend, BackendKind, Capacities, CellSums, PassStats, PieceBatch, RvdError, Session, SessionOptions, Surface,
-    elapsed_ms, take_seeds,
+    Backend, BackendKind, CellSums, PassStats, PieceBatch, RvdError, Session, SessionOptions, Surface, elapsed_ms,
+    refill, take_seeds,
 };
 use crate::knn::{NeighbourTable, SeedIndex, Threads};
 use crate::token::Token;
@@ -35,8 +34,7 @@ impl Backend for Serial {
     }
 
     fn pool(&self) -> Option<Arc<rayon::ThreadPool>> {
-        // One for each caller: two that share a thread would wait for each other. Without a thread there is nothing to do but
-        // to work on the caller's.
+        // One for each caller: two that share a thread would wait for each other. Without one, the caller's does the work.
         let name = |_| "tessera-serial".to_owned();
         rayon::ThreadPoolBuilder::new().num_threads(1).thread_name(name).build().ok().map(Arc::new)
     }
@@ -44,9 +42,7 @@ impl Backend for Serial {
     fn session(&self, surface: Arc<Surface>, options: SessionOptions) -> Result<Box<dyn Session>, RvdError> {
         let session = SerialSession {
             surface,
-            max_seeds: options.max_seeds,
-            flat_pieces: options.flat_pieces,
-            capacities: options.capacities,
+            options,
             seeds: Vec::new(),
             index: SeedIndex::with_threads(&[], Threads::One),
             table: NeighbourTable::default(),
@@ -59,9 +55,7 @@ impl Backend for Serial {
 
 struct SerialSession {
     surface: Arc<Surface>,
-    max_seeds: usize,
-    flat_pieces: bool,
-    capacities: Capacities,
+    options: SessionOptions,
     seeds: Vec<DVec3>,
     index: SeedIndex,
     table: NeighbourTable,
@@ -81,7 +75,8 @@ impl SerialSession {
         }
         let begin = Instant::now();
         self.index = SeedIndex::with_threads(&self.seeds, Threads::One);
-        if !self.table.fill(&self.index, self.capacities.neighbours, Threads::One, &|| token.is_stopped()) {
+        let neighbours = self.options.capacities.neighbours;
+        if !self.table.fill(&self.index, neighbours, Threads::One, &|| token.is_stopped()) {
             token.check()?;
         }
         self.walker.reset(token);
@@ -99,15 +94,14 @@ impl SerialSession {
     ) -> Result<PassStats, RvdError> {
         let mut stats = PassStats { neighbours_ms: self.refresh(token)?, ..PassStats::default() };
         stats.duplicate_seeds = self.index.duplicates() as u64;
-        let Self { surface, seeds, index, table, capacities, .. } = self;
-        let diagram = Diagram { surface, seeds, index, table, capacities: *capacities };
+        let Self { surface, options, seeds, index, table, .. } = self;
+        let diagram = Diagram { surface, seeds, index, table, capacities: options.capacities };
         let mut starts = Vec::with_capacity(BATCH);
         for first in range.clone().step_by(BATCH) {
             token.check()?;
             let batch = first..range.end.min(first + BATCH as u32);
             let begin = Instant::now();
-            starts.clear();
-            starts.extend(batch.clone().map(|f| index.nearest(surface.centroid(f))));
+            refill(&mut starts, batch.clone().map(|f| index.nearest(surface.centroid(f))));
             stats.start_ms += elapsed_ms(begin);
             let begin = Instant::now();
             for facet in batch.clone().filter(|&f| wanted(surface, f as usize)) {
@@ -124,7 +118,7 @@ impl SerialSession {
 
 impl Session for SerialSession {
     fn set_seeds(&mut self, seeds: &[DVec3]) -> Result<(), RvdError> {
-        take_seeds(seeds, self.max_seeds, &mut self.seeds)?;
+        take_seeds(seeds, self.options.max_seeds, &mut self.seeds)?;
         self.stale = true;
         Ok(())
     }
@@ -137,7 +131,7 @@ impl Session for SerialSession {
 
     fn pieces(&mut self, facets: Range<u32>, out: &mut PieceBatch, token: &Token) -> Result<PassStats, RvdError> {
         out.clear();
-        let flat = self.flat_pieces;
+        let flat = self.options.flat_pieces;
         let wanted = |s: &Surface, f: usize| if flat { s.joins(f) } else { !s.skips(f) };
         let stats = self.walk(facets, wanted, token, |facet, i, origin, clipper| {
             out.push(facet, i, clipper.polygon().iter().map(|v| (origin + v.p, v.w, v.edge)));

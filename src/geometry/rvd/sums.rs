@@ -1,18 +1,17 @@
 //! Sums over cells, what a pass and its device did, and the figures of a report.
 //!
-//! Purpose: [`CellSums`], what a pass answers; [`PassStats`], what it did; [`DeviceWork`], what crossed between host and device;
-//! [`PhasesMs`], what the device itself says its stages took; [`RvdFigures`], what a report says of all passes.
+//! Purpose: what a pass answers, what it did, what crossed between host and device and took time there, and a report's figures.
 //! Invariant: sums have one entry a seed. Work and phases grow from a session's opening on; a difference of two is what was done
 //! between. A session on a CPU has neither. A name of a figure does not change, since scripts read it.
 //! Must not know: how pieces were made, what passes and submissions are for.
 
-use std::ops::AddAssign;
+use std::{iter::repeat_n, ops::AddAssign};
 
 use glam::DVec3;
 use serde::Serialize;
 
 use super::dual::Dual;
-use super::{Surface, clip};
+use super::{Surface, clip, refill};
 
 /// Sums over each restricted cell Ω_i, in the surface's unit frame. All have one entry a seed.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -30,14 +29,10 @@ pub struct CellSums {
 impl CellSums {
     /// Zero for `n` cells, keeping what was allocated.
     pub fn reset(&mut self, n: usize) {
-        self.mass.clear();
-        self.mass.resize(n, 0.0);
-        self.moment.clear();
-        self.moment.resize(n, DVec3::ZERO);
-        self.energy.clear();
-        self.energy.resize(n, 0.0);
-        self.area.clear();
-        self.area.resize(n, 0.0);
+        refill(&mut self.mass, repeat_n(0.0, n));
+        refill(&mut self.moment, repeat_n(DVec3::ZERO, n));
+        refill(&mut self.energy, repeat_n(0.0, n));
+        refill(&mut self.area, repeat_n(0.0, n));
     }
 
     /// Adds one piece to cell `i`.
@@ -65,8 +60,7 @@ pub struct PassStats {
     pub relaunched_polygon: u64,
     /// Pairs done again, or inserted again, with more cell slots for their facet.
     pub relaunched_cells: u64,
-    /// Facets whose cells had found them and that were left to propagation, so that the pass began
-    /// anew (GPU, [`Strategy::Cell`](super::Strategy::Cell)).
+    /// Facets that cells had found and left to propagation, so that the pass began anew (GPU, looking by cell).
     pub relaunched_facets: u64,
     /// Pairs that another precision finished (GPU: the f64 path).
     pub f64_finished: u64,
@@ -84,7 +78,6 @@ pub struct PassStats {
     pub device: DeviceWork,
 }
 
-/// `stats.uploaded_bytes` is `stats.device.uploaded_bytes`.
 impl std::ops::Deref for PassStats {
     type Target = DeviceWork;
 

@@ -1,17 +1,14 @@
 //! The surface as the backends see it.
 //!
 //! Purpose: a mesh moved into the unit box, with a weight per vertex.
-//! Invariant: the scale is a power of two, so scaling rounds nothing; coordinates are in about
-//! [-1/2, 1/2] whatever the caller's units and offset.
-//! Must not know: seeds, backends.
+//! Invariant: the scale is a power of two, so scaling rounds nothing; coordinates are in about [-1/2, 1/2] whatever the
+//! caller's units and offset. Must not know: seeds, backends.
 
 use glam::DVec3;
 use rayon::prelude::*;
 
 use super::RvdError;
-use crate::mesh::TriMesh;
-use crate::mesh::adjacency::weld;
-use crate::mesh::closest_point::ClosestPoint;
+use crate::mesh::{TriMesh, adjacency::weld, closest_point::ClosestPoint};
 
 /// The map between the caller's coordinates and the unit frame: unit = (p - centre) * scale.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -72,11 +69,8 @@ pub struct Surface {
 }
 
 impl Surface {
-    /// Takes a mesh and, if the density is not uniform, one weight per vertex
-    /// (linear in each facet; edge length h needs w ∝ h⁻⁴).
-    ///
-    /// # Errors
-    /// `WeightCount`, `BadWeight`, `NoArea`.
+    /// Takes a mesh and, if the density is not uniform, one weight per vertex (linear in each facet; edge length h needs
+    /// w ∝ h⁻⁴). Errors: `WeightCount`, `BadWeight`, `NoArea`.
     pub fn new(mesh: &TriMesh, weights: Option<&[f64]>) -> Result<Self, RvdError> {
         let (low, high) = mesh.bounds();
         let frame = Frame::of_bounds(low, high);
@@ -162,8 +156,7 @@ impl Surface {
         &self.facets
     }
 
-    /// Facets with every vertex replaced by the lowest one at exactly the same place, so that
-    /// the two sides of a texture seam share their edges.
+    /// Facets with the lowest vertex at exactly the same place for each, so that both sides of a texture seam share edges.
     pub fn welded(&self) -> &[[u32; 3]] {
         &self.welded
     }
@@ -197,12 +190,10 @@ impl Surface {
         Ok(ClosestPoint::new(&mesh))
     }
 
-    /// E_hex: the energy that `seeds` seeds would have on a flat surface of this size and
-    /// density if every cell were a regular hexagon, 5/(18√3) (∫√w)²/n, unit frame. √w is taken
-    /// as linear between the corners of a facet.
+    /// E_hex: the energy that `seeds` seeds would have on a flat surface of this size and density if every cell were a
+    /// regular hexagon, 5/(18√3) (∫√w)²/n, unit frame. √w is taken as linear between the corners of a facet.
     pub fn hexagonal_energy(&self, seeds: usize) -> f64 {
-        let root_mass = self.root_mass();
-        5.0 / (18.0 * 3f64.sqrt()) * root_mass * root_mass / seeds as f64
+        5.0 / (18.0 * 3f64.sqrt()) * self.root_mass * self.root_mass / seeds as f64
     }
 
     /// ∫√w, unit frame, √w taken as linear between the corners of a facet.
@@ -231,9 +222,8 @@ impl Surface {
         0.5 * (b - a).cross(c - a).length()
     }
 
-    /// Whether facet `f` joins its neighbours: it has an area, or at least three corners in three
-    /// places. A facet without area between two others is part of no integral, but the surface
-    /// goes on across it.
+    /// Whether facet `f` joins its neighbours: it has an area, or at least three corners in three places. A facet
+    /// without area between two others is part of no integral, but the surface goes on across it.
     pub fn joins(&self, f: usize) -> bool {
         let [a, b, c] = self.welded[f];
         !self.skip[f] || (a != b && b != c && c != a)

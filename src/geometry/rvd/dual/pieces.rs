@@ -7,11 +7,9 @@
 use glam::DVec3;
 use rayon::prelude::*;
 
-use super::{Component, Dual, Piece};
-use super::{Crossing, Stretch};
+use super::{Component, Crossing, Dual, Piece, Stretch};
 use crate::mesh::edges::{DisjointSets, EdgeGroups, Half};
-use crate::rvd::cells::facet_edge;
-use crate::rvd::{PieceBatch, Surface};
+use crate::rvd::{PieceBatch, Surface, facet_edge};
 use crate::token::{Stopped, Token};
 
 /// What the dual needs of each piece, in facet order.
@@ -36,14 +34,12 @@ pub(super) struct Pieces {
     crossings: Vec<(u32, u32)>,
 }
 
-/// Pieces joined across mesh edges.
 struct Joined {
     sets: DisjointSets,
     /// One piece for each mesh edge between two pieces of a cell.
     joints: Vec<u32>,
     /// Number of the edge of each half-edge.
     edge: Vec<u32>,
-    /// Whether an edge has one facet.
     boundary_edge: Vec<bool>,
     /// Whether a mesh vertex lies on a boundary.
     boundary: Vec<bool>,
@@ -54,24 +50,18 @@ struct Seams {
     /// Half-edges with the number of their edge among these.
     halves: Vec<(u32, u32)>,
     boundary_edge: Vec<bool>,
-    /// Mesh vertices on a boundary.
     boundary: Vec<u32>,
     /// Pieces of one cell, and whether the first has no other partner before at this edge.
     pairs: Vec<(u32, u32, bool)>,
 }
 
-/// See the [`Dual`]'s fields of these names.
-struct Failing {
-    not_disks: Vec<u32>,
-    multiple_boundary_arcs: Vec<u32>,
-    multiple_edges: Vec<[u32; 2]>,
-}
+/// Components that are not disks, that have multiple boundary arcs, and pairs with multiple edges.
+type Failing = (Vec<u32>, (Vec<u32>, Vec<[u32; 2]>));
 
 /// Pieces that are one task.
 const RUN: usize = 2048;
 
 impl Pieces {
-    /// Takes in the next batch.
     pub(super) fn take(&mut self, batch: &PieceBatch) {
         let runs: Vec<usize> = (0..batch.len()).step_by(RUN).collect();
         let part = |&first: &usize| Self::of(batch, first..batch.len().min(first + RUN));
@@ -112,8 +102,7 @@ impl Pieces {
                         edges |= 1 << e;
                         corners |= u8::from(from.is_some()) << e;
                     }
-                    // Around the vertex, counter-clockwise: this cell, the one across the edge
-                    // that arrives, the one across the edge that leaves.
+                    // Counter-clockwise around the vertex: this cell, that across the arriving edge, that across the leaving one.
                     (None, None) if before != after && seed < before && seed < after => {
                         part.vertices.push((piece, [before, after]));
                     }
@@ -149,26 +138,24 @@ impl Pieces {
         self.first[facet as usize] as usize..self.first[facet as usize + 1] as usize
     }
 
-    /// The piece of `seed` in `facet`.
     fn find(&self, facet: u32, seed: u32) -> Option<u32> {
         let range = self.of_facet(facet);
         let start = range.start;
         self.seed[range].binary_search(&seed).ok().map(|k| (start + k) as u32)
     }
 
-    /// Joins pieces of one cell across mesh edges, numbers the components, names the triangles, and
-    /// finds what breaks the topology.
+    /// Joins pieces of one cell across mesh edges, numbers the components, names triangles, and finds what breaks the topology.
     pub(super) fn join(&self, surface: &Surface, seeds: usize, token: &Token) -> Result<Dual, Stopped> {
         token.check()?;
         let mut joined = self.across_edges(surface);
         token.check()?;
-        let (mut dual, component) = self.number(&mut joined.sets, seeds);
+        let (dual, component) = self.number(&mut joined.sets, seeds);
         token.check()?;
         let count = dual.components.len();
         let failing = || self.failing(surface, &joined, count, &component);
         let (failing, pieces) = rayon::join(failing, || self.centres(&component));
-        let Failing { not_disks, multiple_boundary_arcs, multiple_edges } = failing;
-        Ok(Dual { not_disks, multiple_boundary_arcs, multiple_edges, pieces, ..std::mem::take(&mut dual) })
+        let (not_disks, (multiple_boundary_arcs, multiple_edges)) = failing;
+        Ok(Dual { not_disks, multiple_boundary_arcs, multiple_edges, pieces, ..dual })
     }
 
     /// What breaks the topology, of `count` components.
@@ -193,8 +180,7 @@ impl Pieces {
             let crossings: Vec<Crossing> = self.crossings.par_iter().with_min_len(RUN).map(crossing).collect();
             (boundary_arcs, super::multiple_edges(&stretches, crossings, component))
         };
-        let (not_disks, (multiple_boundary_arcs, multiple_edges)) = rayon::join(disks, edges);
-        Failing { not_disks, multiple_boundary_arcs, multiple_edges }
+        rayon::join(disks, edges)
     }
 
     fn centres(&self, component: &[u32]) -> Vec<Piece> {

@@ -62,8 +62,7 @@ pub(super) fn evaluate(
     })
 }
 
-/// By what a seed's part of the gradient is divided so that it is the way from its centroid: twice its mass. 0 for a cell
-/// without mass, which has no part.
+/// One over twice the mass, which makes a seed's part of the gradient the way from its centroid; 0 without mass.
 fn preconditioner(mass: f64) -> f64 {
     let preconditioner = 0.5 / mass;
     if preconditioner.is_finite() { preconditioner } else { 0.0 }

@@ -21,8 +21,7 @@ use escaped::Bounds;
 pub(crate) struct Lists {
     ends: Vec<u32>,
     seeds: Vec<u32>,
-    /// For each group of [`neighbourhood::GROUP`] facets, the box of seeds that may be nearer to a corner than the
-    /// facet's start.
+    /// Per group of [`neighbourhood::GROUP`] facets, the box of seeds that may be nearer to a corner than a facet's start.
     pub bounds: Vec<Bounds>,
 }
 
@@ -47,7 +46,6 @@ impl Lists {
         &mut self.seeds[begin..]
     }
 
-    /// How many seeds a list has.
     pub(crate) fn mean_len(&self) -> usize {
         self.seeds.len() / self.ends.len().max(1)
     }
@@ -60,7 +58,6 @@ impl Lists {
         self.ends.extend(other.ends[range].iter().map(|end| end.wrapping_add(shift)));
     }
 
-    /// Where the list at `at` begins.
     fn first(&self, at: usize) -> u32 {
         if at == 0 { 0 } else { self.ends[at - 1] }
     }
@@ -69,7 +66,6 @@ impl Lists {
         self.ends.len()
     }
 
-    /// The list of the facet at `at` of the chunk.
     pub(crate) fn get(&self, at: usize) -> &[u32] {
         &self.seeds[self.first(at) as usize..self.ends[at] as usize]
     }

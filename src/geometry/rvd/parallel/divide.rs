@@ -35,8 +35,16 @@ pub(crate) struct Mask<S: Simd> {
     value: S::m64s,
 }
 
+macro_rules! methods {
+    ($($name:ident($($other:ident)?) -> $of:ident = $simd:ident;)*) => {$(
+        #[inline(always)]
+        pub(crate) fn $name(self $(, $other: Self)?) -> $of<S> {
+            $of { simd: self.simd, value: self.simd.$simd(self.value $(, $other.value)?) }
+        }
+    )*};
+}
+
 impl<S: Simd> Number<S> {
-    /// How many lanes there are.
     pub(crate) const LANES: usize = if S::F64_LANES < WIDEST { S::F64_LANES } else { WIDEST };
 
     #[inline(always)]
@@ -54,34 +62,13 @@ impl<S: Simd> Number<S> {
         S::as_mut_simd_f64s(&mut row.0).0[0] = self.value;
     }
 
-    #[inline(always)]
-    pub(crate) fn abs(self) -> Self {
-        Self { value: self.simd.abs_f64s(self.value), ..self }
-    }
-
-    #[inline(always)]
-    pub(crate) fn sqrt(self) -> Self {
-        Self { value: self.simd.sqrt_f64s(self.value), ..self }
-    }
-
-    #[inline(always)]
-    pub(crate) fn below(self, other: Self) -> Mask<S> {
-        Mask { simd: self.simd, value: self.simd.less_than_f64s(self.value, other.value) }
-    }
-
-    #[inline(always)]
-    pub(crate) fn at_most(self, other: Self) -> Mask<S> {
-        Mask { simd: self.simd, value: self.simd.less_than_or_equal_f64s(self.value, other.value) }
-    }
-
-    #[inline(always)]
-    pub(crate) fn larger(self, other: Self) -> Self {
-        Self { value: self.simd.max_f64s(self.value, other.value), ..self }
-    }
-
-    #[inline(always)]
-    pub(crate) fn smaller(self, other: Self) -> Self {
-        Self { value: self.simd.min_f64s(self.value, other.value), ..self }
+    methods! {
+        abs() -> Number = abs_f64s;
+        sqrt() -> Number = sqrt_f64s;
+        larger(other) -> Number = max_f64s;
+        smaller(other) -> Number = min_f64s;
+        below(other) -> Mask = less_than_f64s;
+        at_most(other) -> Mask = less_than_or_equal_f64s;
     }
 }
 
@@ -92,7 +79,6 @@ impl<S: Simd> Mask<S> {
         zero.below(zero)
     }
 
-    /// `yes` where it is so, `no` elsewhere.
     #[inline(always)]
     pub(crate) fn choose(self, yes: Number<S>, no: Number<S>) -> Number<S> {
         Number { simd: self.simd, value: self.simd.select_f64s(self.value, yes.value, no.value) }
@@ -141,7 +127,6 @@ pub(crate) type Moments = [Row; WEIGHTED];
 
 /// Number of moments where the weight is 1; the first moment then also stands for the last.
 pub(crate) const UNIFORM: usize = 6;
-/// Number of moments where the weight is linear in the facet.
 pub(crate) const WEIGHTED: usize = 7;
 
 /// The weight at the first corner, and how much more it is at the others.
@@ -149,7 +134,6 @@ pub(crate) const WEIGHTED: usize = 7;
 pub(crate) struct Weight<S: Simd>([Number<S>; 3]);
 
 impl<S: Simd> Weight<S> {
-    /// From the weights at the corners.
     #[inline(always)]
     pub(crate) fn new([first, second, third]: [Number<S>; 3]) -> Self {
         Self([first, second - first, third - first])
@@ -200,7 +184,6 @@ pub(crate) fn segment_moments<S: Simd, const N: usize>(
     m
 }
 
-/// Adds to a piece's moments.
 #[inline(always)]
 pub(crate) fn add_moments<S: Simd, const N: usize>(simd: S, sum: &mut Moments, more: [Number<S>; N]) {
     for m in 0..N {
@@ -208,7 +191,6 @@ pub(crate) fn add_moments<S: Simd, const N: usize>(simd: S, sum: &mut Moments, m
     }
 }
 
-/// Takes from a piece's moments.
 #[inline(always)]
 pub(crate) fn take_moments<S: Simd, const N: usize>(simd: S, sum: &mut Moments, less: [Number<S>; N]) {
     for m in 0..N {
@@ -223,7 +205,6 @@ pub(crate) struct Shape<S: Simd> {
     pub twice_area: Number<S>,
 }
 
-/// Integrals over pieces about their seeds.
 pub(crate) struct PieceIntegrals<S: Simd> {
     pub mass: Number<S>,
     pub moment: [Number<S>; 3],
@@ -252,33 +233,22 @@ pub(crate) fn integrals<S: Simd, const N: usize>(
     let mass = part(simd, moments, one, mass);
     let [u, v] = [0, 1].map(|k| part(simd, moments, first + k, linear));
     let [uu, uv, vv] = [0, 1, 2].map(|k| part(simd, moments, second + k, quadratic));
-    let (moment, energy) = about(simd, shape, origin, [mass, u, v, uu, uv, vv]);
-    PieceIntegrals { mass: shape.twice_area * mass, moment, energy, area }
+    // ∫ (p - x) and ∫ |p - x|² from the integrals of 1, u, v, u², uv, v².
+    let [e, f] = shape.side;
+    let two = Number::all(simd, 2.0);
+    let squares = dot(origin, origin) * mass
+        + two * (dot(origin, e) * u + dot(origin, f) * v + dot(e, f) * uv)
+        + dot(e, e) * uu
+        + dot(f, f) * vv;
+    let moment = [
+        shape.twice_area * (mass * origin[0] + u * e[0] + v * f[0]),
+        shape.twice_area * (mass * origin[1] + u * e[1] + v * f[1]),
+        shape.twice_area * (mass * origin[2] + u * e[2] + v * f[2]),
+    ];
+    PieceIntegrals { mass: shape.twice_area * mass, moment, energy: shape.twice_area * squares, area }
 }
 
 #[inline(always)]
 fn part<S: Simd>(simd: S, moments: &Moments, k: usize, by: f64) -> Number<S> {
     Number::load(simd, &moments[k]) * Number::all(simd, 1.0 / by)
-}
-
-/// ∫ (p - x) and ∫ |p - x|² from the integrals of 1, u, v, u², uv, v².
-#[inline(always)]
-fn about<S: Simd>(
-    simd: S,
-    shape: &Shape<S>,
-    origin: [Number<S>; 3],
-    [one, u, v, uu, uv, vv]: [Number<S>; 6],
-) -> ([Number<S>; 3], Number<S>) {
-    let [e, f] = shape.side;
-    let two = Number::all(simd, 2.0);
-    let squares = dot(origin, origin) * one
-        + two * (dot(origin, e) * u + dot(origin, f) * v + dot(e, f) * uv)
-        + dot(e, e) * uu
-        + dot(f, f) * vv;
-    let moment = [
-        shape.twice_area * (one * origin[0] + u * e[0] + v * f[0]),
-        shape.twice_area * (one * origin[1] + u * e[1] + v * f[1]),
-        shape.twice_area * (one * origin[2] + u * e[2] + v * f[2]),
-    ];
-    (moment, shape.twice_area * squares)
 }

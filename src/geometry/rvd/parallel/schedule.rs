@@ -9,20 +9,19 @@
 
 pub(super) mod chunk;
 
+use std::iter::repeat_n;
+
 use glam::DVec3;
 use rayon::prelude::*;
 
 use super::divide::facets::MEMBERS;
 use crate::mesh::bvh::morton;
-use crate::rvd::Surface;
-use crate::rvd::clip::Integrals;
-use crate::rvd::incident::Diagram;
+use crate::rvd::{Surface, clip::Integrals, incident::Diagram, refill};
 use crate::token::Token;
 
 /// Stands where a member has no piece.
 pub(super) const NONE: u32 = u32::MAX;
 
-/// One thread's scratch memory.
 #[derive(Default)]
 pub(super) struct Written {
     /// Of as many seeds as each facet has members; [`NONE`] where a member has no piece.
@@ -30,17 +29,11 @@ pub(super) struct Written {
     pub integrals: Vec<Integrals>,
     /// Where those of each facet begin, and the end of the last.
     begin: Vec<u32>,
-    /// Those of facets that were walked.
     pub walked: Vec<(u32, Integrals)>,
-    inserts: Vec<Insert>,
+    /// Of each facet that was walked its place, and the end of its pieces among those.
+    inserts: Vec<(usize, usize)>,
     /// Of each seed its place among a block's cells, or [`NONE`].
     place: Vec<u32>,
-}
-
-/// The pieces of a facet that was walked come in its place.
-struct Insert {
-    at: usize,
-    end: usize,
 }
 
 impl Written {
@@ -66,29 +59,20 @@ impl Written {
         self.integrals.resize(end as usize, Integrals::default());
     }
 
-    /// Where the integrals of the facet at `at` begin.
     #[inline(always)]
     pub(super) fn first(&self, at: u32) -> usize {
         self.begin[at as usize] as usize
     }
 
-    /// Room for the seeds of the facet at `at`, which has `n` members.
-    #[inline(always)]
-    pub(super) fn seeds_of(&mut self, at: u32, n: usize) -> &mut [u32] {
-        let first = self.first(at);
-        &mut self.seeds[first..][..n]
-    }
-
     /// What was walked since belongs to the facet at `at`. Facets come in order.
     pub(super) fn end_walk(&mut self, at: usize) {
-        self.inserts.push(Insert { at, end: self.walked.len() });
+        self.inserts.push((at, self.walked.len()));
     }
 
     /// Appends the sums of all cells in blocks of `block` facets. `seeds` is the number of seeds.
     pub(super) fn add_blocks(&mut self, block: usize, seeds: usize, out: &mut Vec<(u32, Integrals)>) {
         if self.place.len() != seeds {
-            self.place.clear();
-            self.place.resize(seeds, NONE);
+            refill(&mut self.place, repeat_n(NONE, seeds));
         }
         let Self { seeds, integrals, begin, walked, inserts, place } = self;
         let facets = begin.len() - 1;
@@ -96,11 +80,11 @@ impl Written {
         let (mut at, mut from) = (0, 0);
         for last in (0..facets).step_by(block).map(|first| facets.min(first + block)) {
             let mut sums = Block { place, first: out.len(), out };
-            while let Some(insert) = inserts.next_if(|insert| insert.at < last) {
-                let before = begin[insert.at] as usize;
+            while let Some(&(place, end)) = inserts.next_if(|insert| insert.0 < last) {
+                let before = begin[place] as usize;
                 sums.add(&seeds[at..before], &integrals[at..before]);
-                walked[from..insert.end].iter().for_each(|(seed, sum)| sums.add_one(*seed, sum));
-                (at, from) = (before, insert.end);
+                walked[from..end].iter().for_each(|(seed, sum)| sums.add_one(*seed, sum));
+                (at, from) = (before, end);
             }
             let end = begin[last] as usize;
             sums.add(&seeds[at..end], &integrals[at..end]);
@@ -110,10 +94,8 @@ impl Written {
     }
 }
 
-/// The sums of one block.
 struct Block<'a> {
     place: &'a mut [u32],
-    /// Where they begin.
     first: usize,
     out: &'a mut Vec<(u32, Integrals)>,
 }
@@ -154,7 +136,6 @@ const ASKED: usize = 64;
 pub(super) struct Order {
     /// All facets with area along a curve that fills space, by their centroids.
     facets: Vec<u32>,
-    /// The vertices of each.
     corners: Vec<[u32; 3]>,
     vertices: Vec<Vertex>,
     /// Of each facet, and how many seeds there were when they were found.
@@ -162,7 +143,6 @@ pub(super) struct Order {
     seeds: usize,
 }
 
-/// Where a vertex is, and its weight.
 #[derive(Clone, Copy)]
 #[repr(align(32))]
 pub(super) struct Vertex {
@@ -179,7 +159,6 @@ pub(super) struct Stretch<'a> {
 }
 
 impl<'a> Stretch<'a> {
-    /// How many there are.
     #[inline(always)]
     pub(super) fn len(&self) -> usize {
         self.facets.len()
@@ -208,13 +187,11 @@ impl<'a> Stretch<'a> {
         (a + b + c) / 3.0
     }
 
-    /// Parts of `size` facets.
     pub(super) fn chunks(self, size: usize) -> impl Iterator<Item = Stretch<'a>> {
         let each = self.facets.chunks(size).zip(self.corners.chunks(size));
         each.map(move |(facets, corners)| Stretch { facets, corners, ..self })
     }
 
-    /// The same on all threads.
     pub(super) fn par_chunks(self, size: usize) -> impl IndexedParallelIterator<Item = Stretch<'a>> {
         let each = self.facets.par_chunks(size).zip(self.corners.par_chunks(size));
         each.map(move |(facets, corners)| Stretch { facets, corners, ..self })
@@ -255,8 +232,7 @@ impl Order {
         Stretch { facets: &self.facets, corners: &self.corners, vertices: &self.vertices }
     }
 
-    /// The facets, and a guess for each: the last answer, or else a seed not far away. With `better` the caller puts
-    /// nearer seeds in their place.
+    /// The facets, and a guess for each: the last answer, or a seed not far away; to be replaced by a nearer one if `better`.
     pub(super) fn guesses(&mut self, diagram: Diagram<'_>, better: bool, token: &Token) -> (Stretch<'_>, &mut [u32]) {
         let mut starts = std::mem::take(&mut self.starts);
         if starts.is_empty() || self.seeds > diagram.seeds.len() {

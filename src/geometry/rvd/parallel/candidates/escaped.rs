@@ -2,16 +2,15 @@
 //!
 //! Purpose: a few seeds that move farther than the others need not void the lists of all facets. Facets that an escaped seed
 //! concerns get lists for one pass.
-//! Invariant: all other seeds are within their skin. So a list holds that has no escaped seed, on a facet that none reaches. An
-//! escaped seed reaches a facet where it may be nearer to some corner than a seed within its skin is. Beyond that, the latter
-//! beats it at all three corners.
-//! Must not know: what becomes of a list.
+//! Invariant: all other seeds are within their skin. So a list holds that has no escaped seed, on a facet that none
+//! reaches. An escaped seed reaches a facet where it may be nearer to some corner than a seed within its skin is.
+//! Beyond that, the latter beats it at all three corners. Must not know: what becomes of a list.
 
 use glam::DVec3;
 use rayon::prelude::*;
 
 use super::gather::{ROOM, Skin};
-use crate::rvd::incident::Diagram;
+use crate::rvd::{incident::Diagram, refill};
 
 /// Seeds per task.
 const CHUNK: usize = 2048;
@@ -28,7 +27,6 @@ pub(crate) struct Escaped {
     were: Vec<DVec3>,
     /// The most skin that one of those has.
     skin: f64,
-    /// Of each seed whether it is one.
     has_escaped: Vec<bool>,
 }
 
@@ -40,14 +38,9 @@ pub(crate) struct Reach {
 }
 
 impl Reach {
-    /// Of a seed that has its skin about `origin`.
-    pub(crate) fn new(corner: &[DVec3; 3], origin: DVec3, skin: f64) -> Self {
-        Self { corner: *corner, most: corner.map(|c| (c.distance(origin) + skin) * ROOM) }
-    }
-
-    /// Of a facet with these corners from a seed of the diagram.
     pub(crate) fn of(diagram: Diagram<'_>, skin: Skin<'_>, corner: &[DVec3; 3], seed: u32) -> Self {
-        Self::new(corner, diagram.seeds[seed as usize], skin.of(seed))
+        let (origin, own) = (diagram.seeds[seed as usize], skin.of(seed));
+        Self { corner: *corner, most: corner.map(|c| (c.distance(origin) + own) * ROOM) }
     }
 
     /// A box around all seeds that are nearer to some corner, roundings included.
@@ -74,7 +67,6 @@ pub(crate) struct Bounds {
 }
 
 impl Bounds {
-    /// Nothing is in it.
     pub(crate) const NONE: Self = Self { low: DVec3::INFINITY, high: DVec3::NEG_INFINITY };
 
     /// The least box around both.
@@ -82,12 +74,10 @@ impl Bounds {
         Self { low: self.low.min(other.low), high: self.high.max(other.high) }
     }
 
-    /// The square of its diagonal.
     pub(crate) fn width_squared(&self) -> f64 {
         self.low.distance_squared(self.high)
     }
 
-    /// Larger on all sides.
     pub(crate) fn wider(self, by: f64) -> Self {
         let by = DVec3::splat(by * (1.0 + 1e-9) + ROUNDING);
         Self { low: self.low - by, high: self.high + by }
@@ -123,8 +113,7 @@ impl Escaped {
         let escaped = self.has_escaped.iter().enumerate().filter(|(_, has_escaped)| **has_escaped);
         self.all.extend(escaped.map(|(i, _)| (seeds[i], i as u32)));
         self.all.sort_unstable_by(|a, b| a.0.x.total_cmp(&b.0.x).then(a.1.cmp(&b.1)));
-        self.were.clear();
-        self.were.extend(self.all.iter().filter_map(|&(_, i)| were.get(i as usize)));
+        refill(&mut self.were, self.all.iter().filter_map(|&(_, i)| were.get(i as usize).copied()));
         self.were.sort_unstable_by(|a, b| a.x.total_cmp(&b.x));
         let old = self.all.iter().filter(|(_, i)| (*i as usize) < were.len());
         self.skin = old.map(|(_, i)| skin.of(*i)).fold(0.0, f64::max);

@@ -2,17 +2,14 @@
 //!
 //! Purpose: from any seed to all that count on a facet, and on demand to those that still count when every
 //! seed has moved a little.
-//! Invariant: a seed that is left out is farther from all three corners than another one of the list, whatever
-//! way either moves within its [`Skin`], and so farther from the whole facet, as their bisector is linear
-//! on it. A comparison that rounding could get wrong keeps the seed. No later duplicate is listed.
-//! Must not know: pieces; how long a list is kept.
+//! Invariant: a seed that is left out is farther from all three corners than another one of the list, whatever way either
+//! moves within its [`Skin`], and so farther from the whole facet, as their bisector is linear on it. A comparison that
+//! rounding could get wrong keeps the seed. No later duplicate is listed. Must not know: pieces; how long a list is kept.
 
 use glam::DVec3;
 
-use crate::rvd::clip::SECURITY;
-use crate::rvd::incident;
-use crate::rvd::incident::Diagram;
-use crate::rvd::parallel::divide::facets::LISTED;
+use crate::rvd::incident::{self, Diagram};
+use crate::rvd::{clip::SECURITY, parallel::divide::facets::LISTED};
 
 /// A list with more is made shorter here, not together with others.
 const ENOUGH: usize = LISTED;
@@ -35,6 +32,14 @@ impl Few {
     pub(crate) const TO_WALK: Self = Self { seen: 16 * LISTED, kept: 4 * LISTED };
 }
 
+/// Among which seeds lists are made, how far those may move, and how long lists may be.
+#[derive(Clone, Copy)]
+pub(crate) struct Search<'a> {
+    pub diagram: Diagram<'a>,
+    pub skin: Skin<'a>,
+    pub few: Few,
+}
+
 /// Squared distances are compared with so much room, far more than their roundings.
 pub(crate) const ROOM: f64 = 1.0 + 1e-14;
 
@@ -50,14 +55,12 @@ pub(crate) struct Skin<'a> {
 }
 
 impl Skin<'_> {
-    /// No seed moves.
     pub(crate) const NONE: Self = Self { share: 0.0, width: &[], most: 0.0 };
 
     pub(crate) fn of(&self, seed: u32) -> f64 {
         if self.share > 0.0 { self.share * self.width[seed as usize] } else { 0.0 }
     }
 
-    /// Whether there is none.
     pub(crate) fn is_none(&self) -> bool {
         self.share == 0.0
     }
@@ -71,7 +74,6 @@ impl Skin<'_> {
     }
 }
 
-/// One thread's scratch memory.
 #[derive(Default)]
 pub(crate) struct Gatherer {
     looked_at: Vec<u32>,
@@ -80,11 +82,9 @@ pub(crate) struct Gatherer {
     pub list: Vec<u32>,
 }
 
-/// A seed around a facet.
 struct Kept {
     seed: u32,
-    /// At each corner: distances that it has at least and at most, whatever way it moves; squared distances until all
-    /// are known.
+    /// At each corner: distances that it has at least and at most, however it moves; squared ones until all are known.
     least: [f64; 3],
     most: [f64; 3],
 }
@@ -92,56 +92,33 @@ struct Kept {
 /// The facet as seen from a seed.
 struct View {
     corner: [DVec3; 3],
-    /// From the seed to each corner.
     distance: [f64; 3],
     skin: f64,
 }
 
 impl Gatherer {
-    /// Finds the seeds that count on the facet with these corners, beginning at any seed; the nearer, the
-    /// sooner. Returns a seed of those that is nearer to the facet's centroid, if there is one, and whether there are few
-    /// enough.
-    pub(crate) fn gather(
-        &mut self,
-        diagram: Diagram<'_>,
-        (skin, few): (Skin<'_>, Few),
-        corner: &[DVec3; 3],
-        centroid: DVec3,
-        start: u32,
-    ) -> (u32, bool) {
-        if let Some(nearest) = self.read_row(diagram, skin, corner, centroid, start) {
+    /// Finds the seeds that count on the facet with these corners, beginning at any seed; the nearer, the sooner. Returns a
+    /// seed of those that is nearer to the facet's centroid, if there is one, and whether there are few enough.
+    pub(crate) fn gather(&mut self, by: Search<'_>, corner: &[DVec3; 3], centroid: DVec3, start: u32) -> (u32, bool) {
+        if let Some(nearest) = self.read_row(by, corner, centroid, start) {
             return (nearest, true);
         }
-        let nearest = incident::nearest(diagram, centroid, start);
-        if nearest != start && self.read_row(diagram, skin, corner, centroid, nearest).is_some() {
+        let nearest = incident::nearest(by.diagram, centroid, start);
+        if nearest != start && self.read_row(by, corner, centroid, nearest).is_some() {
             return (nearest, true);
         }
-        let view = View::new(diagram, skin, corner, nearest);
-        (nearest, self.look_around(diagram, skin, few, &view))
+        (nearest, self.look_around(by, &View::new(by, corner, nearest)))
     }
 
     /// The same as seen from seed `i`, whether there are nearer ones or not. Returns whether there are few enough.
-    pub(crate) fn gather_from(
-        &mut self,
-        diagram: Diagram<'_>,
-        (skin, few): (Skin<'_>, Few),
-        corner: &[DVec3; 3],
-        i: u32,
-    ) -> bool {
-        self.read_row(diagram, skin, corner, corner[0], i).is_some()
-            || self.look_around(diagram, skin, few, &View::new(diagram, skin, corner, i))
+    pub(crate) fn gather_from(&mut self, by: Search<'_>, corner: &[DVec3; 3], i: u32) -> bool {
+        self.read_row(by, corner, corner[0], i).is_some() || self.look_around(by, &View::new(by, corner, i))
     }
 
     /// Lists seed `i` and its row, as far as the facet needs it (\[LB12\]: no farther than twice its farthest corner).
     /// Returns the nearest to the centroid; `None` if the row ends before that.
-    fn read_row(
-        &mut self,
-        diagram: Diagram<'_>,
-        skin: Skin<'_>,
-        corner: &[DVec3; 3],
-        centroid: DVec3,
-        i: u32,
-    ) -> Option<u32> {
+    fn read_row(&mut self, by: Search<'_>, corner: &[DVec3; 3], centroid: DVec3, i: u32) -> Option<u32> {
+        let Search { diagram, skin, .. } = by;
         let (row, complete) = diagram.table.row(i);
         let origin = diagram.seeds[i as usize];
         let squared = |a: DVec3| a.distance_squared(origin);
@@ -175,9 +152,9 @@ impl Gatherer {
         Some(nearest)
     }
 
-    /// Lists all seeds around the facet that may be nearer at some corner than the view's. Returns whether there are
-    /// few enough.
-    fn look_around(&mut self, diagram: Diagram<'_>, skin: Skin<'_>, few: Few, view: &View) -> bool {
+    /// Lists all seeds around the facet that may be nearer at some corner than the view's. Returns whether they are few enough.
+    fn look_around(&mut self, by: Search<'_>, view: &View) -> bool {
+        let Search { diagram, skin, few } = by;
         let mut low = DVec3::INFINITY;
         let mut high = DVec3::NEG_INFINITY;
         for (corner, distance) in view.corner.iter().zip(view.distance) {
@@ -231,9 +208,9 @@ impl Gatherer {
 }
 
 impl View {
-    fn new(diagram: Diagram<'_>, skin: Skin<'_>, corner: &[DVec3; 3], seed: u32) -> Self {
-        let origin = diagram.seeds[seed as usize];
+    fn new(by: Search<'_>, corner: &[DVec3; 3], seed: u32) -> Self {
+        let origin = by.diagram.seeds[seed as usize];
         let distance = corner.map(|p| p.distance(origin));
-        Self { corner: *corner, distance, skin: skin.of(seed) }
+        Self { corner: *corner, distance, skin: by.skin.of(seed) }
     }
 }

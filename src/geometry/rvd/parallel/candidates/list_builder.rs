@@ -3,30 +3,24 @@
 //! Purpose: lists of all facets, by rows of neighbours or, where seeds are spread evenly, without. For a pass with escaped seeds
 //! it takes the Verlet list of each facet that none concerns, and makes a new one for each other facet.
 //! Invariant: no seed that counts is missing from a list: neither one within its skin that a seed within its own does
-//! not beat at all corners, nor an escaped seed that such a one does not beat.
-//! Must not know: what becomes of a list.
+//! not beat at all corners, nor an escaped seed that such a one does not beat. Must not know: what becomes of a list.
 
 use std::ops::Range;
 
 use glam::DVec3;
 use pulp::{Arch, Simd, WithSimd};
 
-use super::Lists;
 use super::escaped::{Bounds, Reach};
-use super::gather::{Few, Gatherer, Skin};
-use super::members::Listed;
+use super::gather::{Few, Gatherer, Search, Skin};
 use super::neighbourhood::{self, GROUP, Neighbourhood};
-use super::verlet::Verlet;
-use crate::rvd::incident::Diagram;
-use crate::rvd::parallel::divide::facets::LISTED;
-use crate::rvd::parallel::schedule::Stretch;
+use super::{Lists, members::Listed, verlet::Verlet};
+use crate::rvd::parallel::{divide::facets::LISTED, schedule::Stretch};
+use crate::rvd::{incident::Diagram, refill};
 
 /// Seeds to examine for one seed within its skin.
 const LOOKED_AT: usize = 1024;
-/// How often the search is widened.
 const WIDENED: usize = 6;
 
-/// One thread's scratch memory.
 #[derive(Default)]
 pub(crate) struct ListBuilder {
     gatherer: Gatherer,
@@ -45,7 +39,6 @@ pub(crate) struct ListBuilder {
     seeds: Vec<u32>,
 }
 
-/// Lists of facets without rows.
 struct Evenly<'a> {
     builder: &'a mut ListBuilder,
     diagram: Diagram<'a>,
@@ -55,7 +48,6 @@ struct Evenly<'a> {
     out: &'a mut Lists,
 }
 
-/// Lists for one pass with escaped seeds.
 struct Renew<'a> {
     builder: &'a mut ListBuilder,
     listed: Listed<'a>,
@@ -72,6 +64,7 @@ impl WithSimd for Evenly<'_> {
     fn with_simd<S: Simd>(self, simd: S) -> Option<u64> {
         let Self { builder, diagram, skin, facets, starts, out } = self;
         let ListBuilder { gatherer, neighbourhood, reaches, parts, .. } = builder;
+        let search = Search { diagram, skin, few: Few::TO_WALK };
         let mut unlisted = 0;
         for (facets, starts) in facets.chunks(GROUP).zip(starts.chunks_mut(GROUP)) {
             reaches.clear();
@@ -82,11 +75,11 @@ impl WithSimd for Evenly<'_> {
             let mut alone = |k: usize, start: &mut u32, out: &mut Lists| {
                 let corner = facets.corners(k);
                 *start = diagram.index.nearest(facets.centroid(k));
-                let mut few = gatherer.gather_from(diagram, (skin, Few::TO_WALK), &corner, *start);
+                let mut few = gatherer.gather_from(search, &corner, *start);
                 if !few && !skin.is_none() {
                     // Whether there are too many does not depend on what was before.
                     unlisted += 1;
-                    few = gatherer.gather_from(diagram, (Skin::NONE, Few::TO_WALK), &corner, *start);
+                    few = gatherer.gather_from(Search { skin: Skin::NONE, ..search }, &corner, *start);
                 }
                 out.push(gatherer.list.iter().copied());
                 bounds = bounds.with(Reach::of(diagram, skin, &corner, *start).bounds());
@@ -182,7 +175,8 @@ impl Renew<'_> {
             });
         } else {
             for ((&at, reach), &from) in renewed.iter().zip(&*reaches).zip(&*from) {
-                if !gatherer.gather_from(*was, (skin, Few::TO_WALK), &reach.corner, from) {
+                let search = Search { diagram: *was, skin, few: Few::TO_WALK };
+                if !gatherer.gather_from(search, &reach.corner, from) {
                     return false;
                 }
                 out.copy(lists, next..at);
@@ -232,8 +226,7 @@ fn steady(
 }
 
 impl ListBuilder {
-    /// Lists of all facets by rows of neighbours; `starts` become seeds near them. A facet with too many gets an empty
-    /// list. Returns how many get no Verlet list.
+    /// Lists by rows of neighbours, empty where they are too long; `starts` get near seeds. Returns how many are no Verlet list.
     pub(crate) fn list(
         &mut self,
         diagram: Diagram<'_>,
@@ -242,17 +235,17 @@ impl ListBuilder {
         (facets, starts): (Stretch<'_>, &mut [u32]),
         out: &mut Lists,
     ) -> u64 {
-        let most = if by_rows { Few::TO_DIVIDE } else { Few::TO_WALK };
+        let search = Search { diagram, skin, few: if by_rows { Few::TO_DIVIDE } else { Few::TO_WALK } };
         let gatherer = &mut self.gatherer;
         let mut unlisted = 0;
         for (at, start) in starts.iter_mut().enumerate() {
             let (corner, centroid) = (facets.corners(at), facets.centroid(at));
-            let (nearest, mut few) = gatherer.gather(diagram, (skin, most), &corner, centroid, *start);
+            let (nearest, mut few) = gatherer.gather(search, &corner, centroid, *start);
             *start = nearest;
             if !few && !skin.is_none() {
                 // Whether there are too many does not depend on what was before.
                 unlisted += 1;
-                (_, few) = gatherer.gather(diagram, (Skin::NONE, most), &corner, centroid, *start);
+                (_, few) = gatherer.gather(Search { skin: Skin::NONE, ..search }, &corner, centroid, *start);
             }
             out.push(gatherer.list.iter().copied().take(if few { usize::MAX } else { 0 }));
         }
@@ -279,15 +272,12 @@ impl ListBuilder {
     /// Whether escaped seeds concern the facets. If so, [`Self::renew`] makes lists for this pass.
     pub(crate) fn meets_escaped(&mut self, lists: &Lists, verlet: Verlet<'_>) -> bool {
         let bounds = lists.bounds.iter().fold(Bounds::NONE, |all, &bounds| all.with(bounds));
-        self.near.clear();
-        self.near.extend(verlet.escaped.within(bounds).map(|(p, _)| p));
-        self.were.clear();
-        self.were.extend(verlet.escaped.were_within(bounds));
+        refill(&mut self.near, verlet.escaped.within(bounds).map(|(p, _)| p));
+        refill(&mut self.were, verlet.escaped.were_within(bounds));
         !self.near.is_empty() || !self.were.is_empty()
     }
 
-    /// Lists of all facets for one pass with escaped seeds, with the diagram as it was when `listed` were made. Returns whether
-    /// it could.
+    /// Lists for one pass with escaped seeds, with the diagram as it was when `listed` were made. Returns whether it could.
     pub(crate) fn renew(&mut self, listed: Listed<'_>, was: Diagram<'_>, verlet: Verlet<'_>, out: &mut Lists) -> bool {
         out.clear();
         Arch::new().dispatch(Renew { builder: self, listed, was, verlet, out })

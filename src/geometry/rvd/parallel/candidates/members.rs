@@ -2,24 +2,22 @@
 //!
 //! Purpose: sorts facets by how many seeds they have to do with, puts those with as many into lanes together, and finds
 //! their members.
-//! Invariant: what is found of a facet does not depend on those beside it.
-//! Must not know: what becomes of members.
+//! Invariant: what is found of a facet does not depend on those beside it. Must not know: what becomes of members.
+
+use std::iter::repeat_n;
 
 use glam::DVec3;
 use pulp::{Simd, WithSimd};
 
-use super::Lists;
-use super::gather::Skin;
-use crate::rvd::incident::Diagram;
-use crate::rvd::parallel::divide::Number;
+use super::{Lists, gather::Skin};
 use crate::rvd::parallel::divide::facets::{Facets, Given, InTurn, LISTED, MEMBERS, beats};
-use crate::rvd::parallel::schedule::Stretch;
+use crate::rvd::parallel::{divide::Number, schedule::Stretch};
+use crate::rvd::{incident::Diagram, refill};
 
 /// The facets of a chunk, all with area, and their lists.
 #[derive(Clone, Copy)]
 pub(crate) struct Listed<'a> {
     pub diagram: Diagram<'a>,
-    /// The facets, in the order of their lists.
     pub facets: Stretch<'a>,
     /// A seed near each facet.
     pub starts: &'a [u32],
@@ -28,7 +26,6 @@ pub(crate) struct Listed<'a> {
     pub by_rows: bool,
 }
 
-/// Facets by a small number.
 #[derive(Default)]
 pub(crate) struct ByLength {
     first: Vec<u32>,
@@ -38,16 +35,14 @@ pub(crate) struct ByLength {
 impl ByLength {
     /// Sorts facets by their numbers, from 1 to `most`; others are left out.
     pub(crate) fn sort(&mut self, most: usize, numbers: impl Iterator<Item = usize> + Clone) {
-        self.first.clear();
-        self.first.resize(most + 2, 0);
+        refill(&mut self.first, repeat_n(0, most + 2));
         for n in numbers.clone().filter(|&n| (1..=most).contains(&n)) {
             self.first[n + 1] += 1;
         }
         for n in 1..self.first.len() {
             self.first[n] += self.first[n - 1];
         }
-        self.order.clear();
-        self.order.resize(self.first[most + 1] as usize, 0);
+        refill(&mut self.order, repeat_n(0, self.first[most + 1] as usize));
         let mut next = self.first.clone();
         for (at, n) in numbers.enumerate().filter(|(_, n)| (1..=most).contains(n)) {
             self.order[next[n] as usize] = at as u32;
@@ -55,13 +50,11 @@ impl ByLength {
         }
     }
 
-    /// The facets with this number.
     pub(crate) fn of(&self, n: usize) -> &[u32] {
         &self.order[self.first[n] as usize..self.first[n + 1] as usize]
     }
 }
 
-/// One thread's scratch memory for finding members.
 #[derive(Default)]
 pub(crate) struct Chooser {
     pub facets: Facets,
@@ -85,11 +78,9 @@ impl Chooser {
     /// Finds the members of every facet with a long list.
     pub(crate) fn begin(&mut self, listed: Listed<'_>) {
         let Self { members, long: LongLists { lists, of, among }, .. } = self;
-        members.clear();
-        members.resize(listed.starts.len(), 0);
+        refill(members, repeat_n(0, listed.starts.len()));
         lists.clear();
-        of.clear();
-        of.resize(listed.starts.len(), 0);
+        refill(of, repeat_n(0, listed.starts.len()));
         for at in 0..listed.starts.len() {
             let list = listed.lists.get(at);
             if list.len() > LISTED {
@@ -118,8 +109,7 @@ impl LongLists {
         let mut among = std::mem::take(&mut self.among);
         let all = self.of[at] != 0;
         let chosen = self.list(listed, at).iter().enumerate().filter(|(k, _)| all || members >> k & 1 != 0);
-        among.seeds.clear();
-        among.seeds.extend(chosen.map(|(_, &seed)| seed));
+        refill(&mut among.seeds, chosen.map(|(_, &seed)| seed));
         among.seeds.sort_unstable();
         self.among = among;
         &self.among
@@ -177,8 +167,7 @@ impl WithSimd for Prune<'_> {
     fn with_simd<S: Simd>(self, simd: S) {
         let Self { chooser: Chooser { facets, in_turn, groups, members, .. }, listed, skin, out } = self;
         let Listed { starts, lists, .. } = listed;
-        members.clear();
-        members.resize(starts.len(), !0);
+        refill(members, repeat_n(!0, starts.len()));
         groups.sort(LISTED, (0..starts.len()).map(|at| lists.get(at).len()));
         for n in 2..=LISTED {
             for turn in InTurn::turns(groups.of(n), Number::<S>::LANES) {
@@ -218,15 +207,12 @@ pub(crate) struct FacetMembers {
 }
 
 impl FacetMembers {
-    /// Those of a long list.
     fn of_long(&mut self, seeds: &[DVec3], corner: &[DVec3; 3], list: &[u32]) {
-        self.squared.clear();
-        self.squared.extend(list.iter().map(|&j| corner.map(|q| seeds[j as usize].distance_squared(q))));
+        refill(&mut self.squared, list.iter().map(|&j| corner.map(|q| seeds[j as usize].distance_squared(q))));
         // One after the other would not be sooner: few are beaten.
         let beaten = |mine: [f64; 3]| self.squared.iter().fold(false, |beaten, by| beaten | beats(*by, mine));
-        self.seeds.clear();
         let left = list.iter().zip(&self.squared).filter(|(_, squared)| !beaten(**squared));
-        self.seeds.extend(left.map(|(&seed, _)| seed));
+        refill(&mut self.seeds, left.map(|(&seed, _)| seed));
         self.seeds.sort_unstable();
     }
 

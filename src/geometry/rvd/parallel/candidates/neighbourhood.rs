@@ -2,9 +2,8 @@
 //!
 //! Purpose: the lists of several facets from one search of the seeds around them all, without rows of neighbours. Every
 //! facet has a lane.
-//! Invariant: a seed that is left out of a facet's list is farther from all three corners than the seed that the
-//! facet is seen from, whatever way either moves within its skin. An escaped seed has no skin.
-//! Must not know: what becomes of lists.
+//! Invariant: a seed that is left out of a facet's list is farther from all three corners than the seed that the facet is
+//! seen from, whatever way either moves within its skin. An escaped seed has no skin. Must not know: what becomes of lists.
 
 use glam::DVec3;
 use pulp::Simd;
@@ -16,15 +15,13 @@ use crate::rvd::parallel::divide::{Mask, Number, Row, WIDEST};
 
 /// Facets that are looked around together.
 pub(crate) const GROUP: usize = 16;
-/// They are taken by halves where the halves lie so far apart that two boxes around them are smaller than one; parts
-/// keep at least about this many facets, which fill some lanes.
+/// About the fewest that fill some lanes. More are halved where the halves' boxes are together smaller than one around both.
 const APART: usize = 4;
 /// Seeds that are looked at for them. They are far more where seeds are dense somewhere near.
 const LOOKED_AT: usize = 1024;
 /// Seeds in a word: as many as a number has bits.
 const WORD: usize = 52;
 
-/// One thread's scratch memory.
 #[derive(Default)]
 pub(crate) struct Neighbourhood {
     seeds: Vec<u32>,
@@ -162,7 +159,6 @@ impl Seeds<'_> {
         self.around.words.iter().map(|word| word.0[self.lane] as u64)
     }
 
-    /// How many there are.
     pub(crate) fn len(&self) -> usize {
         self.words().map(|word| word.count_ones() as usize).sum()
     }

@@ -11,15 +11,12 @@
 use glam::DVec3;
 use rayon::prelude::*;
 
-use super::Lists;
-use super::escaped::Escaped;
-use super::gather::Skin;
+use super::{Lists, escaped::Escaped, gather::Skin};
 use crate::knn::{NeighbourTable, SeedIndex};
 
 /// A seed's skin is a share of the distance to this neighbour; relaxed cells touch it.
 const NEIGHBOUR: usize = 6;
-/// Squared distance between relaxed seeds, as a multiple of the cell's area: 2/√3. It gives the skin where no neighbour is
-/// known.
+/// Squared distance between relaxed seeds over the cell's area: 2/√3. It gives the skin where no neighbour is known.
 const HEXAGON: f64 = 1.1547;
 /// Least width, in widths of an average cell, since cells may be empty.
 const NARROW: f64 = 1.0 / 32.0;
@@ -34,8 +31,7 @@ const LEAST: f64 = 0.03;
 /// No lists are made after a longer move than this. The next move is often shorter, as quasi-Newton steps go.
 const FAST: f64 = MOST;
 /// Cosine between two moves from which on a seed is expected to continue: 0.95 to 0.998 between Lloyd steps, 0.4 to 0.9
-/// between quasi-Newton steps. Lists are then made ahead of the seed, by at most a share of [`AHEAD`] of its skin, and serve
-/// for nearly twice as long.
+/// between quasi-Newton steps. Lists are then made ahead of it, by at most [`AHEAD`] of its skin, and serve nearly twice.
 const ALIKE: f64 = 0.5;
 const AHEAD: f64 = 0.8;
 /// Lists are rebuilt if more than this share of the seeds has escaped, and more than [`A_FEW`].
@@ -48,13 +44,11 @@ const USED: f64 = 1.0 - 1e-6;
 /// Seeds per task.
 const CHUNK: usize = 2048;
 
-/// All lists, and the seeds that they hold for.
 #[derive(Default)]
 pub(crate) struct VerletLists {
     /// Lists by chunk of `facets` facets.
     chunks: Vec<Lists>,
     facets: usize,
-    /// Whether there are lists.
     there: bool,
     share: f64,
     /// Whether lists come without rows, and how wide a cell is then on average.
@@ -68,16 +62,15 @@ pub(crate) struct VerletLists {
     most: f64,
     /// Centre of each seed's skin: its place when the lists were made, or the place that was expected.
     made_at: Vec<DVec3>,
-    /// Seeds in the last pass.
+    /// Seeds in the last pass, and in the pass before the last.
     last: Vec<DVec3>,
-    /// Seeds in the pass before the last.
     before: Vec<DVec3>,
     /// Number of list builds left in which no moves are expected.
     blind: usize,
     /// Pairs of seeds that could meet within their skins.
     close: Vec<[u32; 2]>,
     /// Whether the index and the rows of the lists' seeds still exist.
-    indexed: bool,
+    pub indexed: bool,
     escaped: Escaped,
     moves: Vec<f64>,
 }
@@ -85,17 +78,14 @@ pub(crate) struct VerletLists {
 /// What Verlet lists hold for.
 #[derive(Clone, Copy)]
 pub(crate) struct Verlet<'a> {
-    /// The places about which the seeds have their skin.
     pub made_at: &'a [DVec3],
     pub skin: Skin<'a>,
     pub escaped: &'a Escaped,
-    /// Whether lists come without rows.
     pub even: bool,
 }
 
 impl VerletLists {
-    /// Whether the lists, in chunks of `facets`, hold for these seeds, but for a few escaped seeds. The index must
-    /// be there for those.
+    /// Whether the lists, in chunks of `facets`, hold but for a few escaped seeds, for which the index must be there.
     pub(crate) fn hold(&mut self, seeds: &[DVec3], facets: usize) -> bool {
         if !self.there || self.facets != facets || self.made_at.len() > seeds.len() {
             return false;
@@ -104,7 +94,6 @@ impl VerletLists {
         self.hold_but_for(few, seeds)
     }
 
-    /// The same for at most `escaped` escaped seeds.
     fn hold_but_for(&mut self, escaped: usize, seeds: &[DVec3]) -> bool {
         let skin = skin(self.share, self.most, &self.width);
         self.escaped.find(seeds, &self.made_at, (skin, USED), escaped)
@@ -112,12 +101,6 @@ impl VerletLists {
             && !self.escaped.meet(seeds)
     }
 
-    /// The index and the rows are others now.
-    pub(crate) fn lose_index(&mut self) {
-        self.indexed = false;
-    }
-
-    /// None are made now.
     pub(crate) fn leave(&mut self) {
         self.there = false;
         self.share = 0.0;
@@ -249,8 +232,7 @@ impl VerletLists {
         self.share = share;
         self.most = if self.even { share * WIDE * self.length } else { f64::INFINITY };
         self.indexed = true;
-        self.made_at.clear();
-        self.made_at.extend_from_slice(seeds);
+        seeds.clone_into(&mut self.made_at);
     }
 
     /// What was chosen, and the lists by chunk of `facets` facets.
@@ -264,10 +246,8 @@ impl VerletLists {
     /// A pass over these seeds is done, with cells of such areas; whether it made a list for every facet.
     pub(crate) fn end_pass(&mut self, seeds: &[DVec3], area: &[f64], made: bool) {
         std::mem::swap(&mut self.before, &mut self.last);
-        self.last.clear();
-        self.last.extend_from_slice(seeds);
-        self.area.clear();
-        self.area.extend_from_slice(area);
+        seeds.clone_into(&mut self.last);
+        area.clone_into(&mut self.area);
         self.there |= made && self.share > 0.0;
     }
 
@@ -282,10 +262,9 @@ impl VerletLists {
         });
     }
 
-    /// Finds pairs of seeds that could meet. Of two, the one with more skin has the other within twice that, among those
-    /// that `around` finds; with rows that is before the neighbour that gives its width, as skins are a small part of
-    /// that. So dense seeds beside wide cells are looked for from the few seeds of these. There will be no lists where
-    /// `around` cannot say.
+    /// Finds pairs of seeds that could meet. Of two, the one with more skin has the other within twice that, among those that
+    /// `around` finds; with rows that is before the neighbour that gives its width, as skins are a small part of that. So dense
+    /// seeds beside wide cells are looked for from the few seeds of these. There will be no lists where `around` cannot say.
     fn find_close(&mut self, around: impl Fn(u32, DVec3, f64, &mut Vec<u32>) -> bool + Sync) {
         let skin = skin(self.share, self.most, &self.width);
         let seeds = &self.made_at;
@@ -323,7 +302,6 @@ fn goes_on_for(goes_on: f64, moves: f64) -> f64 {
     }
 }
 
-/// The skin of seeds.
 fn skin(share: f64, most: f64, width: &[f64]) -> Skin<'_> {
     Skin { share, width, most }
 }

@@ -13,10 +13,8 @@
 use glam::DVec3;
 use pulp::Simd;
 
-use super::{Mask, Number, Row, WIDEST};
-use super::{Moments, PieceIntegrals, Shape, WEIGHTED, Weight};
-use crate::rvd::clip::Integrals;
-use crate::rvd::parallel::schedule::Vertex;
+use super::{Mask, Moments, Number, PieceIntegrals, Row, Shape, WIDEST, Weight};
+use crate::rvd::{clip::Integrals, parallel::schedule::Vertex};
 
 /// A segment's end may be off by this share of the farthest corner's distance, in the worst case, and the facet is
 /// left to the walk beyond: two bisectors are nearly parallel there, one facet in some thousand.
@@ -31,15 +29,14 @@ pub(crate) const MEMBERS: usize = 24;
 /// Seeds that a list may have; a facet with more is walked.
 pub(crate) const LISTED: usize = 32;
 
-/// A squared distance is off by at most this share of it: three roundings of a coordinate's square, the first of which
-/// counts twice, and two of the sum.
+/// What a squared distance is off by, as a share: three roundings of a coordinate's square, the first twice, two of the sum.
 const ERROR: f64 = 2.5 * f64::EPSILON;
 
 /// Facets and seeds, one facet in each lane.
+#[derive(Default)]
 pub(crate) struct Given {
     /// Corners, coordinate by coordinate.
     corner: [[Row; 3]; 3],
-    /// The weights there.
     weight: [Row; 3],
     /// Of each seed, coordinate by coordinate.
     seed: [[Row; 3]; LISTED],
@@ -47,9 +44,8 @@ pub(crate) struct Given {
     skin: [Row; LISTED],
 }
 
-/// Scratch memory.
+#[derive(Default)]
 pub(crate) struct Facets {
-    /// Squared distances of each seed from the corners.
     squared: [[Row; 3]; LISTED],
     /// The least distances that each seed may have to the corners.
     least: [[Row; 3]; LISTED],
@@ -61,31 +57,9 @@ pub(crate) struct Facets {
     moments: [Moments; MEMBERS],
 }
 
-/// Whether a seed with these squared distances from the corners is nearer to all of them than one with those, whatever
-/// way they are rounded: as [`Facets::choose`] says it.
+/// Whether a seed at these squared distances from the corners beats one at those, as in [`Facets::choose`].
 pub(crate) fn beats(squared: [f64; 3], other: [f64; 3]) -> bool {
     (0..3).all(|c| squared[c] < other[c] * (1.0 - 4.0 * ERROR))
-}
-
-impl Default for Given {
-    fn default() -> Self {
-        let row = Row::default();
-        Self { corner: [[row; 3]; 3], weight: [row; 3], seed: [[row; 3]; LISTED], skin: [row; LISTED] }
-    }
-}
-
-impl Default for Facets {
-    fn default() -> Self {
-        let row = Row::default();
-        Self {
-            squared: [[row; 3]; LISTED],
-            least: [[row; 3]; LISTED],
-            low: [row; MEMBERS],
-            high: [row; MEMBERS],
-            there: [row; MEMBERS],
-            moments: [[row; WEIGHTED]; MEMBERS],
-        }
-    }
 }
 
 /// What rounding may do to the facets' numbers.
@@ -98,6 +72,7 @@ struct Bounds<S: Simd> {
 }
 
 /// Pieces of as many members as there are; one in each lane.
+#[derive(Default)]
 pub(crate) struct Found {
     /// Where rounding could decide.
     pub unsure: Row,
@@ -107,7 +82,6 @@ pub(crate) struct Found {
 /// What stands for a piece that is there, but of less than [`LEAST_SHARE`].
 const SMALL: f64 = 2.0;
 
-/// One member's pieces.
 #[derive(Clone, Copy, Default)]
 pub(crate) struct PieceRows {
     /// 1 where it is there, and [`SMALL`].
@@ -123,7 +97,6 @@ impl PieceRows {
         self.there.0[lane] == SMALL
     }
 
-    /// The integrals in one lane, if there is a piece.
     #[inline(always)]
     pub(crate) fn get(&self, lane: usize) -> Option<Integrals> {
         let [mass, x, y, z, energy, area] = &self.values;
@@ -136,14 +109,7 @@ impl PieceRows {
     }
 }
 
-impl Default for Found {
-    fn default() -> Self {
-        Self { unsure: Row::default(), pieces: [PieceRows::default(); MEMBERS] }
-    }
-}
-
 impl Given {
-    /// Sets a lane's facet.
     #[inline(always)]
     pub(crate) fn set_facet(&mut self, lane: usize, vertices: &[Vertex; 3]) {
         let lane = lane % WIDEST;
@@ -152,13 +118,11 @@ impl Given {
         }
     }
 
-    /// Sets the weights at its corners.
     #[inline(always)]
     pub(crate) fn set_weights(&mut self, lane: usize, vertices: &[Vertex; 3]) {
         self.weight.iter_mut().zip(vertices).for_each(|(row, vertex)| row.0[lane % WIDEST] = vertex.weight);
     }
 
-    /// Sets a lane's k-th seed.
     #[inline(always)]
     pub(crate) fn set_seed(&mut self, lane: usize, k: usize, p: DVec3) {
         let seed = &mut self.seed[k];
@@ -166,7 +130,6 @@ impl Given {
         (seed[0].0[lane], seed[1].0[lane], seed[2].0[lane]) = (p.x, p.y, p.z);
     }
 
-    /// Sets how far a lane's k-th seed may move.
     #[inline(always)]
     pub(crate) fn set_skin(&mut self, lane: usize, k: usize, skin: f64) {
         self.skin[k].0[lane % WIDEST] = skin;
@@ -186,7 +149,6 @@ pub(crate) struct Turn<'a> {
 }
 
 impl InTurn {
-    /// The turns for groups of `lanes` facets.
     pub(crate) fn turns(facets: &[u32], lanes: usize) -> impl Iterator<Item = Turn<'_>> {
         let groups = facets.chunks(lanes).map(Some);
         let set = groups.clone().chain([None]);
@@ -205,7 +167,6 @@ impl InTurn {
 }
 
 impl Facets {
-    /// The squared distances of the first `n` seeds.
     #[inline(always)]
     fn measure<S: Simd>(&mut self, simd: S, n: usize, given: &Given) {
         for c in 0..3 {

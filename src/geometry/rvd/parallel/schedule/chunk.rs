@@ -8,21 +8,15 @@ use glam::DVec3;
 use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
 
-use super::Stretch;
-use super::{NONE, Written};
+use super::{NONE, Stretch, Written};
 use crate::knn::NeighbourTable;
 use crate::rvd::clip::{Clipper, Integrals};
 use crate::rvd::incident::{Diagram, FacetWalker};
-use crate::rvd::parallel::candidates::Lists;
-use crate::rvd::parallel::candidates::gather::Skin;
-use crate::rvd::parallel::candidates::list_builder::ListBuilder;
 use crate::rvd::parallel::candidates::members::{Chooser, Listed, Prune, choose_members};
-use crate::rvd::parallel::candidates::verlet::Verlet;
-use crate::rvd::parallel::divide::Number;
+use crate::rvd::parallel::candidates::{Lists, gather::Skin, list_builder::ListBuilder, verlet::Verlet};
 use crate::rvd::parallel::divide::facets::{Found, InTurn, MEMBERS};
-use crate::rvd::parallel::divide::{UNIFORM, WEIGHTED};
+use crate::rvd::parallel::divide::{Number, UNIFORM, WEIGHTED};
 use crate::rvd::{CellSums, PassStats, PieceBatch, incident};
-use crate::token::Token;
 
 /// What one task found. Reused from wave to wave.
 #[derive(Default)]
@@ -31,12 +25,10 @@ pub(crate) struct Chunk {
     cells: Vec<(u32, Integrals)>,
     pub pieces: PieceBatch,
     pub stats: PassStats,
-    /// Facets without a Verlet list.
     pub unlisted: u64,
 }
 
-/// On facets that are much smaller than cells, whose lists have fewer seeds than this, hardly one is listed that another
-/// one than the start beats.
+/// Lists with fewer seeds than this, of facets much smaller than cells, have hardly one that another than the start beats.
 const SHORT: usize = 10;
 
 /// What is asked for of facets without lists.
@@ -50,12 +42,10 @@ pub(crate) struct Task<'a> {
     pub by_rows: bool,
     /// Seeds are spread evenly, and there are no rows.
     pub even: bool,
-    /// Facets that are added up together.
     pub block: usize,
 }
 
 impl<'a> Task<'a> {
-    /// Of facets with lists.
     pub(crate) fn listed(&self, facets: Stretch<'a>, starts: &'a [u32], lists: &'a Lists) -> Listed<'a> {
         Listed { diagram: self.diagram, facets, starts, lists, by_rows: self.by_rows }
     }
@@ -64,7 +54,6 @@ impl<'a> Task<'a> {
 /// Facets that are walked between two looks at the token.
 const ASKED: usize = 16;
 
-/// One thread's scratch memory.
 #[derive(Default)]
 pub(crate) struct Walkers {
     builder: ListBuilder,
@@ -72,7 +61,7 @@ pub(crate) struct Walkers {
     lists: Lists,
     chooser: Chooser,
     found: Found,
-    walker: FacetWalker,
+    pub walker: FacetWalker,
     written: Written,
     to_walk: Vec<u32>,
     /// Pieces that are clipped alone: facet, and place among the integrals.
@@ -92,7 +81,8 @@ impl WithSimd for Divide<'_> {
     fn with_simd<S: Simd>(self, simd: S) {
         let Self { stats, walkers, listed } = self;
         choose_members(simd, &mut walkers.chooser, listed);
-        walkers.begin();
+        walkers.written.begin(&walkers.chooser.members, &mut walkers.to_walk);
+        walkers.to_clip.clear();
         if listed.diagram.surface.is_uniform() {
             walkers.divide::<S, UNIFORM>(simd, listed, stats);
         } else {
@@ -102,18 +92,6 @@ impl WithSimd for Divide<'_> {
 }
 
 impl Walkers {
-    /// Forgets what is known of other seeds, and listens to `token`.
-    pub(crate) fn reset(&mut self, token: &Token) {
-        self.walker.reset(token);
-    }
-
-    /// Makes room for what is found.
-    fn begin(&mut self) {
-        self.written.begin(&self.chooser.members, &mut self.to_walk);
-        self.to_clip.clear();
-    }
-
-    /// Divides all facets with members among them.
     #[inline(always)]
     fn divide<S: Simd, const N: usize>(&mut self, simd: S, listed: Listed<'_>, stats: &mut PassStats) {
         let Self { chooser, found, written, to_walk, to_clip, .. } = self;
@@ -131,7 +109,8 @@ impl Walkers {
                         if N == WEIGHTED {
                             given.set_weights(lane, &vertices);
                         }
-                        let seeds = written.seeds_of(at, n);
+                        let first = written.first(at);
+                        let seeds = &mut written.seeds[first..][..n];
                         sorted(long.list(listed, at as usize), members[at as usize], seeds);
                         for (k, &seed) in seeds.iter().enumerate() {
                             given.set_seed(lane, k, diagram.seeds[seed as usize]);
@@ -163,8 +142,7 @@ impl Walkers {
         }
     }
 
-    /// Clips the pieces and walks the facets that are left, among their members alone: what else a list holds would
-    /// change roundings.
+    /// Clips pieces and walks facets that are left, among their members alone: what else a list holds would change roundings.
     fn walk(&mut self, listed: Listed<'_>, stats: &mut PassStats) {
         let Self { chooser: Chooser { members, long, .. }, walker, to_walk, to_clip, written, .. } = self;
         let Listed { diagram, facets, starts, lists, by_rows } = listed;
@@ -213,9 +191,8 @@ impl Chunk {
         self.unlisted = 0;
     }
 
-    /// Integrals over the pieces of the facets, added up block by block; `starts` become the seeds nearest to them that are
-    /// listed. Their lists become Verlet lists where there is a skin. Returns whether all could be listed, or walked by rows; nothing is
-    /// summed otherwise.
+    /// Integrals over the facets' pieces, added up block by block; `starts` become the nearest listed seeds. Lists become Verlet
+    /// lists where there is a skin. Returns whether all could be listed, or walked by rows; nothing is summed otherwise.
     pub(crate) fn sum(
         &mut self,
         walkers: &mut Walkers,
@@ -252,8 +229,7 @@ impl Chunk {
         unlisted.is_some()
     }
 
-    /// The same from lists that hold but for escaped seeds. Returns whether all facets with escaped seeds got a list; nothing is summed
-    /// otherwise.
+    /// The same from lists that hold but for escaped seeds. Nothing is summed, and `false`, if a facet with such got no list.
     pub(crate) fn sum_from_lists(
         &mut self,
         walkers: &mut Walkers,
@@ -275,7 +251,6 @@ impl Chunk {
         done
     }
 
-    /// The same from lists that hold.
     fn sum_listed(&mut self, walkers: &mut Walkers, listed: Listed<'_>, block: usize) {
         self.begin();
         walkers.chooser.begin(listed);
@@ -284,8 +259,7 @@ impl Chunk {
         walkers.written.add_blocks(block, listed.diagram.seeds.len(), &mut self.cells);
     }
 
-    /// Pieces of the facets from `first` on, as many as there are `starts`, their nearest seeds; of those without area
-    /// too if they are wanted.
+    /// Pieces of the facets from `first` on, whose nearest seeds are `starts`; with `flat` of those without area too.
     pub(crate) fn cut(&mut self, walkers: &mut Walkers, diagram: Diagram<'_>, first: u32, starts: &[u32], flat: bool) {
         self.begin();
         let surface = diagram.surface;
@@ -332,8 +306,7 @@ fn sorted(list: &[u32], mut members: u32, out: &mut [u32]) {
     }
 }
 
-/// Adds the blocks' sums up. Every thread owns a range of seeds and reads everything, so that each cell is added up in
-/// the order of blocks without a lock.
+/// Every thread owns a range of seeds and reads everything, so each cell is added up in the order of blocks without a lock.
 pub(crate) fn add_up(out: &mut CellSums, chunks: &[Chunk]) {
     let share = out.mass.len().div_ceil(rayon::current_num_threads()).max(1);
     out.mass
@@ -368,7 +341,7 @@ mod tests {
     use super::*;
     use crate::knn::{SeedIndex, Threads};
     use crate::mesh::shapes::Shape;
-    use crate::rvd::parallel::candidates::gather::{Few, Gatherer};
+    use crate::rvd::parallel::candidates::gather::{Few, Gatherer, Search};
     use crate::rvd::{Capacities, Surface};
 
     /// What a chunk of all facets finds with registers of one kind.
@@ -405,8 +378,8 @@ mod tests {
             let facets = order.all();
             for at in 0..facets.len() {
                 let (corner, centroid) = (facets.corners(at), facets.centroid(at));
-                let (_, few) =
-                    gatherer.gather(diagram, (Skin::NONE, Few::TO_WALK), &corner, centroid, index.near(centroid));
+                let search = Search { diagram, skin: Skin::NONE, few: Few::TO_WALK };
+                let (_, few) = gatherer.gather(search, &corner, centroid, index.near(centroid));
                 assert!(few);
                 lists.push(gatherer.list.iter().copied());
             }
