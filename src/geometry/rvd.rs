@@ -11,6 +11,7 @@ pub mod clip;
 mod diagram;
 pub(crate) mod dual;
 mod exact;
+mod figures;
 pub mod incident;
 mod on_host;
 mod options;
@@ -28,13 +29,14 @@ use glam::DVec3;
 use crate::token::Token;
 pub use cells::{PieceBatch, facet_edge};
 pub use diagram::{Cells, Diagram};
+pub use figures::RvdFigures;
 pub use options::{Accumulate, CELLS_PER_FACET, Capacities, SessionOptions, Strategy, Together, Tuning};
 pub use options::{MAX_SEED_DISTANCE, RvdError};
 pub use parallel::Parallel;
 #[doc(hidden)]
 pub use resident::{Evaluation, Resident};
 pub use serial::Serial;
-pub use sums::{CellSums, DeviceWork, PassStats, PhasesMs, RvdFigures};
+pub use sums::{CellSums, DeviceWork, PassStats, PhasesMs};
 pub use surface::{Frame, Surface};
 
 /// Milliseconds since a moment.

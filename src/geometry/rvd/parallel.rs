@@ -10,6 +10,7 @@
 
 mod candidates;
 mod divide;
+mod order;
 mod schedule;
 
 use std::ops::Range;
@@ -30,7 +31,7 @@ use super::{
 };
 use crate::knn::{NeighbourTable, SeedIndex, Threads};
 use crate::token::Token;
-use schedule::Order;
+use order::Order;
 
 /// The backend in double precision on all threads of its own rayon pool.
 #[derive(Clone, Debug)]

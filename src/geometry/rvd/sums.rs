@@ -1,17 +1,15 @@
-//! Sums over cells, what a pass and its device did, and the figures of a report.
+//! Sums over cells, and what a pass and its device did.
 //!
-//! Purpose: what a pass answers, what it did, what crossed between host and device and took time there, and a report's figures.
+//! Purpose: what a pass answers, what it did, and what crossed between host and device and took time there.
 //! Invariant: sums have one entry a seed. Work and phases grow from a session's opening on; a difference of two is what was done
-//! between. A session on a CPU has neither. A name of a figure does not change, since scripts read it.
+//! between. A session on a CPU has neither.
 //! Must not know: how pieces were made, what passes and submissions are for.
 
 use std::{iter::repeat_n, ops::AddAssign};
 
 use glam::DVec3;
-use serde::Serialize;
 
-use super::dual::Dual;
-use super::{Surface, clip, refill};
+use super::{clip, refill};
 
 /// Sums over each restricted cell Ω_i, in the surface's unit frame. All have one entry a seed.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -199,50 +197,5 @@ impl PhasesMs {
     /// What they took after `before`.
     pub fn since(&self, before: &Self) -> Self {
         Self::each(|phase| phase(self) - phase(before))
-    }
-}
-
-/// The last diagram and what all of them took.
-#[derive(Clone, Debug, Default, Serialize)]
-pub struct RvdFigures {
-    /// Area covered by the pieces, caller's units squared.
-    pub area: f64,
-    /// (facet, cell) incidences.
-    pub pairs: u64,
-    /// Pairs launched more than once, all passes.
-    pub relaunched_pairs: u64,
-    /// Of these, because neighbours ran out.
-    pub relaunched_neighbours: u64,
-    /// Because polygon slots ran out.
-    pub relaunched_polygon: u64,
-    /// Because cell slots ran out.
-    pub relaunched_cells: u64,
-    /// Pairs that the f64 path finished for the GPU, all passes.
-    pub f64_finished_pairs: u64,
-    /// Cells without surface in the last diagram.
-    pub empty_cells: usize,
-    /// Seeds that lay exactly on an earlier one, in the pass that had most of them. Their cells are empty.
-    pub duplicate_seeds: usize,
-    /// Seeds placed again because their cell was empty, all passes.
-    pub reseeded_cells: usize,
-}
-
-impl RvdFigures {
-    /// Adds what one pass had to do again.
-    pub fn add_pass(&mut self, stats: &PassStats) {
-        self.relaunched_pairs += stats.relaunched();
-        self.relaunched_neighbours += stats.relaunched_neighbours;
-        self.relaunched_polygon += stats.relaunched_polygon;
-        self.relaunched_cells += stats.relaunched_cells;
-        self.f64_finished_pairs += stats.f64_finished;
-        self.duplicate_seeds = self.duplicate_seeds.max(stats.duplicate_seeds as usize);
-    }
-
-    /// Takes the last diagram's figures.
-    pub fn of_dual(&mut self, dual: &Dual, surface: &Surface) {
-        let scale = surface.frame().scale;
-        self.area = dual.area / scale / scale;
-        self.pairs = dual.stats.pairs;
-        self.empty_cells = dual.empty_cells;
     }
 }

@@ -14,7 +14,7 @@ use super::escaped::{Bounds, Reach};
 use super::gather::{Few, Gatherer, Search, Skin};
 use super::neighbourhood::{self, GROUP, Neighbourhood};
 use super::{Lists, members::Listed, verlet::Verlet};
-use crate::rvd::parallel::{divide::facets::LISTED, schedule::Stretch};
+use crate::rvd::parallel::{divide::facets::LISTED, order::Stretch};
 use crate::rvd::{incident::Diagram, refill};
 
 /// Seeds to examine for one seed within its skin.

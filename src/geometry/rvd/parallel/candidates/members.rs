@@ -11,7 +11,7 @@ use pulp::{Simd, WithSimd};
 
 use super::{Lists, gather::Skin};
 use crate::rvd::parallel::divide::facets::{Facets, Given, InTurn, LISTED, MEMBERS, beats};
-use crate::rvd::parallel::{divide::Number, schedule::Stretch};
+use crate::rvd::parallel::{divide::Number, order::Stretch};
 use crate::rvd::{incident::Diagram, refill};
 
 /// The facets of a chunk, all with area, and their lists.

@@ -14,7 +14,7 @@ use glam::DVec3;
 use pulp::Simd;
 
 use super::{Mask, Moments, Number, PieceIntegrals, Row, Shape, WIDEST, Weight};
-use crate::rvd::{clip::Integrals, parallel::schedule::Vertex};
+use crate::rvd::{clip::Integrals, parallel::order::Vertex};
 
 /// A segment's end may be off by this share of the farthest corner's distance, in the worst case, and the facet is
 /// left to the walk beyond: two bisectors are nearly parallel there, one facet in some thousand.

@@ -8,7 +8,7 @@ use glam::DVec3;
 use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
 
-use super::{NONE, Stretch, Written};
+use super::{NONE, Written};
 use crate::knn::NeighbourTable;
 use crate::rvd::clip::{Clipper, Integrals};
 use crate::rvd::incident::{Diagram, FacetWalker};
@@ -16,6 +16,7 @@ use crate::rvd::parallel::candidates::members::{Chooser, Listed, Prune, choose_m
 use crate::rvd::parallel::candidates::{Lists, gather::Skin, list_builder::ListBuilder, verlet::Verlet};
 use crate::rvd::parallel::divide::facets::{Found, InTurn, MEMBERS};
 use crate::rvd::parallel::divide::{Number, UNIFORM, WEIGHTED};
+use crate::rvd::parallel::order::Stretch;
 use crate::rvd::{CellSums, PassStats, PieceBatch, incident};
 
 /// What one task found. Reused from wave to wave.
@@ -337,11 +338,11 @@ mod tests {
 
     use glam::DVec3;
 
-    use super::super::Order;
     use super::*;
     use crate::knn::{SeedIndex, Threads};
     use crate::mesh::shapes::Shape;
     use crate::rvd::parallel::candidates::gather::{Few, Gatherer, Search};
+    use crate::rvd::parallel::order::Order;
     use crate::rvd::{Capacities, Surface};
 
     /// What a chunk of all facets finds with registers of one kind.
