@@ -57,6 +57,22 @@ fn links_lead_somewhere() {
     assert!(wrong.is_empty(), "\n{}", wrong.join("\n"));
 }
 
+/// Pages for developers name sources, within backquotes; a name with capitals is a pattern. CHANGELOG.md names what was.
+#[test]
+fn sources_that_pages_name_exist() {
+    let mut wrong = Vec::new();
+    for page in pages().into_iter().filter(|page| page != "CHANGELOG.md") {
+        let text = read(&page);
+        for (number, line) in prose(&text) {
+            let named = line.split('`').skip(1).step_by(2);
+            let sources = named.filter(|name| name.starts_with("src/") || name.starts_with("tests/"));
+            let sources = sources.filter(|name| name.ends_with(".rs") && !name.contains(char::is_uppercase));
+            wrong.extend(sources.filter(|name| !place(name).exists()).map(|name| format!("{page}:{number}: {name}")));
+        }
+    }
+    assert!(wrong.is_empty(), "\n{}", wrong.join("\n"));
+}
+
 #[test]
 fn headings_are_named_as_forges_name_them() {
     let text = "# A page\n## What a job needs\n```sh\n# no heading\n```\n## `Read`, and more\n## A page\n";
