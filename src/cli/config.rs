@@ -12,11 +12,9 @@ use clap::{ArgMatches, Args, CommandFactory, FromArgMatches, Subcommand};
 
 use super::serve;
 use crate::{Cli, Command};
-pub(crate) use server::config;
-pub(crate) use server::config::ServeArgs;
+pub(crate) use server::config::{self, ServeArgs};
 use server::config::{ConfigFile, sources, with_switches};
 
-/// `tessera config`'s options.
 #[derive(Args, Debug)]
 pub(crate) struct ConfigArgs {
     #[command(subcommand)]

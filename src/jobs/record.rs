@@ -283,7 +283,6 @@ pub struct Bytes {
 }
 
 impl Bytes {
-    /// More than there ever is.
     pub const MAX: Self = Self { host: u64::MAX, device: u64::MAX };
 
     pub fn fits(self, room: Self) -> bool {

@@ -22,7 +22,6 @@ use picture::chart::Figure;
 use server::config::BackendArg;
 pub(super) use server::config::{BackendArgs, count, whole};
 
-/// One surface.
 #[derive(Args, Debug)]
 pub(super) struct SurfaceArgs {
     /// The surface, as `remesh` takes it; a torus if not given.
@@ -39,7 +38,6 @@ impl SurfaceArgs {
     }
 }
 
-/// One set of seeds.
 #[derive(Args, Debug)]
 pub(super) struct SeedsArgs {
     /// Seeds to draw.
@@ -60,7 +58,6 @@ impl SeedsArgs {
     }
 }
 
-/// How a benchmark runs.
 #[derive(Args, Debug)]
 pub(super) struct RunArgs {
     /// Random seed of the points.
@@ -118,7 +115,6 @@ pub(super) fn mesh(file: Option<&Path>, shape: Shape, facets: usize) -> Result<(
     })
 }
 
-/// Files to write.
 #[derive(Args, Debug)]
 pub(super) struct OutputArgs {
     /// Write the figures there, as JSON.

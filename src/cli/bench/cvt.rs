@@ -10,11 +10,8 @@ use anyhow::Result;
 use clap::Args;
 use serde_json::{Value, json};
 
-use super::args::Worker;
-use super::args::{RunArgs, SeedsArgs, SurfaceArgs};
-use super::args::{head, ratio, report};
-use super::measure::Spread;
-use super::measure::{Load, Timed};
+use super::args::{RunArgs, SeedsArgs, SurfaceArgs, Worker, head, ratio, report};
+use super::measure::{Load, Spread, Timed};
 use crate::remesh::DensityArg;
 use geometry::cvt::StepKind;
 use geometry::cvt::density::DensityOptions;
@@ -23,7 +20,6 @@ use geometry::rvd::PhasesMs;
 use picture::chart::{Axis, Figure, Panel, Series};
 pub(super) use server::config::count;
 
-/// `tessera bench cvt`'s options.
 #[derive(Args, Debug)]
 pub(super) struct CvtBenchArgs {
     #[command(flatten)]

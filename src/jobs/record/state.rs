@@ -76,10 +76,7 @@ pub struct TransitionError {
     pub transition: Transition,
 }
 
-/// The state after `transition`.
-///
-/// # Errors
-/// [`TransitionError`] where the table at the head of the module has no entry.
+/// The state after `transition`. Errors: [`TransitionError`] where the table at the head of the module has no entry.
 pub fn apply(state: State, transition: Transition) -> Result<State, TransitionError> {
     use State as S;
     use Transition as T;

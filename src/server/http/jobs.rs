@@ -19,8 +19,7 @@ use super::blobs::send;
 use super::guard::Whose;
 use super::options::{Asked, format_names, media_type};
 use super::problem::{Answered, Problem, wrong};
-use crate::service;
-use crate::service::{Caller, Desk, Detail, Fault, FaultKind, Phase, RequestError, job_id, to_the_end};
+use crate::service::{self, Caller, Desk, Detail, Fault, FaultKind, Phase, RequestError, job_id, to_the_end};
 use jobs::record::event::{Event, Progress, What};
 use jobs::record::state::State as JobState;
 use jobs::record::{Cause, Failure, FailureKind, Job, JobId, Outcome, ResultFormat, Spec};
@@ -36,7 +35,6 @@ const WAITING_EVENTS: usize = 16;
 /// Between two events or signs of life, for what stands between here and the client.
 const ALIVE_EVERY: Duration = Duration::from_secs(15);
 
-/// A part of an answer.
 pub(super) fn answer(status: StatusCode, body: &Value) -> Response {
     (status, [(CONTENT_TYPE, "application/json")], body.to_string()).into_response()
 }

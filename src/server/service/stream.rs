@@ -2,10 +2,9 @@
 //!
 //! Purpose: [`Gate`] admits, [`Inbox`] reads with an idle limit, [`Outbox`] writes as the client takes it,
 //! [`respond`] runs a handler until it ends or the client goes, the deadline passes, the server cuts; [`answer`] does the
-//! same for a handler that gives one message.
-//! Invariant: a stream that ends without its last message ends with an error, never with OK. A stream keeps its place
-//! until its answer has left or was thrown away; what waits in between is counted. The transport resets a stream whose
-//! client takes nothing. Must not know: what the messages say.
+//! same for a handler that gives one message. Invariant: a stream that ends without its last message ends with an error,
+//! never with OK. A stream keeps its place until its answer has left or was thrown away; what waits in between is counted.
+//! The transport resets a stream whose client takes nothing. Must not know: what the messages say.
 
 use std::future::Future;
 use std::pin::Pin;

@@ -1,9 +1,8 @@
 //! One request and its answer, as the transport sees them.
 //!
 //! Purpose: [`Exchange`] counts the bytes that wait for the client, and has the time of the last write; [`Answer`] is the
-//! answer's body and reports its written bytes.
-//! Invariant: every byte of an answer is counted from the service's call until it is written or the stream ends.
-//! Must not know: messages, the content of answers.
+//! answer's body and reports its written bytes. Invariant: every byte of an answer is counted from the service's call until
+//! it is written or the stream ends. Must not know: messages, the content of answers.
 
 use std::future::Future;
 use std::pin::Pin;
@@ -75,7 +74,6 @@ impl Exchange {
         }
     }
 
-    /// The request is work that was admitted: a shutdown lets it end.
     pub(crate) fn admit(&self) {
         self.admitted.set();
     }
@@ -84,7 +82,6 @@ impl Exchange {
         self.began.elapsed()
     }
 
-    /// Bytes that wait for the client.
     pub(super) fn waiting(&self) -> u64 {
         self.waiting.load(Ordering::Acquire)
     }

@@ -11,8 +11,7 @@ use super::Reply;
 use crate::config::Limits;
 use crate::readiness::Readiness;
 use geometry::rvd::{BackendChoice, BackendKind};
-use jobs::Engine;
-use jobs::memory;
+use jobs::{Engine, memory};
 use wire::proto::{self, GetServerInfoRequest, GetServerInfoResponse};
 
 pub(in crate::service) struct Info {
