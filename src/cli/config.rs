@@ -40,7 +40,6 @@ struct PrintArgs {
 }
 
 impl ConfigArgs {
-    /// The server's options.
     pub(crate) fn options(&mut self) -> &mut ServeArgs {
         match &mut self.command {
             ConfigCommand::Check(options) => options,

@@ -25,7 +25,6 @@ const NO_DEVICE: u8 = 76;
 const THRESHOLD: u8 = 79;
 const INTERRUPTED: u8 = super::interrupt::CODE;
 
-/// What `--help` says of them.
 pub(crate) const HELP: &str = "Exit codes:
   0    done
   2    wrong usage: an option is missing, unknown or out of its range

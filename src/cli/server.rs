@@ -18,7 +18,6 @@ use super::exit::{NoInput, Usage};
 use super::say;
 use server::keys::Secret;
 
-/// A server, and the credentials for it.
 #[derive(Clone, Debug)]
 pub(crate) struct Server {
     pub(crate) url: ServerUrl,

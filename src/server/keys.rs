@@ -95,7 +95,6 @@ pub struct Key {
     /// Name of the owner, and so the tenant.
     pub name: String,
     pub role: Role,
-    /// Of the secret.
     pub sha256: Hash,
     /// When it was made, seconds since 1970.
     pub created: u64,

@@ -18,7 +18,7 @@ use geometry::rvd::{Backend, BackendKind};
 use geometry::token::Token;
 use gpu::diagram::Gpu;
 use picture::Size;
-use picture::chart::Figure;
+use picture::chart::{Axis, Figure, Panel, Series};
 use server::config::BackendArg;
 pub(super) use server::config::{BackendArgs, count, whole};
 
@@ -141,6 +141,12 @@ impl OutputArgs {
         }
         Ok(())
     }
+}
+
+/// Milliseconds of a worker, step by step.
+pub(super) fn by_step(title: String, worker: &Worker, step: &str, series: Vec<Series>) -> Figure {
+    let (x, y) = (Axis::linear(step), Axis::linear("ms"));
+    Figure { title, panels: vec![Panel { title: worker.describe(), x, y, series, ..Panel::default() }] }
 }
 
 /// The report of cases that `workers` did. The first is the one that a program reads if it knows of one only.

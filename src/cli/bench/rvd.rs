@@ -12,12 +12,12 @@ use clap::{Args, ValueEnum};
 use glam::DVec3;
 use serde_json::{Value, json};
 
-use super::args::{RunArgs, SeedsArgs, SurfaceArgs, Worker, head, report};
+use super::args::{RunArgs, SeedsArgs, SurfaceArgs, Worker, by_step, head, report};
 use super::measure::{Load, Spread};
 use geometry::rvd::{Accumulate, CellSums, DeviceWork, PassStats, Session, SessionOptions, Strategy, Surface, Tuning};
 use geometry::token::Token;
 use gpu::diagram::{AccumulationMs, Gpu};
-use picture::chart::{Axis, Figure, Panel, Series};
+use picture::chart::{Figure, Series};
 
 #[derive(Args, Debug)]
 pub(super) struct RvdBenchArgs {
@@ -201,15 +201,8 @@ impl Case {
         };
         let mut series = vec![line("iteration", &|s| s.ms)];
         series.extend(PHASES.map(|(name, of)| line(name, &|s| of(&s.stats))));
-        let panel = Panel {
-            title: worker.describe(),
-            x: Axis::linear("iteration"),
-            y: Axis::linear("ms"),
-            series,
-            ..Panel::default()
-        };
         let title = format!("{}: {} facets, {} points", self.name, self.surface.facets().len(), self.points);
-        Figure { title, panels: vec![panel] }
+        by_step(title, worker, "iteration", series)
     }
 
     fn json(&self, args: &RvdBenchArgs) -> Value {

@@ -83,10 +83,8 @@ pub(super) async fn one<T>(
     link: &Link<'_>,
     call: impl Future<Output = Result<Response<T>, Status>>,
 ) -> Result<T, Fault> {
-    match link.first(call).await? {
-        Ok(answer) => Ok(answer.into_inner()),
-        Err(status) => Err(faults::of_call(link.url(), &status)),
-    }
+    let answer = link.first(call).await?;
+    answer.map(Response::into_inner).map_err(|status| faults::of_call(link.url(), &status))
 }
 
 /// The first pause; each is twice the one before.

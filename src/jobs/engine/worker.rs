@@ -95,7 +95,6 @@ pub(crate) fn jobs_at_once() -> usize {
     std::thread::available_parallelism().map_or(2, |cores| (cores.get() / 4).clamp(2, 8))
 }
 
-/// Workers for short pieces.
 const SHORT_WORKERS: usize = 2;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

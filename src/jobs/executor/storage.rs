@@ -14,7 +14,6 @@ use crate::blob::{BlobError, BlobStore};
 use crate::engine::TOKEN_POLL;
 use geometry::token::{Stopped, Token};
 
-/// How often a job that waits tries again.
 const RETRY_PERIOD: Duration = Duration::from_secs(1);
 
 #[derive(Debug, Default)]

@@ -52,7 +52,6 @@ pub enum Progress {
         kind: String,
         /// Energy of the seeds before the step.
         energy: f64,
-        /// Norm of its gradient.
         gradient_norm: f64,
         /// Wall-clock milliseconds.
         ms: f64,

@@ -22,6 +22,8 @@
 
 use serde::{Deserialize, Serialize};
 
+pub use super::Transition;
+
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize, strum::IntoStaticStr)]
 #[serde(rename_all = "snake_case")]
 #[strum(serialize_all = "snake_case")]
@@ -47,17 +49,6 @@ impl State {
     pub fn name(self) -> &'static str {
         self.into()
     }
-}
-
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub enum Transition {
-    Claim,
-    Release,
-    Orphan,
-    Succeed,
-    Fail,
-    Cancel,
-    Expire,
 }
 
 /// A transition that the state does not allow.

@@ -54,6 +54,9 @@ use wire::{attributes, codec, proto};
 /// The longest report that the last message holds, bytes; a longer one goes ahead of it in chunks.
 const REPORT_IN_DONE_BYTES: usize = 256 << 10;
 
+/// The answer to a call of one message.
+type Reply<T> = Result<Response<T>, Status>;
+
 pub(super) struct Handlers {
     shared: Arc<Shared>,
 }
@@ -73,12 +76,7 @@ impl Handlers {
         let preparing = Arc::new(Semaphore::new(cores));
         Self { shared: Arc::new(Shared { engine, limits, budget, gate, preparing }) }
     }
-}
 
-/// The answer to a call of one message.
-type Reply<T> = Result<Response<T>, Status>;
-
-impl Handlers {
     /// Runs a stream in the name of its tenant.
     fn stream<M, T: Send + 'static, F: Future<Output = Result<(), RequestError>> + Send + 'static>(
         &self,

@@ -121,7 +121,6 @@ pub(super) struct Outbox<T> {
     budget: Budget,
 }
 
-/// A message, and what it takes of the memory.
 #[derive(Debug)]
 struct Waiting<T> {
     message: T,
@@ -193,9 +192,7 @@ pub(super) async fn answer<T>(
     work: impl Future<Output = Result<T, RequestError>>,
 ) -> Result<Response<T>, Status> {
     let _permit = gate.admit(kind).inspect_err(|error| gate.note(error))?;
-    if let Some(exchange) = extensions.get::<Arc<Exchange>>() {
-        exchange.admit();
-    }
+    Exchange::admit(extensions);
     let start = Instant::now();
     let result = tokio::select! {
         result = work => result,
@@ -229,10 +226,8 @@ where
     F: Future<Output = Result<(), RequestError>> + Send + 'static,
 {
     let permit = Arc::new(gate.admit(kind).inspect_err(|error| gate.note(error))?);
+    Exchange::admit(extensions);
     let exchange = extensions.get::<Arc<Exchange>>().cloned();
-    if let Some(exchange) = &exchange {
-        exchange.admit();
-    }
     let deadline = timeout(metadata);
     let (sender, receiver) = mpsc::channel(OUTBOX_MESSAGES);
     let (end, ended) = oneshot::channel();

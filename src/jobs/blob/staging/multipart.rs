@@ -32,7 +32,6 @@ const PART_BYTES: usize = 8 << 20;
 #[derive(Clone)]
 pub(in crate::blob) struct Multipart {
     objects: Arc<dyn ObjectStore>,
-    /// The same store.
     parts: Arc<dyn MultipartStore>,
     prefix: Path,
 }

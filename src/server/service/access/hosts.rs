@@ -35,7 +35,6 @@ fn of<'a>(headers: &'a HeaderMap, name: &HeaderName) -> impl Iterator<Item = &'a
     headers.get_all(name).into_iter()
 }
 
-/// Whether a host is this machine, or one of `allowed`.
 fn is_here(host: &str, allowed: &[String]) -> bool {
     let host = host.strip_suffix('.').unwrap_or(host);
     let bare = host.trim_start_matches('[').trim_end_matches(']');

@@ -14,6 +14,7 @@ use std::time::{Duration, Instant};
 use bytes::Buf;
 use http_body::Frame;
 use tokio::sync::Notify;
+use tonic::Extensions;
 use tonic::codegen::{Body, Bytes, http::HeaderMap};
 
 use super::super::budget::Budget;
@@ -74,8 +75,9 @@ impl Exchange {
         }
     }
 
-    pub(crate) fn admit(&self) {
-        self.admitted.set();
+    /// Marks the request with these extensions as admitted.
+    pub(crate) fn admit(extensions: &Extensions) {
+        extensions.get::<Arc<Self>>().map(|exchange| exchange.admitted.set());
     }
 
     pub(super) fn age(&self) -> Duration {
