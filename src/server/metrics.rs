@@ -398,7 +398,7 @@ const METHOD: &str = "rpc_method";
 const DROPPED: &str = "CANCELLED";
 
 /// The name of a status of gRPC, by its number.
-pub fn status_name(number: usize) -> &'static str {
+pub(crate) fn status_name(number: usize) -> &'static str {
     const BY_NUMBER: &str = "OK CANCELLED UNKNOWN INVALID_ARGUMENT DEADLINE_EXCEEDED NOT_FOUND ALREADY_EXISTS \
         PERMISSION_DENIED RESOURCE_EXHAUSTED FAILED_PRECONDITION ABORTED OUT_OF_RANGE UNIMPLEMENTED INTERNAL UNAVAILABLE \
         DATA_LOSS UNAUTHENTICATED";

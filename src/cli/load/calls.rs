@@ -19,11 +19,10 @@ use tonic_types::StatusExt;
 
 use super::LoadArgs;
 use super::amounts::{Item, Kind};
-use super::compare::{Call, Tally};
+use super::compare::{Call, Tally, status_name};
 use super::meshes::Surface;
 use crate::remote::{Door, choice, is_lost};
 use crate::say::plain;
-use server::metrics::status_name;
 use wire::proto::server_service_client::ServerServiceClient;
 use wire::proto::{DiagramOptions, GetServerInfoRequest, RemeshOptions};
 
@@ -199,7 +198,7 @@ fn outcome(end: End) -> Outcome {
         End::Status(status) if is_lost(&status) => failed("CONNECTION_LOST", status.message()),
         End::Status(status) => match status.get_details_retry_info().and_then(|info| info.retry_delay) {
             Some(after) => Outcome::Refused { reason: reason(&status), after },
-            None => failed(status_name(status.code() as usize), status.message()),
+            None => failed(status_name(status.code()), status.message()),
         },
     }
 }
@@ -216,7 +215,7 @@ fn reason(status: &Status) -> String {
             false => text.push(c),
         }
     }
-    format!("{}: {}", status_name(status.code() as usize), text.chars().take(MOST).collect::<String>())
+    format!("{}: {}", status_name(status.code()), text.chars().take(MOST).collect::<String>())
 }
 
 struct Pace {
