@@ -15,10 +15,7 @@ use gpu::{BackendOptions, NoGpu};
 use jobs::{Backends, JobError};
 pub(crate) use server::config::{BackendArg, BackendArgs};
 
-/// All backends of a server.
-///
-/// # Errors
-/// `BackendUnavailable` if the default one is the GPU and there is none.
+/// All backends of a server. Errors: `BackendUnavailable` if the default one is the GPU and there is none.
 pub(crate) fn all(args: &BackendArgs) -> Result<Backends, JobError> {
     let backends = Backends {
         gpu: gpu(args).inspect_err(|reason| tracing::info!(%reason, "no GPU backend")).map(|gpu| gpu as _),
@@ -31,10 +28,7 @@ pub(crate) fn all(args: &BackendArgs) -> Result<Backends, JobError> {
     Ok(backends)
 }
 
-/// The one backend that a subcommand in this process works with.
-///
-/// # Errors
-/// `BackendUnavailable`.
+/// The one backend that a subcommand in this process works with. Errors: `BackendUnavailable`.
 pub(crate) fn one(args: &BackendArgs) -> Result<Arc<dyn Backend>, JobError> {
     match args.backend {
         BackendArg::Serial => Ok(Arc::new(Serial)),
@@ -54,10 +48,7 @@ pub(crate) fn on_threads<R: Send>(
     pool.context("cannot start threads; ask for fewer with --threads")?.install(work)
 }
 
-/// The GPU backend.
-///
-/// # Errors
-/// A sentence that says why there is none, and what to do.
+/// The GPU backend. Errors: a sentence that says why there is none, and what to do.
 pub(crate) fn gpu(args: &BackendArgs) -> Result<Arc<Gpu>, String> {
     let options = BackendOptions {
         threads: args.threads,

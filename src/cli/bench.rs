@@ -1,9 +1,8 @@
 //! `tessera bench`: how long what takes.
 //!
-//! Purpose: passes of a diagram, steps of an iteration, and the table and figures of \[HYWZ17\], each as a table, as
-//! JSON and as a plot.
-//! Invariant: what is timed is the exact diagram, every pass of it. Times are printed and never judged; what warms
-//! up is not counted. Must not know: how a phase is done.
+//! Purpose: passes of a diagram, steps of an iteration, and the table and figures of \[HYWZ17\], each as a table, as JSON
+//! and as a plot. Invariant: what is timed is the exact diagram, every pass of it. Times are printed and never judged; what
+//! warms up is not counted. Must not know: how a phase is done.
 
 mod args;
 mod cvt;
@@ -16,7 +15,6 @@ mod table1;
 use anyhow::Result;
 use clap::{Args, Subcommand};
 
-/// `tessera bench`'s options.
 #[derive(Args, Debug)]
 pub(crate) struct BenchArgs {
     #[command(subcommand)]

@@ -15,7 +15,6 @@ use super::remote::{Session, session};
 use super::server::ServerArgs;
 use super::source::Source;
 
-/// `tessera blobs`' options.
 #[derive(Args, Debug)]
 pub(crate) struct BlobsArgs {
     #[command(subcommand)]

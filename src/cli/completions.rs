@@ -12,7 +12,6 @@ use clap_complete::Shell;
 use super::exit::{NoFolder, NotWritten};
 use super::say;
 
-/// `tessera completions`' options.
 #[derive(Args, Debug)]
 pub(crate) struct CompletionsArgs {
     /// The shell. Bash: `source <(tessera completions bash)`.
@@ -20,7 +19,6 @@ pub(crate) struct CompletionsArgs {
     shell: Shell,
 }
 
-/// `tessera man`'s options.
 #[derive(Args, Debug)]
 pub(crate) struct ManArgs {
     /// Write the pages of all commands there, as tessera.1, tessera-remesh.1 and so on, instead of the first one to the standard

@@ -12,11 +12,9 @@ use clap::{ArgMatches, Args, CommandFactory, FromArgMatches, Subcommand};
 
 use super::serve;
 use crate::{Cli, Command};
-pub(crate) use server::config;
-pub(crate) use server::config::ServeArgs;
+pub(crate) use server::config::{self, ServeArgs};
 use server::config::{ConfigFile, sources, with_switches};
 
-/// `tessera config`'s options.
 #[derive(Args, Debug)]
 pub(crate) struct ConfigArgs {
     #[command(subcommand)]
@@ -42,7 +40,6 @@ struct PrintArgs {
 }
 
 impl ConfigArgs {
-    /// The server's options.
     pub(crate) fn options(&mut self) -> &mut ServeArgs {
         match &mut self.command {
             ConfigCommand::Check(options) => options,

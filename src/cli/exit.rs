@@ -19,15 +19,12 @@ const UNAVAILABLE: u8 = 69;
 const INTERNAL: u8 = 70;
 const NO_FOLDER: u8 = 73;
 const IO: u8 = 74;
-/// Work did not stop when it was told to; only a new process can go on.
 const STUCK: u8 = 75;
-/// The device was lost and did not come back; only a new process can go on.
 const NO_DEVICE: u8 = 76;
 /// A threshold of `tessera load` does not hold; a code of its own, so that a script can tell it from a failure.
 const THRESHOLD: u8 = 79;
 const INTERRUPTED: u8 = super::interrupt::CODE;
 
-/// What `--help` says of them.
 pub(crate) const HELP: &str = "Exit codes:
   0    done
   2    wrong usage: an option is missing, unknown or out of its range
@@ -95,7 +92,6 @@ kinds! {
     Stuck: STUCK;
 }
 
-/// A file that is missing or cannot be read.
 #[derive(Debug, thiserror::Error)]
 #[error("cannot read {}: {cause}", path.display())]
 pub(crate) struct NoInput {
@@ -103,7 +99,6 @@ pub(crate) struct NoInput {
     pub(crate) cause: std::io::Error,
 }
 
-/// An output file whose folder is missing.
 #[derive(Debug, thiserror::Error)]
 #[error("cannot write {}: there is no folder {}; make it first", path.display(), folder.display())]
 pub(crate) struct NoFolder {

@@ -118,9 +118,7 @@ impl fmt::Display for Surface {
     }
 }
 
-/// The option with the format of a surface that is read.
 pub(crate) const INPUT_FORMAT: &str = "--input-format";
-/// The option with the format of a surface that is written.
 pub(crate) const OUTPUT_FORMAT: &str = "--format";
 
 /// Help for the file of a surface, with the extensions.
@@ -280,7 +278,7 @@ impl Output {
     }
 }
 
-fn unwritten(path: &Path, error: &std::io::Error) -> NotWritten {
+pub(crate) fn unwritten(path: &Path, error: &std::io::Error) -> NotWritten {
     NotWritten(format!("cannot write {}: {error}", path.display()))
 }
 

@@ -24,10 +24,8 @@ pub(crate) struct Given<A> {
     pub(crate) set: Texts,
 }
 
-/// The options of a remesh that are set. Files of lists are no options of the message.
-///
-/// # Errors
-/// `Usage` for a value that the schema does not have.
+/// The options of a remesh that are set. Files of lists are no options of the message. Errors: `Usage` for a value that the
+/// schema does not have.
 pub(crate) fn message(given: [&Texts; 3]) -> Result<proto::RemeshOptions> {
     let mut fields = Fields::default();
     for (name, text) in given.into_iter().flatten() {

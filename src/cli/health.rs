@@ -24,7 +24,6 @@ use super::remote::{health, watch_health};
 use super::say;
 use super::server::ServerArgs;
 
-/// `tessera health`'s options.
 #[derive(Args, Debug)]
 pub(crate) struct HealthArgs {
     /// Service to ask for, e.g. tessera.v1.JobService; all of the server if not given.
@@ -83,7 +82,6 @@ impl HealthArgs {
     }
 }
 
-/// Whether a server is ready, and why not.
 #[derive(Debug, PartialEq)]
 struct Readiness(Value);
 
@@ -133,10 +131,8 @@ async fn ask(address: &str, limit: Duration) -> Result<Readiness, Unavailable> {
     })
 }
 
-/// Asks `place`, HOST:PORT, for `path`. An answer has at most `most` bytes.
-///
-/// # Errors
-/// A clause that says why there is no answer.
+/// Asks `place`, HOST:PORT, for `path`. An answer has at most `most` bytes. Errors: a clause that says why there is no
+/// answer.
 pub(crate) async fn get(place: &str, path: &str, limit: Duration, most: usize) -> Result<(StatusCode, Bytes), String> {
     match tokio::time::timeout(limit, answer(place, path, most)).await {
         Ok(answer) => answer.map_err(|error| match error.downcast_ref::<hyper::Error>() {

@@ -13,7 +13,6 @@ use super::say;
 use super::server::ServerArgs;
 use wire::proto::{BackendState, GetServerInfoResponse, RequestLimits};
 
-/// `tessera info`'s options.
 #[derive(Args, Debug)]
 pub(crate) struct InfoArgs {
     /// Seconds for the server to answer.

@@ -18,7 +18,7 @@ use super::exit::{self, NoResult, Usage};
 use super::progress::{Plan, Progress};
 use super::remote::{is_id, session};
 use super::say;
-use super::server::ServerArgs;
+use super::server::{ServerArgs, number};
 use super::{files, interrupt};
 use fetch::FetchArgs;
 use geometry::remesh::RemeshOptions;
@@ -28,7 +28,6 @@ use wire::proto::{CreateJobRequest, EstimateJobRequest, Job, JobState, ListJobsR
 
 pub(crate) use spec::digest;
 
-/// `tessera jobs`' options.
 #[derive(Args, Debug)]
 pub(crate) struct JobsArgs {
     #[command(subcommand)]
@@ -91,7 +90,6 @@ enum EstimateWork {
     Rvd(RvdWork),
 }
 
-/// How a job is kept and run.
 #[derive(Args, Debug)]
 #[command(next_help_heading = "The job")]
 struct HowArgs {
@@ -178,8 +176,7 @@ fn request_id(text: &str) -> Result<String, String> {
 }
 
 fn deadline(text: &str) -> Result<Duration, String> {
-    let seconds = text.parse::<f64>().ok().filter(|seconds| (0.001..=1e9).contains(seconds));
-    seconds.map(Duration::from_secs_f64).ok_or_else(|| "a number of seconds from 0.001 on is needed".to_owned())
+    number(text, 0.001..=1e9, "a number of seconds from 0.001 on is needed").map(Duration::from_secs_f64)
 }
 
 fn label(text: &str) -> Result<(String, String), String> {

@@ -14,7 +14,6 @@ use super::say;
 use jobs::store::{Findings, StoreError, check, repair};
 pub(crate) use server::config::data_dir;
 
-/// `tessera journal`'s options.
 #[derive(Args, Debug)]
 pub(crate) struct JournalArgs {
     #[command(subcommand)]

@@ -14,10 +14,10 @@ use serde_json::{Value, json};
 
 use super::exit::{Absent, BadInput, NotWritten, Usage};
 use super::say;
+use super::server::number;
 pub(crate) use server::config::{data_dir, period, whole};
 use server::keys::{Key, KeyFile, KeyLimits, KeysError, NewKey, Role, now};
 
-/// `tessera keys`' options.
 #[derive(Args, Debug)]
 pub(crate) struct KeysArgs {
     #[command(subcommand)]
@@ -79,8 +79,7 @@ fn lasting(text: &str) -> Result<Duration, String> {
 }
 
 fn weight(text: &str) -> Result<f64, String> {
-    let weight = text.parse::<f64>().ok().filter(|weight| (0.01..=100.0).contains(weight));
-    weight.ok_or_else(|| "a number from 0.01 to 100 is needed".to_owned())
+    number(text, 0.01..=100.0, "a number from 0.01 to 100 is needed")
 }
 
 pub(crate) fn run(args: &KeysArgs) -> Result<()> {
@@ -145,7 +144,6 @@ fn moment(seconds: u64) -> String {
     i64::try_from(seconds).map_or_else(|_| "never".to_owned(), |seconds| Timestamp { seconds, nanos: 0 }.to_string())
 }
 
-/// A key as a line: id, name, role, times and limits.
 fn line(key: &Key) -> String {
     let KeyLimits { rate, in_flight, bytes, weight } = key.limits;
     let mut line = format!("{}  {:16} {:6}  made {}", key.id, key.name, key.role.name(), moment(key.created));

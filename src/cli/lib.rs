@@ -1,8 +1,7 @@
 //! The command line: one file per subcommand.
 //!
-//! Purpose: options to calls, errors to exit codes (`exit::HELP`).
-//! Invariant: results go to files and the standard output, everything else to the standard error
-//! stream; both through `say`. Must not know: how anything is computed.
+//! Purpose: options to calls, errors to exit codes (`exit::HELP`). Invariant: results go to files and the standard output,
+//! everything else to the standard error stream; both through `say`. Must not know: how anything is computed.
 
 #![warn(unreachable_pub)]
 

@@ -33,7 +33,7 @@ use self::report::{QUANTILES, View};
 use self::thresholds::Threshold;
 use super::exit::{self, Crossed, Unavailable, Usage};
 use super::remote::{self, Door, Line, Windows};
-use super::server::{CallArgs, Server, Tenant};
+use super::server::{CallArgs, Server, Tenant, number, pause};
 use super::{files, info, interrupt};
 use geometry::mesh::shapes::Shape;
 use geometry::rvd::RvdError;
@@ -42,7 +42,6 @@ use picture::Size;
 pub(crate) use server::config::{BackendArg, count};
 use wire::proto::GetServerInfoResponse;
 
-/// `tessera load`'s options.
 #[derive(Args, Clone, Debug)]
 #[command(group(ArgGroup::new("loop").required(true).args(["clients", "rate"])))]
 pub(crate) struct LoadArgs {
@@ -163,18 +162,15 @@ fn connections(text: &str) -> Result<u32, String> {
 }
 
 fn rate(text: &str) -> Result<f64, String> {
-    let rate = text.parse::<f64>().ok().filter(|rate| (0.001..=100_000.0).contains(rate));
-    rate.ok_or_else(|| "a number of calls a second from 0.001 to 100000 is needed".to_owned())
+    number(text, 0.001..=100_000.0, "a number of calls a second from 0.001 to 100000 is needed")
 }
 
 fn percent(text: &str) -> Result<f64, String> {
-    let percent = text.trim_end_matches('%').parse::<f64>().ok().filter(|percent| (0.0..=100.0).contains(percent));
-    percent.ok_or_else(|| "a number from 0 to 100 is needed".to_owned())
+    number(text.trim_end_matches('%'), 0.0..=100.0, "a number from 0 to 100 is needed")
 }
 
 fn span(text: &str) -> Result<Duration, String> {
-    let seconds = text.parse::<f64>().ok().filter(|seconds| (0.0..=86_400.0).contains(seconds));
-    seconds.map(Duration::from_secs_f64).ok_or_else(|| "a number of seconds from 0 to 86400 is needed".to_owned())
+    pause(text).map(Duration::from_secs_f64)
 }
 
 fn length(text: &str) -> Result<Duration, String> {

@@ -18,7 +18,6 @@ use geometry::rvd::cells::facet_edge;
 use picture::{Canvas, Face, PLAIN, Paint, Pens, Size, View, ViewDirection};
 use picture::{distinct, draw_mesh, shading_normals, spacing};
 
-/// The options of a picture.
 #[derive(Args, Debug)]
 pub(crate) struct PictureArgs {
     /// Draw the result there, as a PNG; needs no display.

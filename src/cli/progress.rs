@@ -202,7 +202,6 @@ type Stage = (&'static str, f64);
 pub(crate) struct Plan(Vec<Stage>);
 
 impl Plan {
-    /// Of a remesh, here or on a server.
     pub(crate) fn remesh(facets: usize, points: usize, steps: usize, remote: bool) -> Self {
         let (f, n) = (facets as f64 * 1e-6, points as f64 * 1e-6);
         let mut stages = vec![("read", 0.3 * f)];
@@ -230,7 +229,6 @@ impl Plan {
         Self(vec![("read", 0.01), (stage, 1.0)])
     }
 
-    /// Of a diagram.
     pub(crate) fn rvd(facets: usize, points: usize, remote: bool) -> Self {
         let (f, n) = (facets as f64 * 1e-6, points as f64 * 1e-6);
         let mut stages = vec![("read", 0.3 * f)];

@@ -154,14 +154,12 @@ fn points(mesh: &TriMesh, options: &RemeshOptions) -> usize {
     }
 }
 
-fn ms(since: Instant) -> f64 {
+pub(super) fn ms(since: Instant) -> f64 {
     since.elapsed().as_secs_f64() * 1e3
 }
 
-/// Remeshes them, one after the other: each has all threads.
-///
-/// # Errors
-/// The first failure, after all were tried; a signal or an output that cannot be written, at once.
+/// Remeshes them, one after the other: each has all threads. Errors: the first failure, after all were tried; a signal or
+/// an output that cannot be written, at once.
 fn all(args: &RemeshArgs, tasks: &[Task], mut worker: Worker) -> Result<()> {
     worker.listen()?;
     let sizes: Vec<u64> = tasks.iter().map(size).collect();

@@ -1,9 +1,8 @@
 //! The client of a server: `--endpoint`, jobs and blobs.
 //!
-//! Purpose: the calls of a client, from connecting to the last message. Streams of `--endpoint` are here; `jobs` and `blobs`
-//! hold the calls of a [`Session`].
-//! Invariant: what is received is checked (`wire::arrays`), then against the request and against itself (`checks`), before
-//! it is used. Must not know: the server (`service`).
+//! Purpose: the calls of a client, from connecting to the last message. Streams of `--endpoint` are here; `jobs` and
+//! `blobs` hold the calls of a [`Session`]. Invariant: what is received is checked (`wire::arrays`), then against the
+//! request and against itself (`checks`), before it is used. Must not know: the server (`service`).
 
 mod blobs;
 mod checks;
@@ -293,7 +292,6 @@ fn attributes_of(arrays: &Arrays, mesh: &TriMesh, headers: &[proto::AttributeHea
 /// Takes each batch of pieces as it comes, caller's coordinates.
 pub(crate) type Sink<'a> = &'a mut dyn FnMut(&PieceBatch) -> Result<()>;
 
-/// What is to be computed.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Wants {
     pub(crate) cells: bool,

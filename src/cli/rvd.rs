@@ -1,8 +1,7 @@
 //! `tessera rvd`.
 
 use std::fs::File;
-use std::io;
-use std::io::BufWriter;
+use std::io::{self, BufWriter};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Instant;
@@ -16,6 +15,7 @@ use tempfile::NamedTempFile;
 use super::exit::{NotWritten, Usage};
 use super::picture::PictureArgs;
 use super::progress::{Plan, Progress};
+use super::remesh::ms;
 use super::remote::{RvdResult, Sink, Wants};
 use super::say::SayArgs;
 use super::server::EndpointArgs;
@@ -33,7 +33,6 @@ use jobs::executor::prepared::{Input, Prepared};
 use jobs::{BackendInfo, memory};
 use server::config::{BackendArgs, count, whole};
 
-/// `tessera rvd`'s options.
 #[derive(Args, Debug)]
 #[command(group(ArgGroup::new("of").required(true).args(["seeds", "points"])))]
 pub(crate) struct RvdArgs {
@@ -60,7 +59,6 @@ pub(crate) struct RvdArgs {
     say: SayArgs,
 }
 
-/// Where the seeds come from.
 #[derive(Args, Debug)]
 #[command(next_help_heading = "Seeds (--seeds or --points is required)")]
 pub(super) struct SeedArgs {
@@ -75,7 +73,6 @@ pub(super) struct SeedArgs {
     pub(super) seed: u64,
 }
 
-/// What is written.
 #[derive(Args, Debug)]
 #[command(next_help_heading = "Files")]
 struct FileArgs {
@@ -199,10 +196,6 @@ fn summary(args: &RvdArgs, report: &Value, total_ms: f64) -> Result<(), NotWritt
     )
 }
 
-fn ms(since: Instant) -> f64 {
-    since.elapsed().as_secs_f64() * 1e3
-}
-
 fn here(
     args: &RvdArgs,
     mesh: TriMesh,
@@ -248,12 +241,12 @@ impl CellFile {
             let polygons = tempfile::tempfile_in(folder)?;
             CellWriter::new(vertices, polygons)
         };
-        let writer = begin().map_err(|e| unwritten(path, &e))?;
+        let writer = begin().map_err(|e| files::unwritten(path, &e))?;
         Ok(Self { path: path.to_owned(), writer })
     }
 
     pub(crate) fn append(&mut self, cells: &PieceBatch) -> Result<()> {
-        Ok(self.writer.append(cells).map_err(|e| unwritten(&self.path, &e))?)
+        Ok(self.writer.append(cells).map_err(|e| files::unwritten(&self.path, &e))?)
     }
 
     /// Gives the file its name.
@@ -263,12 +256,8 @@ impl CellFile {
             let file = writer.finish()?.into_inner().map_err(io::IntoInnerError::into_error)?;
             files::keep(file.into_temp_path(), &path)
         };
-        Ok(finish().map_err(|e| unwritten(&path, &e))?)
+        Ok(finish().map_err(|e| files::unwritten(&path, &e))?)
     }
-}
-
-fn unwritten(path: &Path, error: &io::Error) -> NotWritten {
-    NotWritten(format!("cannot write {}: {error}", path.display()))
 }
 
 #[cfg(test)]

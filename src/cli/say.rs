@@ -13,7 +13,6 @@ use serde_json::Value;
 
 use super::exit::NotWritten;
 
-/// How much is said.
 #[derive(Args, Clone, Copy, Debug, Default)]
 pub(crate) struct SayArgs {
     /// Say nothing but warnings and errors: no progress and no summary.
@@ -40,7 +39,6 @@ macro_rules! errln {
     ($($text:tt)*) => { $crate::say::note(format_args!($($text)*)) };
 }
 
-/// Writes a line to the standard output.
 pub(crate) fn line(text: fmt::Arguments<'_>) -> Result<(), NotWritten> {
     try_line(text).map(|_| ())
 }

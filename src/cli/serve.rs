@@ -53,7 +53,6 @@ async fn stores(config: &ServeConfig) -> Result<Stores> {
     Ok(stores)
 }
 
-/// Keys and roles of callers.
 fn access(args: &ServeArgs, config: &ServeConfig) -> Result<Access> {
     let &SecurityArgs { require_keys, reflection, health_needs_key, ref allow_host, .. } = &args.security;
     // The name that the listeners have may resolve to a loopback address too.
@@ -248,8 +247,7 @@ async fn open_admin(
     Ok(serving)
 }
 
-/// One small remesh on the backend that will be used: pipelines are compiled, and one that gives
-/// nonsense never serves.
+/// One small remesh on the backend that will be used: pipelines are compiled, and one that gives nonsense never serves.
 fn warm_up(backends: &Backends) -> Result<(), JobError> {
     let axes = [DVec3::X, DVec3::NEG_X, DVec3::Y, DVec3::NEG_Y, DVec3::Z, DVec3::NEG_Z];
     let facets = vec![[0, 2, 4], [2, 1, 4], [1, 3, 4], [3, 0, 4], [2, 0, 5], [1, 2, 5], [3, 1, 5], [0, 3, 5]];

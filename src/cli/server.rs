@@ -5,6 +5,7 @@
 //! as it is, files are read before any work, and a key is never shown. Must not know: connections, what is asked.
 
 use std::fmt;
+use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
@@ -17,7 +18,6 @@ use super::exit::{NoInput, Usage};
 use super::say;
 use server::keys::Secret;
 
-/// A server, and the credentials for it.
 #[derive(Clone, Debug)]
 pub(crate) struct Server {
     pub(crate) url: ServerUrl,
@@ -49,7 +49,6 @@ impl FromStr for Tenant {
     }
 }
 
-/// Options of a command whose work a server may do.
 #[derive(Args, Debug)]
 pub(crate) struct EndpointArgs {
     /// Let a server do the work, e.g. http://127.0.0.1:50051.
@@ -73,7 +72,6 @@ impl EndpointArgs {
     }
 }
 
-/// The server, and the credentials for it.
 #[derive(Args, Clone, Debug)]
 #[command(next_help_heading = "Server")]
 pub(crate) struct CallArgs {
@@ -91,7 +89,6 @@ pub(crate) struct CallArgs {
     key_file: Option<PathBuf>,
 }
 
-/// The options of a command that asks a server.
 #[derive(Args, Debug)]
 #[command(next_help_heading = "Server")]
 pub(crate) struct ServerArgs {
@@ -129,18 +126,17 @@ pub(crate) fn key(file: Option<&Path>) -> Result<Option<Secret>> {
     Ok(Some(secret))
 }
 
+/// Reads a number of this range; else says what is needed.
+pub(crate) fn number(text: &str, range: RangeInclusive<f64>, needed: &str) -> Result<f64, String> {
+    text.parse::<f64>().ok().filter(|number| range.contains(number)).ok_or_else(|| needed.to_owned())
+}
+
 pub(crate) fn pause(text: &str) -> Result<f64, String> {
-    match text.parse::<f64>() {
-        Ok(seconds) if (0.0..=86_400.0).contains(&seconds) => Ok(seconds),
-        _ => Err("a number of seconds from 0 to 86400 is needed".to_owned()),
-    }
+    number(text, 0.0..=86_400.0, "a number of seconds from 0 to 86400 is needed")
 }
 
 impl CallArgs {
-    /// Where the server is.
-    ///
-    /// # Errors
-    /// [`Usage`] if none is named.
+    /// Where the server is. Errors: [`Usage`] if none is named.
     pub(crate) fn url(&self) -> Result<&ServerUrl, Usage> {
         const NONE: &str =
             "which server? Give --endpoint URL or set TESSERA_ENDPOINT, for example to http://127.0.0.1:50051";
@@ -165,7 +161,6 @@ impl ServerArgs {
     }
 }
 
-/// The options.
 #[derive(Args, Clone, Debug, Default)]
 pub(crate) struct TrustArgs {
     /// File with the authorities that vouch for the server, in PEM; those of the system if not given. For https:// alone.

@@ -9,7 +9,6 @@ use geometry::mesh::io::Format;
 use geometry::mesh::shapes::{MAX_FACETS, Shape};
 pub(crate) use server::config::whole;
 
-/// Writes a procedural surface to a file.
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct ShapeArgs {
     /// Surface: sphere, torus, genusN (0 to 99 holes), block, hills, sheets, slivers, square or plane.

@@ -1,11 +1,10 @@
 //! The environment that the program runs in, as far as it has to be changed.
 //!
-//! Purpose: on Linux, Mesa's layer that sorts GPUs asks the desktop which one it uses. In a container there is no
-//! desktop, and libwayland then prints `error: XDG_RUNTIME_DIR is invalid or not set` for every look at the GPUs. The
-//! layer is left out in that case, for this process alone, by the variable that Mesa has for it. It stays where somebody
-//! chooses a GPU by it (`MESA_VK_DEVICE_SELECT`, `DRI_PRIME`) and where there is a desktop.
-//! Invariant: changed before any thread starts, and never again: so it is sound, and the `unsafe` of setting a variable
-//! is `temp_env`'s. Must not know: GPUs.
+//! Purpose: on Linux, Mesa's layer that sorts GPUs asks the desktop which one it uses. In a container there is no desktop,
+//! and libwayland then prints `error: XDG_RUNTIME_DIR is invalid or not set` for every look at the GPUs. The layer is left
+//! out in that case, for this process alone, by the variable that Mesa has for it. It stays where somebody chooses a GPU by
+//! it (`MESA_VK_DEVICE_SELECT`, `DRI_PRIME`) and where there is a desktop. Invariant: changed before any thread starts, and
+//! never again: so it is sound, and the `unsafe` of setting a variable is `temp_env`'s. Must not know: GPUs.
 
 use std::ffi::OsString;
 use std::path::Path;

@@ -1,11 +1,10 @@
 //! Content-addressed storage: meshes, arrays and results, named by the SHA-256 of their bytes.
 //!
-//! Purpose: [`BlobStore`] keeps blobs between requests. [`ObjectBlobs`] implements it on a folder, in memory, or on
-//! any store that speaks S3.
-//! Invariant: a blob is visible only when all of its bytes are stored and their digest is right. The bytes of blobs
-//! and uploads together stay within the quota. A pinned blob is never evicted. A refused call leaves no byte behind. Bytes
-//! are stored once, and visible only to the tenants that uploaded them or got them as a result.
-//! Must not know: what the bytes mean, jobs, or the wire.
+//! Purpose: [`BlobStore`] keeps blobs between requests. [`ObjectBlobs`] implements it on a folder, in memory, or on any
+//! store that speaks S3. Invariant: a blob is visible only when all of its bytes are stored and their digest is right. The
+//! bytes of blobs and uploads together stay within the quota. A pinned blob is never evicted. A refused call leaves no byte
+//! behind. Bytes are stored once, and visible only to the tenants that uploaded them or got them as a result. Must not
+//! know: what the bytes mean, jobs, or the wire.
 
 mod chunk;
 mod digest;

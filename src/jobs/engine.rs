@@ -27,7 +27,7 @@ use watchdog::WatchGuard;
 use worker::{ActivityState, Call, Reply, Shared, run};
 
 pub use crate::record::Bytes;
-pub(crate) use gate::{Gate, Gated};
+pub(crate) use gate::{Gate, Gated, TOKEN_POLL};
 pub use queue::Admission;
 pub use schedule::{AdmissionRequest, Weights};
 pub use watchdog::{Ceilings, Work};
@@ -52,10 +52,8 @@ impl<R> Drop for Pending<R> {
 }
 
 impl<R> Pending<R> {
-    /// The answer. Cancellation-safe: can be polled again after it lost a `select!`.
-    ///
-    /// # Errors
-    /// The work's own, `Panicked`, `WorkerGone`.
+    /// The answer. Cancellation-safe: can be polled again after it lost a `select!`. Errors: the work's own, `Panicked`,
+    /// `WorkerGone`.
     pub async fn wait(&mut self) -> Result<Timed<R>, JobError> {
         let answer = (&mut self.reply).await.unwrap_or(Err(JobError::WorkerGone));
         self.answered = true;
@@ -111,10 +109,6 @@ impl Engine {
         Ok((Self { shared }, thread))
     }
 
-    /// The backend for a choice.
-    ///
-    /// # Errors
-    /// `BackendUnavailable`.
     pub fn backend(&self, choice: BackendChoice) -> Result<BackendInfo, JobError> {
         self.shared.current().1.choose(choice).map(|backend| BackendInfo::of(backend.as_ref()))
     }
@@ -128,10 +122,8 @@ impl Engine {
         self.shared.slots.memory
     }
 
-    /// Reserves a place for a job that is yet to be uploaded, so that it is refused now or not at all.
-    ///
-    /// # Errors
-    /// `QueueFull`, `Draining`.
+    /// Reserves a place for a job that is yet to be uploaded, so that it is refused now or not at all. Errors: `QueueFull`,
+    /// `Draining`.
     pub fn reserve(&self) -> Result<Reservation, JobError> {
         let number = self.shared.queue.reserve()?;
         Ok(Reservation { shared: Arc::clone(&self.shared), number })
@@ -171,11 +163,8 @@ impl Engine {
         }
     }
 
-    /// Queues `work` with a token of its own. It is called on a host thread once, or again after a lost device if
-    /// `retry` allows it.
-    ///
-    /// # Errors
-    /// `QueueFull`, `Draining`.
+    /// Queues `work` with a token of its own. It is called on a host thread once, or again after a lost device if `retry`
+    /// allows it. Errors: `QueueFull`, `Draining`.
     pub fn submit<R: Send + 'static>(
         &self,
         admission: Admission,
@@ -185,10 +174,7 @@ impl Engine {
         self.submit_as(self.token(), admission, retry, work)
     }
 
-    /// The same for a piece of the job that has this token.
-    ///
-    /// # Errors
-    /// `QueueFull`, `Draining`.
+    /// The same for a piece of the job that has this token. Errors: `QueueFull`, `Draining`.
     pub fn submit_as<R: Send + 'static>(
         &self,
         token: Token,

@@ -86,21 +86,16 @@ pub struct Stores {
 }
 
 impl Stores {
-    /// In a folder, which is made if need be.
-    ///
-    /// # Errors
-    /// `InUse` if another process has it, or why it cannot be used.
+    /// In a folder, which is made if need be. Errors: `InUse` if another process has it, or why it cannot be used.
     pub async fn in_folder(folder: PathBuf, blobs: BlobOptions) -> Result<Self, JobApiError> {
         let jobs = journal(folder.clone()).await?;
         let blobs = ObjectBlobs::local(folder.join("blobs"), blobs).await?;
         Ok(Self { jobs, blobs: Arc::new(blobs) })
     }
 
-    /// Jobs in a folder, which is made if need be; blobs in a bucket, `s3://bucket/prefix`, whose address and keys are in the
-    /// variables `AWS_ENDPOINT`, `AWS_REGION`, `AWS_ACCESS_KEY_ID` and so on.
-    ///
-    /// # Errors
-    /// `InUse` if another process has the folder, or why folder or bucket cannot be used.
+    /// Jobs in a folder, which is made if need be; blobs in a bucket, `s3://bucket/prefix`, whose address and keys are in
+    /// the variables `AWS_ENDPOINT`, `AWS_REGION`, `AWS_ACCESS_KEY_ID` and so on. Errors: `InUse` if another process has
+    /// the folder, or why folder or bucket cannot be used.
     pub async fn in_bucket(folder: PathBuf, url: &str, blobs: BlobOptions) -> Result<Self, JobApiError> {
         #[cfg(feature = "s3")]
         {

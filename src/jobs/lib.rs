@@ -3,12 +3,11 @@
 //! A job as data is a [`record`], moves along the machine of [`record::state`], says what happens by [`record::event`], and is kept in a
 //! [`store`].
 //!
-//! Purpose: [`Engine`] takes work from many callers and does it on a bounded number of host threads, which share the device.
-//! A piece is short or checks its [`Token`], and never waits for a client: state that outlives a piece (a session) moves out
-//! and in again.
-//! Invariant: every submitted piece is answered exactly once or its caller has gone; a panic ends
-//! the piece and not the thread; work of a caller that is gone is skipped or cancelled.
-//! Must not know: gRPC, messages, the command line.
+//! Purpose: [`Engine`] takes work from many callers and does it on a bounded number of host threads, which share the
+//! device. A piece is short or checks its [`Token`], and never waits for a client: state that outlives a piece (a session)
+//! moves out and in again. Invariant: every submitted piece is answered exactly once or its caller has gone; a panic ends
+//! the piece and not the thread; work of a caller that is gone is skipped or cancelled. Must not know: gRPC, messages, the
+//! command line.
 
 #![warn(unreachable_pub)]
 // Fields, variants and errors that their names or messages explain; the callers are crates of this house.
@@ -74,10 +73,7 @@ impl Backends {
         Self { gpu, parallel: host, serial, ..self.clone() }
     }
 
-    /// The backend for a choice.
-    ///
-    /// # Errors
-    /// [`RvdError::BackendUnavailable`] if the GPU is asked for and there is none.
+    /// The backend for a choice. Errors: [`RvdError::BackendUnavailable`] if the GPU is asked for and there is none.
     pub fn choose(&self, choice: BackendChoice) -> Result<&Arc<dyn Backend>, JobError> {
         let choice = if choice == BackendChoice::Auto { self.default } else { choice };
         match (choice, &self.gpu) {

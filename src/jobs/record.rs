@@ -18,7 +18,7 @@ use std::time::Duration;
 use serde::{Deserialize, Deserializer, Serialize, Serializer, de};
 
 use crate::blob::{Digest, from_hex, to_hex};
-use crate::record::state::{State, Transition};
+use crate::record::state::{State, TransitionError, apply};
 
 pub use spec::Spec;
 pub(crate) use task::steps;
@@ -182,7 +182,8 @@ pub enum Cause {
 }
 
 /// A change of a job's state, with what it brings.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, strum::EnumDiscriminants)]
+#[strum_discriminants(name(Transition), derive(Hash))]
 pub enum Change {
     /// [`Transition::Claim`]: counts an attempt.
     Claim(Holder),
@@ -198,15 +199,7 @@ pub enum Change {
 
 impl Change {
     pub fn transition(&self) -> Transition {
-        match self {
-            Self::Claim(_) => Transition::Claim,
-            Self::Release => Transition::Release,
-            Self::Orphan => Transition::Orphan,
-            Self::Succeed(_) => Transition::Succeed,
-            Self::Fail(_) => Transition::Fail,
-            Self::Cancel => Transition::Cancel,
-            Self::Expire(_) => Transition::Expire,
-        }
+        self.into()
     }
 }
 
@@ -226,13 +219,8 @@ impl Status {
         }
     }
 
-    pub fn changed(
-        &self,
-        deadlines: Deadlines,
-        change: Change,
-        now: Time,
-    ) -> Result<Self, crate::record::state::TransitionError> {
-        let state = crate::record::state::apply(self.state, change.transition())?;
+    pub fn changed(&self, deadlines: Deadlines, change: Change, now: Time) -> Result<Self, TransitionError> {
+        let state = apply(self.state, change.transition())?;
         let mut next = Self { state, version: self.version + 1, changed: now, due: None, holder: None, ..self.clone() };
         match change {
             Change::Claim(holder) => {
@@ -283,7 +271,6 @@ pub struct Bytes {
 }
 
 impl Bytes {
-    /// More than there ever is.
     pub const MAX: Self = Self { host: u64::MAX, device: u64::MAX };
 
     pub fn fits(self, room: Self) -> bool {

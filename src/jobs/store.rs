@@ -32,22 +32,14 @@ pub type Answer<'a, T> = Pin<Box<dyn Future<Output = Result<T, StoreError>> + Se
 
 /// A store of jobs. See the module's head for what an answer promises. An operation whose future is dropped may still happen.
 pub trait JobStore: Send + Sync {
-    /// Keeps a new job, queued. A request that came before with the same tenant and number gives its job again.
-    ///
-    /// # Errors
+    /// Keeps a new job, queued. A request that came before with the same tenant and number gives its job again. Errors:
     /// `AlreadyExists` if that request had another body; `NameTaken`.
     fn create(&self, job: NewJob) -> Answer<'_, Created>;
 
     /// The job that a request with the same tenant, number and body made before; none if it has no number or is new.
-    ///
-    /// # Errors
-    /// `AlreadyExists` if that request had another body.
+    /// Errors: `AlreadyExists` if that request had another body.
     fn requested(&self, spec: Spec) -> Answer<'_, Option<Job>>;
 
-    /// A job.
-    ///
-    /// # Errors
-    /// `NotFound`.
     fn get(&self, id: JobId) -> Answer<'_, Job>;
 
     /// Jobs, the newest first.
@@ -58,48 +50,29 @@ pub trait JobStore: Send + Sync {
     fn claim_next(&self, offer: Offer) -> Answer<'_, Option<Job>>;
 
     /// Extends the lease of a claim; it ends `lease` from now. `at` is the version that [`Self::claim_next`] gave. A lease
-    /// that is over can be renewed as long as the job was not taken back.
-    ///
-    /// # Errors
-    /// `NotFound`; `Stale` if the job is no longer the caller's.
+    /// that is over can be renewed as long as the job was not taken back. Errors: `NotFound`; `Stale` if the job is no
+    /// longer the caller's.
     fn renew(&self, id: JobId, at: u64, lease: Duration) -> Answer<'_, ()>;
 
-    /// Changes the state of a job that is at version `at`.
-    ///
-    /// # Errors
-    /// `NotFound`, `Stale`, `Transition`.
+    /// Changes the state of a job that is at version `at`. Errors: `NotFound`, `Stale`, `Transition`.
     fn change(&self, id: JobId, at: u64, change: Change) -> Answer<'_, Job>;
 
     /// Cancels a job, in whatever version; one that is cancelled already stays so. The executor finds out by its next
-    /// [`Self::renew`] or [`Self::progress`], or by an event.
-    ///
-    /// # Errors
-    /// `NotFound`; `Transition` if it has ended otherwise.
+    /// [`Self::renew`] or [`Self::progress`], or by an event. Errors: `NotFound`; `Transition` if it has ended otherwise.
     fn cancel(&self, id: JobId) -> Answer<'_, Job>;
 
-    /// Adds an event to a running job and gives its number. `at` is the version that [`Self::claim_next`] gave. May be lost if
-    /// the process goes down before the state changes; its number is not used again.
-    ///
-    /// # Errors
-    /// `NotFound`; `Stale` if the job is no longer the caller's.
+    /// Adds an event to a running job and gives its number. `at` is the version that [`Self::claim_next`] gave. May be lost
+    /// if the process goes down before the state changes; its number is not used again. Errors: `NotFound`; `Stale` if the
+    /// job is no longer the caller's.
     fn progress(&self, id: JobId, at: u64, progress: Progress) -> Answer<'_, u64>;
 
-    /// At most `most` events after number `after`; none if none came.
-    ///
-    /// # Errors
-    /// `NotFound`.
+    /// At most `most` events after number `after`; none if none came. Errors: `NotFound`.
     fn events(&self, id: JobId, after: u64, most: usize) -> Answer<'_, Events>;
 
-    /// Ends once the job has an event after number `after`.
-    ///
-    /// # Errors
-    /// `NotFound`, also if it is deleted meanwhile.
+    /// Ends once the job has an event after number `after`. Errors: `NotFound`, also if it is deleted meanwhile.
     fn wait(&self, id: JobId, after: u64) -> Answer<'_, ()>;
 
-    /// Forgets a job that has ended, its events and its request.
-    ///
-    /// # Errors
-    /// `NotFound`, `NotEnded`.
+    /// Forgets a job that has ended, its events and its request. Errors: `NotFound`, `NotEnded`.
     fn delete(&self, id: JobId) -> Answer<'_, ()>;
 
     /// Lets go of what is over, at most `most` jobs: those whose deadline has passed expire, results that were kept long

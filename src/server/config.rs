@@ -2,9 +2,8 @@
 //!
 //! Purpose: [`ServeArgs`] holds the values of the file, the environment and the command line, in rising precedence;
 //! [`ServeConfig`] is the checked result. One struct describes every option; a key of the file becomes the default of its
-//! option, so that parsers, messages and precedence exist once.
-//! Invariant: a `ServeConfig` exists only if every value is usable; it is made before any port is bound.
-//! Must not know: the use of a value, any other room.
+//! option, so that parsers, messages and precedence exist once. Invariant: a `ServeConfig` exists only if every value is
+//! usable; it is made before any port is bound. Must not know: the use of a value, any other room.
 mod args;
 mod check;
 mod file;
@@ -12,14 +11,11 @@ mod limits;
 mod options;
 mod security;
 mod values;
-pub use args::OnLoss;
-pub use args::{BackendArg, BackendArgs, ServeArgs};
+pub use args::{BackendArg, BackendArgs, OnLoss, ServeArgs};
 pub use check::{ServeConfig, data_dir};
-pub use file::sources;
-pub use file::{ConfigFile, FileError};
+pub use file::{ConfigFile, FileError, sources};
 pub use limits::{Limits, Transport};
-pub use options::print;
-pub use options::{defaults, with_switches};
+pub use options::{defaults, print, with_switches};
 pub use security::{SecurityArgs, TlsFiles};
 pub use values::{ConfigError, count, period, whole};
 #[cfg(test)]

@@ -1,10 +1,8 @@
 //! Keys of callers: creation, verification and storage.
 //!
-//! Purpose: [`KeySet`] is the server's record of keys; [`Secret`] is a key as the caller has it; [`KeyFile`] stores a set on
-//! disk.
-//! Invariant: a secret is shown once, when it is created. Only its SHA-256 is stored, and neither appears in an error or a
-//! log line.
-//! Must not know: calls, the command line.
+//! Purpose: [`KeySet`] is the server's record of keys; [`Secret`] is a key as the caller has it; [`KeyFile`] stores a set
+//! on disk. Invariant: a secret is shown once, when it is created. Only its SHA-256 is stored, and neither appears in an
+//! error or a log line. Must not know: calls, the command line.
 
 mod file;
 mod secret;
@@ -54,7 +52,6 @@ pub enum Role {
 }
 
 impl Role {
-    /// The name in files and messages.
     pub fn name(self) -> &'static str {
         self.into()
     }
@@ -98,20 +95,17 @@ pub struct Key {
     /// Name of the owner, and so the tenant.
     pub name: String,
     pub role: Role,
-    /// Of the secret.
     pub sha256: Hash,
     /// When it was made, seconds since 1970.
     pub created: u64,
     /// Seconds since 1970.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub expires: Option<u64>,
-    /// How much it may have.
     #[serde(default)]
     pub limits: KeyLimits,
 }
 
 impl Key {
-    /// Whether its time is over.
     pub fn is_expired(&self, now: u64) -> bool {
         self.expires.is_some_and(|end| now >= end)
     }
@@ -128,7 +122,6 @@ pub struct NewKey {
     pub role: Role,
     /// After how long it ends.
     pub lasts: Option<Duration>,
-    /// How much it may have.
     pub limits: KeyLimits,
     /// Whether the name may have a key already.
     pub is_second: bool,
@@ -146,7 +139,6 @@ struct Stored {
     keys: Vec<Key>,
 }
 
-/// The version of the file that this program writes and reads.
 const VERSION: u32 = 1;
 
 #[derive(Debug, thiserror::Error)]
@@ -185,10 +177,7 @@ impl KeySet {
         &self.keys
     }
 
-    /// Makes a key. Its secret is nowhere else than in the answer.
-    ///
-    /// # Errors
-    /// `Name`, `Exists`, `Limits`, `TooMany`, `Random`.
+    /// Makes a key. Its secret is nowhere else than in the answer. Errors: `Name`, `Exists`, `Limits`, `TooMany`, `Random`.
     pub fn add(&mut self, new: NewKey) -> Result<(Key, Secret), KeysError> {
         let NewKey { name, role, lasts, limits, is_second } = new;
         if !is_name(&name) {
@@ -216,10 +205,7 @@ impl KeySet {
         Ok((key, secret))
     }
 
-    /// Removes the keys of a name, or the one with an id.
-    ///
-    /// # Errors
-    /// `Absent`.
+    /// Removes the keys of a name, or the one with an id. Errors: `Absent`.
     pub fn revoke(&mut self, name_or_id: &str) -> Result<Vec<Key>, KeysError> {
         let is_meant = |key: &mut Key| key.name == name_or_id || key.id == name_or_id;
         let gone: Vec<Key> = self.keys.extract_if(.., is_meant).collect();

@@ -61,10 +61,7 @@ impl LifeCycle {
         Self { metrics, limit }
     }
 
-    /// Runs a step of the start.
-    ///
-    /// # Errors
-    /// [`TooLong`]: the step is dropped as it is.
+    /// Runs a step of the start. Errors: [`TooLong`]: the step is dropped as it is.
     pub async fn step<T>(&self, step: Step, work: impl Future<Output = T>) -> Result<T, TooLong> {
         let begin = Instant::now();
         tracing::debug!(step = step.name(), "begins");

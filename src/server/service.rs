@@ -1,9 +1,8 @@
 //! The service: three streams over gRPC, blobs and jobs, health and reflection.
 //!
-//! Purpose: [`run`] serves on a listener until its shutdown, then drains.
-//! Invariant: nothing waits without a limit; every error leaves through `status` and nowhere else;
-//! a stream that ends in any way gives back its memory and its place. Must not know: how a diagram
-//! is computed, how messages look (`wire`), the command line.
+//! Purpose: [`run`] serves on a listener until its shutdown, then drains. Invariant: nothing waits without a limit; every
+//! error leaves through `status` and nowhere else; a stream that ends in any way gives back its memory and its place. Must
+//! not know: how a diagram is computed, how messages look (`wire`), the command line.
 
 mod access;
 mod budget;
@@ -60,7 +59,6 @@ pub const JOB_SERVICE_NAME: &str = "tessera.v1.JobService";
 
 pub const SERVER_SERVICE_NAME: &str = "tessera.v1.ServerService";
 
-/// What a server is made of.
 pub struct Parts {
     pub engine: Engine,
     /// The engine's thread, joined at the end.
@@ -70,13 +68,11 @@ pub struct Parts {
     /// Jobs that outlive their stream; without, neither they nor blobs are served.
     pub jobs: Option<Jobs>,
     pub tls: Option<Arc<Tls>>,
-    /// Keys and roles of callers.
     pub access: Access,
     /// Counts. Give the engine the same.
     pub metrics: Metrics,
     pub readiness: Readiness,
     pub about: About,
-    /// A way in beside gRPC, to the same jobs and blobs.
     pub door: Option<Door>,
 }
 
@@ -92,7 +88,6 @@ impl Door {
     }
 }
 
-/// What the services of blobs and jobs are made of.
 #[derive(Clone)]
 pub struct Jobs {
     pub blobs: Arc<dyn BlobStore>,
@@ -175,21 +170,15 @@ pub enum Phase {
 /// Time for streams to end once they were cut, and for connections to close.
 const CUT_TIME: Duration = Duration::from_secs(2);
 
-/// Takes the upload of a recorded `Remesh` stream as the service would, without a server: fuzzers call it, and
-/// so may a caller with a recording that was refused. A recording is every request after its length
-/// as a varint, up to the one that finishes the upload.
-///
-/// # Errors
-/// What the service would say.
+/// Takes the upload of a recorded `Remesh` stream as the service would, without a server: fuzzers call it, and so may a
+/// caller with a recording that was refused. A recording is every request after its length as a varint, up to the one that
+/// finishes the upload. Errors: what the service would say.
 pub fn replay(recording: &[u8], limits: &Limits) -> Result<Input, String> {
     handlers::replay(&mut &*recording, limits).map_err(|error| error.to_string())
 }
 
-/// Serves on `listener` until `shutdown` is ready; then refuses new streams, lets open ones end
-/// within the grace period, cuts what is left, joins the engine and returns.
-///
-/// # Errors
-/// [`ServeError`].
+/// Serves on `listener` until `shutdown` is ready; then refuses new streams, lets open ones end within the grace period,
+/// cuts what is left, joins the engine and returns.
 pub async fn run(
     listener: TcpListener,
     parts: Parts,

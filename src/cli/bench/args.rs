@@ -18,11 +18,10 @@ use geometry::rvd::{Backend, BackendKind};
 use geometry::token::Token;
 use gpu::diagram::Gpu;
 use picture::Size;
-use picture::chart::Figure;
+use picture::chart::{Axis, Figure, Panel, Series};
 use server::config::BackendArg;
 pub(super) use server::config::{BackendArgs, count, whole};
 
-/// One surface.
 #[derive(Args, Debug)]
 pub(super) struct SurfaceArgs {
     /// The surface, as `remesh` takes it; a torus if not given.
@@ -39,7 +38,6 @@ impl SurfaceArgs {
     }
 }
 
-/// One set of seeds.
 #[derive(Args, Debug)]
 pub(super) struct SeedsArgs {
     /// Seeds to draw.
@@ -60,7 +58,6 @@ impl SeedsArgs {
     }
 }
 
-/// How a benchmark runs.
 #[derive(Args, Debug)]
 pub(super) struct RunArgs {
     /// Random seed of the points.
@@ -118,7 +115,6 @@ pub(super) fn mesh(file: Option<&Path>, shape: Shape, facets: usize) -> Result<(
     })
 }
 
-/// Files to write.
 #[derive(Args, Debug)]
 pub(super) struct OutputArgs {
     /// Write the figures there, as JSON.
@@ -145,6 +141,12 @@ impl OutputArgs {
         }
         Ok(())
     }
+}
+
+/// Milliseconds of a worker, step by step.
+pub(super) fn by_step(title: String, worker: &Worker, step: &str, series: Vec<Series>) -> Figure {
+    let (x, y) = (Axis::linear(step), Axis::linear("ms"));
+    Figure { title, panels: vec![Panel { title: worker.describe(), x, y, series, ..Panel::default() }] }
 }
 
 /// The report of cases that `workers` did. The first is the one that a program reads if it knows of one only.

@@ -10,20 +10,16 @@ use anyhow::Result;
 use clap::Args;
 use serde_json::{Value, json};
 
-use super::args::Worker;
-use super::args::{RunArgs, SeedsArgs, SurfaceArgs};
-use super::args::{head, ratio, report};
-use super::measure::Spread;
-use super::measure::{Load, Timed};
+use super::args::{RunArgs, SeedsArgs, SurfaceArgs, Worker, by_step, head, ratio, report};
+use super::measure::{Load, Spread, Timed};
 use crate::remesh::DensityArg;
 use geometry::cvt::StepKind;
 use geometry::cvt::density::DensityOptions;
 use geometry::mesh::TriMesh;
 use geometry::rvd::PhasesMs;
-use picture::chart::{Axis, Figure, Panel, Series};
+use picture::chart::{Figure, Series};
 pub(super) use server::config::count;
 
-/// `tessera bench cvt`'s options.
 #[derive(Args, Debug)]
 pub(super) struct CvtBenchArgs {
     #[command(flatten)]
@@ -201,12 +197,5 @@ fn figure(measured: &[Measured], worker: &Worker) -> Figure {
         let facets = m.load.facets;
         format!("{}: {facets} facets, {} points", m.load.name, m.load.seeds.len())
     });
-    let panel = Panel {
-        title: worker.describe(),
-        x: Axis::linear("step"),
-        y: Axis::linear("ms"),
-        series: series.flatten().collect(),
-        ..Panel::default()
-    };
-    Figure { title: title.unwrap_or_default(), panels: vec![panel] }
+    by_step(title.unwrap_or_default(), worker, "step", series.flatten().collect())
 }

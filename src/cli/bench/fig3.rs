@@ -10,10 +10,9 @@ use anyhow::Result;
 use clap::Args;
 use serde_json::{Value, json};
 
-use super::args::Worker;
-use super::args::{RunArgs, SurfaceArgs};
-use super::args::{report, slopes};
+use super::args::{RunArgs, SurfaceArgs, Worker, report, slopes};
 use super::measure::Load;
+use crate::server::number;
 use crate::shape::parse_facets;
 use geometry::cvt::density::DensityOptions;
 use geometry::mesh::TriMesh;
@@ -22,7 +21,6 @@ use geometry::token::Token;
 use picture::chart::{Axis, Figure, Panel, Series};
 use server::config::count;
 
-/// `tessera bench fig3`'s options.
 #[derive(Args, Debug)]
 pub(super) struct Fig3Args {
     #[command(flatten)]
@@ -46,10 +44,7 @@ pub(super) struct Fig3Args {
 }
 
 fn seconds(text: &str) -> Result<f64, String> {
-    match text.parse::<f64>() {
-        Ok(s) if (0.001..=86_400.0).contains(&s) => Ok(s),
-        _ => Err("seconds from 0.001 to 86400 are needed".to_owned()),
-    }
+    number(text, 0.001..=86_400.0, "seconds from 0.001 to 86400 are needed")
 }
 
 /// One of the two curves.

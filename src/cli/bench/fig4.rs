@@ -8,14 +8,12 @@ use std::time::Duration;
 use anyhow::Result;
 use clap::Args;
 
-use super::args::report;
-use super::args::{RunArgs, SurfaceArgs};
+use super::args::{RunArgs, SurfaceArgs, report};
 use super::measure::Load;
 use geometry::cvt::density::DensityOptions;
 use picture::chart::{Axis, Figure, Panel, Series};
 use server::config::count;
 
-/// `tessera bench fig4`'s options.
 #[derive(Args, Debug)]
 #[command(mut_arg("relax", |arg| arg.default_value("0")), mut_arg("iterations", |arg| arg.default_value("100")))]
 pub(super) struct Fig4Args {

@@ -1,8 +1,7 @@
 //! Steps that are timed.
 //!
-//! Purpose: a surface with seeds ([`Load`]), and the steps that are taken and timed on it ([`Timed`]).
-//! Invariant: workers that are compared begin at the same seeds. What warms up is not counted.
-//! Must not know: tables, plots.
+//! Purpose: a surface with seeds ([`Load`]), and the steps that are taken and timed on it ([`Timed`]). Invariant: workers
+//! that are compared begin at the same seeds. What warms up is not counted. Must not know: tables, plots.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -13,8 +12,7 @@ use glam::DVec3;
 use serde::Serialize;
 use serde_json::{Value, json};
 
-use super::args::RunArgs;
-use super::args::Worker;
+use super::args::{RunArgs, Worker};
 use geometry::cvt::density::DensityOptions;
 use geometry::cvt::{Cvt, CvtOptions, Iteration, StepKind};
 use geometry::mesh::TriMesh;

@@ -12,17 +12,13 @@ use clap::{Args, ValueEnum};
 use glam::DVec3;
 use serde_json::{Value, json};
 
-use super::args::Worker;
-use super::args::{RunArgs, SeedsArgs, SurfaceArgs};
-use super::args::{head, report};
-use super::measure::Load;
-use super::measure::Spread;
+use super::args::{RunArgs, SeedsArgs, SurfaceArgs, Worker, by_step, head, report};
+use super::measure::{Load, Spread};
 use geometry::rvd::{Accumulate, CellSums, DeviceWork, PassStats, Session, SessionOptions, Strategy, Surface, Tuning};
 use geometry::token::Token;
 use gpu::diagram::{AccumulationMs, Gpu};
-use picture::chart::{Axis, Figure, Panel, Series};
+use picture::chart::{Figure, Series};
 
-/// `tessera bench rvd`'s options.
 #[derive(Args, Debug)]
 pub(super) struct RvdBenchArgs {
     #[command(flatten)]
@@ -79,9 +75,14 @@ pub(super) fn run(args: &RvdBenchArgs) -> Result<()> {
     let iterations = args.run.iterations as usize;
     let adding = |gpu: &Arc<Gpu>| gpu.measure_accumulation(Arc::clone(&surface), &seeds, options, iterations, &token);
     let adding = worker.gpu.as_ref().map(adding).transpose()?;
-    let case = Case { name, surface, points: seeds.len(), steps, adding, tuning: options.tuning };
+    let case = Case { name, surface, points: seeds.len(), steps, adding };
     case.print(args, &worker)?;
     args.run.output.write(&report(std::slice::from_ref(&worker), vec![case.json(args)]), &case.figure(&worker))
+}
+
+/// As the command line has it.
+fn name(arg: impl ValueEnum) -> Option<String> {
+    arg.to_possible_value().map(|value| value.get_name().to_owned())
 }
 
 fn tuning(args: &RvdBenchArgs) -> Tuning {
@@ -135,7 +136,6 @@ struct Case {
     points: usize,
     steps: Vec<Step>,
     adding: Option<AccumulationMs>,
-    tuning: Tuning,
 }
 
 impl Case {
@@ -201,15 +201,8 @@ impl Case {
         };
         let mut series = vec![line("iteration", &|s| s.ms)];
         series.extend(PHASES.map(|(name, of)| line(name, &|s| of(&s.stats))));
-        let panel = Panel {
-            title: worker.describe(),
-            x: Axis::linear("iteration"),
-            y: Axis::linear("ms"),
-            series,
-            ..Panel::default()
-        };
         let title = format!("{}: {} facets, {} points", self.name, self.surface.facets().len(), self.points);
-        Figure { title, panels: vec![panel] }
+        by_step(title, worker, "iteration", series)
     }
 
     fn json(&self, args: &RvdBenchArgs) -> Value {
@@ -227,12 +220,8 @@ impl Case {
             "points": self.points,
             "relax": args.run.relax,
             "iterations": self.steps.len(),
-            "strategy": format!("{:?}", self.tuning.strategy).to_lowercase(),
-            "accumulate": match self.tuning.accumulate {
-                Accumulate::Direct => "direct",
-                Accumulate::TwoPhase => "two-phase",
-                Accumulate::Auto => "auto",
-            },
+            "strategy": name(args.strategy),
+            "accumulate": name(args.accumulate),
             "iteration_ms": Spread::of(self.steps.iter().map(|s| s.ms)),
             "phases_ms": means,
             "phases_spread_ms": spreads,

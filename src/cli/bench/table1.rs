@@ -12,8 +12,7 @@ use clap::Args;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
-use super::args::Worker;
-use super::args::{RunArgs, mesh, ratio, report};
+use super::args::{RunArgs, Worker, mesh, ratio, report};
 use super::measure::{Load, Timed};
 use crate::exit::{BadInput, Usage};
 use crate::files;
@@ -23,7 +22,6 @@ use geometry::remesh::Seeds;
 use picture::chart::{Axis, Figure, Panel, Series};
 use server::config::count;
 
-/// `tessera bench table1`'s options.
 #[derive(Args, Debug)]
 pub(super) struct Table1Args {
     /// A model, as `remesh` takes it. May be repeated. If not given: a torus, a sphere and a slab with three holes.
@@ -178,7 +176,6 @@ fn speedups([gpu, serial, parallel]: [Option<f64>; 3]) -> [Option<f64>; 2] {
     [serial, parallel].map(|cpu| ratio(cpu?, gpu?))
 }
 
-/// A row of the publication.
 fn said(row: &PublishedRow) -> String {
     let [gpu, serial, parallel] = row.times().map(|ms| number(ms, 3));
     let [one, all] = speedups(row.times()).map(|ratio| number(ratio, 2));

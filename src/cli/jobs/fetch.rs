@@ -21,7 +21,6 @@ use wire::proto::{Job, job_spec};
 /// The longest report: some hundred bytes an iteration.
 const REPORT_BYTES: usize = 256 << 20;
 
-/// What to fetch, and where it goes.
 #[derive(Args, Debug)]
 pub(super) struct FetchArgs {
     /// The job.

@@ -61,7 +61,6 @@ pub(crate) fn digest(text: &str) -> Result<String, String> {
     }
 }
 
-/// The surface, and the backend.
 #[derive(Args, Debug)]
 pub(super) struct InputArgs {
     /// The surface: a file of any format that `remesh` reads, packed by gzip or not, or blob:DIGEST for one that the server has.
@@ -104,7 +103,6 @@ impl InputArgs {
     }
 }
 
-/// A remesh to ask for.
 #[derive(Args, Debug)]
 #[command(group(ArgGroup::new("size").required(true).multiple(true).args(["points", "edge_length", "sizes"])))]
 pub(super) struct RemeshWork {
@@ -125,10 +123,6 @@ pub(super) struct RemeshWork {
 }
 
 impl RemeshWork {
-    /// The job.
-    ///
-    /// # Errors
-    /// Options that do not go together, or a file that cannot be read.
     pub(super) fn asked(&self) -> Result<Asked> {
         let Self { input, size, shape, steps, .. } = self;
         let message = given::message([&size.set, &shape.set, &steps.set])?;
@@ -154,7 +148,6 @@ impl RemeshWork {
     }
 }
 
-/// What is wanted of a diagram.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum OutputArg {
     /// The pieces, as a PLY file of polygons.
@@ -165,7 +158,6 @@ enum OutputArg {
     Sums,
 }
 
-/// A diagram to ask for.
 #[derive(Args, Debug)]
 #[command(group(ArgGroup::new("of").required(true).args(["seeds", "points"])))]
 pub(super) struct RvdWork {
@@ -182,10 +174,6 @@ pub(super) struct RvdWork {
 }
 
 impl RvdWork {
-    /// The job.
-    ///
-    /// # Errors
-    /// A file that cannot be read.
     pub(super) fn asked(&self) -> Result<Asked> {
         let mut asked = self.input.begin(None)?;
         let seeds = &self.seeds;

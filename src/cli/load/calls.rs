@@ -18,8 +18,7 @@ use tonic::{Response, Status, Streaming};
 use tonic_types::StatusExt;
 
 use super::LoadArgs;
-use super::amounts::Item;
-use super::amounts::Kind;
+use super::amounts::{Item, Kind};
 use super::compare::{Call, Tally, status_name};
 use super::meshes::Surface;
 use crate::remote::{Door, choice, is_lost};
@@ -280,7 +279,6 @@ async fn counted<T>(call: Call, answer: impl Future<Output = Result<Response<T>,
     answer.map(Response::into_inner)
 }
 
-/// The messages of an answer.
 struct Answers<T> {
     call: Option<Call>,
     stream: Streaming<T>,

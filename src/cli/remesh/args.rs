@@ -14,7 +14,7 @@ use crate::files::{self, Surface};
 use crate::given::{self, Given};
 use crate::picture::PictureArgs;
 use crate::say::SayArgs;
-use crate::server::EndpointArgs;
+use crate::server::{EndpointArgs, number};
 use geometry::cvt::density::{DensityOptions, DensitySource};
 use geometry::mesh::TriMesh;
 use geometry::mesh::attributes::Attributes;
@@ -27,7 +27,6 @@ use wire::counts::Bounds;
 use wire::options::{self, Beside};
 use wire::{WireError, names, proto};
 
-/// `tessera remesh`'s options.
 #[derive(Args, Debug)]
 #[command(group(ArgGroup::new("size").required(true).multiple(true).args(["points", "edge_length", "sizes"])))]
 pub(crate) struct RemeshArgs {
@@ -53,7 +52,6 @@ pub(crate) struct RemeshArgs {
     pub(super) say: SayArgs,
 }
 
-/// What is written.
 #[derive(Args, Debug)]
 #[command(next_help_heading = "Files")]
 pub(super) struct FileArgs {
@@ -82,7 +80,6 @@ pub(super) struct FileArgs {
     pub(super) no_attributes: bool,
 }
 
-/// How many points, and where edges are short and where long.
 #[derive(Args, Debug)]
 #[command(next_help_heading = "Size (--points, --edge-length or --sizes is required)")]
 pub(crate) struct SizeArgs {
@@ -117,7 +114,6 @@ pub(crate) struct SizeArgs {
     pub(crate) max_points: Option<u32>,
 }
 
-/// What becomes of creases, boundaries and thin parts.
 #[derive(Args, Debug)]
 #[command(next_help_heading = "Shape of the result")]
 pub(crate) struct ShapeArgs {
@@ -139,7 +135,6 @@ pub(crate) struct ShapeArgs {
     pub(crate) placement: PlacementArg,
 }
 
-/// How seeds move.
 #[derive(Args, Debug)]
 #[command(next_help_heading = "Steps")]
 pub(crate) struct StepArgs {
@@ -157,7 +152,6 @@ pub(crate) struct StepArgs {
     pub(crate) seed: u64,
 }
 
-/// Where short edges go.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
 pub(crate) enum DensityArg {
     /// Edges of one length.
@@ -170,7 +164,6 @@ pub(crate) enum DensityArg {
 }
 
 impl DensityArg {
-    /// The same, for the library.
     pub(crate) fn source(self) -> DensitySource {
         match self {
             Self::Uniform => DensitySource::Uniform,
@@ -188,13 +181,9 @@ fn positive(text: &str) -> Result<f64, String> {
 }
 
 fn angle(text: &str) -> Result<f64, String> {
-    match text.parse::<f64>() {
-        Ok(number) if (0.0..=180.0).contains(&number) => Ok(number),
-        _ => Err("an angle from 0 to 180 is needed".to_owned()),
-    }
+    number(text, 0.0..=180.0, "an angle from 0 to 180 is needed")
 }
 
-/// What happens to boundaries.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
 pub(crate) enum BoundariesArg {
     /// They get vertices of their own and stay where they are.
@@ -204,7 +193,6 @@ pub(crate) enum BoundariesArg {
     Free,
 }
 
-/// What happens where the surface is thin.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
 pub(crate) enum ThinArg {
     /// Edges become shorter there, so that horns, fingers, strips and bridges stay. Not if --sizes says how long they are.
@@ -214,7 +202,6 @@ pub(crate) enum ThinArg {
     Even,
 }
 
-/// Where seeds go.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
 pub(crate) enum ProjectionArg {
     /// Where the step takes them, near the surface.
@@ -224,7 +211,6 @@ pub(crate) enum ProjectionArg {
     Surface,
 }
 
-/// Where vertices go.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
 pub(crate) enum PlacementArg {
     /// Where the facets between them are nearest to the input in the mean.
@@ -247,10 +233,7 @@ pub(crate) fn flag(name: &str) -> String {
 }
 
 impl RemeshArgs {
-    /// The options that are set, and the library's of them. Arrays are empty.
-    ///
-    /// # Errors
-    /// What cannot be whatever the surface.
+    /// The options that are set, and the library's of them. Arrays are empty. Errors: what cannot be whatever the surface.
     pub(crate) fn asked(&self) -> Result<(proto::RemeshOptions, RemeshOptions)> {
         let message = given::message([&self.size.set, &self.shape.set, &self.steps.set])?;
         let beside = Beside { edge_lengths: self.size.sizes.is_some(), ..Beside::default() };

@@ -33,7 +33,6 @@ pub(super) fn of(args: &RemeshArgs) -> Result<Vec<Task>> {
     Ok(tasks)
 }
 
-/// Refuses options that do not go together.
 fn check_together(args: &RemeshArgs) -> Result<()> {
     let FileArgs { output, out_dir, report, .. } = &args.files;
     let is_standard = |path: &PathBuf| path.as_os_str() == "-";

@@ -161,10 +161,8 @@ impl Session<'_> {
 
 /// Waits for the answer of a call that only a job in the right state allows.
 async fn in_state<T>(link: &Link<'_>, call: impl Future<Output = Result<Response<T>, Status>>) -> Result<T, Fault> {
-    match link.first(call).await? {
-        Ok(answer) => Ok(answer.into_inner()),
-        Err(status) => Err(faults::of_state(link.url(), &status)),
-    }
+    let answer = link.first(call).await?;
+    answer.map(Response::into_inner).map_err(|status| faults::of_state(link.url(), &status))
 }
 
 async fn get(link: &Link<'_>, request: GetJobRequest, id: &str) -> Result<Job, Fault> {

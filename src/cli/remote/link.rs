@@ -152,7 +152,6 @@ impl<'a> Link<'a> {
         Err(Unavailable(format!("{url} {cause}; is one running there, and has it room for another connection?")).into())
     }
 
-    /// What calls are made on.
     pub(super) fn channel(&self) -> Door {
         InterceptedService::new(self.channel.clone(), self.caller.clone())
     }
@@ -214,7 +213,6 @@ impl Line {
     }
 }
 
-/// The messages of an answer.
 pub(super) struct Answers<'a, T> {
     link: &'a Link<'a>,
     stream: Streaming<T>,

@@ -14,8 +14,7 @@ use tonic_health::pb::HealthCheckRequest;
 use tonic_health::pb::health_check_response::ServingStatus;
 use tonic_health::pb::health_client::HealthClient;
 
-use super::faults;
-use super::faults::Fault;
+use super::faults::{self, Fault};
 use super::link::{Link, Patience};
 use crate::exit::{Unavailable, Usage};
 use crate::server::{Server, ServerArgs};
@@ -70,10 +69,7 @@ impl<'a> Session<'a> {
         }
     }
 
-    /// Waits before the next try.
-    ///
-    /// # Errors
-    /// `fault`, if it is final or no time is left.
+    /// Waits before the next try. Errors: `fault`, if it is final or no time is left.
     pub(super) async fn lost(&mut self, fault: Fault) -> Result<()> {
         match fault {
             Fault::Lost(cause) => self.again.pause(cause).await,
@@ -87,10 +83,8 @@ pub(super) async fn one<T>(
     link: &Link<'_>,
     call: impl Future<Output = Result<Response<T>, Status>>,
 ) -> Result<T, Fault> {
-    match link.first(call).await? {
-        Ok(answer) => Ok(answer.into_inner()),
-        Err(status) => Err(faults::of_call(link.url(), &status)),
-    }
+    let answer = link.first(call).await?;
+    answer.map(Response::into_inner).map_err(|status| faults::of_call(link.url(), &status))
 }
 
 /// The first pause; each is twice the one before.
@@ -121,10 +115,7 @@ impl Again {
         self.tries > 0
     }
 
-    /// Waits before the next try.
-    ///
-    /// # Errors
-    /// `cause`, once there is no time for another try.
+    /// Waits before the next try. Errors: `cause`, once there is no time for another try.
     pub(super) async fn pause(&mut self, cause: Error) -> Result<()> {
         let now = Instant::now();
         let end = *self.since.get_or_insert(now) + self.limit;
@@ -197,7 +188,6 @@ pub(crate) async fn watch_health(
     }
 }
 
-/// Version, backends, memory and limits of a server.
 pub(crate) async fn info(server: &Server, limit: Duration) -> Result<GetServerInfoResponse> {
     let link = link(server, limit).await?;
     let mut client = ServerServiceClient::new(link.channel());

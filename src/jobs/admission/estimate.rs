@@ -6,9 +6,8 @@
 //! Must not know: queues, records of jobs, how counts were found.
 
 use crate::observe::activity::Origin;
-use crate::record::Bytes;
-use crate::record::JobId;
 pub use crate::record::Kind;
+use crate::record::{Bytes, JobId};
 use geometry::remesh::{Placement, RemeshOptions};
 use geometry::rvd::BackendKind;
 use gpu::SessionForecast;

@@ -58,10 +58,8 @@ impl Forecast {
         need(counts, threads)
     }
 
-    /// The counts of a job; `given` are the surface's vertices and facets, if they are known.
-    ///
-    /// # Errors
-    /// `Blob`; `Input` if a blob holds no surface; `TooLarge` and `Packed` if more is packed in it than may be.
+    /// The counts of a job; `given` are the surface's vertices and facets, if they are known. Errors: `Blob`; `Input` if a
+    /// blob holds no surface; `TooLarge` and `Packed` if more is packed in it than may be.
     pub async fn counts(&self, spec: &Spec, given: Option<(u64, u64)>) -> Result<Counts, JobApiError> {
         let (owner, task) = (Owner::of(&spec.tenant), spec.task());
         // What a caller says of its file may be any number.
@@ -225,10 +223,7 @@ fn look_at(format: Format, bytes: &[u8], limit: usize) -> Result<Option<File>, D
     }))
 }
 
-/// Whether a job with this need could ever run where jobs may have `limits`.
-///
-/// # Errors
-/// `TooLarge`.
+/// Whether a job with this need could ever run where jobs may have `limits`. Errors: `TooLarge`.
 pub fn must_fit(need: &Need, limits: Bytes) -> Result<(), JobApiError> {
     let both = [(Memory::Host, need.memory.host, limits.host), (Memory::Device, need.memory.device, limits.device)];
     match both.into_iter().find(|(_, needed, limit)| needed > limit) {

@@ -1,8 +1,7 @@
 //! SHA-256 digests, the names of blobs.
 //!
-//! Purpose: [`Digest`], its text form, and a running hash of bytes that arrive in order.
-//! Invariant: the text form is 64 lower-case hexadecimal digits, and only that form parses.
-//! Must not know: where bytes come from.
+//! Purpose: [`Digest`], its text form, and a running hash of bytes that arrive in order. Invariant: the text form is 64
+//! lower-case hexadecimal digits, and only that form parses. Must not know: where bytes come from.
 
 use object_store::path::Path;
 use sha2::Digest as _;

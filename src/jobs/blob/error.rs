@@ -1,8 +1,7 @@
 //! What can go wrong with a blob.
 //!
-//! Purpose: one cause a variant, with what the caller needs to go on.
-//! Invariant: after every error the store is as it was before the call, unless the variant says otherwise.
-//! Must not know: status codes of any protocol.
+//! Purpose: one cause a variant, with what the caller needs to go on. Invariant: after every error the store is as it was
+//! before the call, unless the variant says otherwise. Must not know: status codes of any protocol.
 
 use std::error::Error;
 use std::io;

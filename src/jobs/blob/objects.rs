@@ -2,8 +2,7 @@
 //!
 //! Purpose: [`ObjectBlobs`] opens a store through the crate `object_store` and answers for it; the changes are in
 //! [`changes`].
-//! Invariant: a change that has begun runs to its end, even if its caller goes away.
-//! Must not know: the wire, jobs.
+//! Invariant: a change that has begun runs to its end, even if its caller goes away. Must not know: the wire, jobs.
 
 mod changes;
 mod marks;
@@ -54,10 +53,8 @@ impl fmt::Debug for ObjectBlobs {
 }
 
 impl ObjectBlobs {
-    /// Blobs in a folder, which is made if need be. Uploads outlive the process.
-    ///
-    /// # Errors
-    /// `InUse`, `StorageFull`, `Unavailable`.
+    /// Blobs in a folder, which is made if need be. Uploads outlive the process. Errors: `InUse`, `StorageFull`,
+    /// `Unavailable`.
     pub async fn local(folder: impl Into<PathBuf>, options: BlobOptions) -> Result<Self, BlobError> {
         let root = folder.into();
         let opened = spawn_blocking(move || open_folder(&root, &options));
@@ -76,11 +73,8 @@ impl ObjectBlobs {
 
     /// Blobs in a store that other processes may use at the same time.
     ///
-    /// The quota counts the blobs that this process has seen, and its pins hold against this process alone: give a
-    /// quota to one process, and no limit to the others.
-    ///
-    /// # Errors
-    /// `Unavailable`.
+    /// The quota counts the blobs that this process has seen, and its pins hold against this process alone: give a quota to
+    /// one process, and no limit to the others. Errors: `Unavailable`.
     pub async fn shared<S: ObjectStore + MultipartStore>(
         store: Arc<S>,
         options: BlobOptions,
@@ -90,10 +84,7 @@ impl ObjectBlobs {
     }
 
     /// Blobs in a bucket: `s3://bucket/prefix`. `settings` are those of `object_store` (`aws_endpoint`, `aws_region`,
-    /// `aws_access_key_id`, ...) and count before the variables of the same names, in capitals.
-    ///
-    /// # Errors
-    /// `Unavailable`.
+    /// `aws_access_key_id`, ...) and count before the variables of the same names, in capitals. Errors: `Unavailable`.
     #[cfg(feature = "s3")]
     pub async fn s3(
         url: &str,

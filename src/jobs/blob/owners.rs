@@ -1,10 +1,9 @@
 //! Owners of blobs.
 //!
-//! Purpose: [`Owner`] stands for a tenant in the names of uploads and in the marks beside blobs; [`Owners`] has the owners of
-//! each blob. Pure bookkeeping, no storage.
-//! Invariant: two names give different owners, as far as SHA-256 does, and the name cannot be read from an owner. An owner's
-//! bytes are the sum of the sizes of its blobs. A blob has at most [`MOST`] owners. Forgetting a blob forgets all its owners.
-//! Must not know: keys, where blobs and marks lie, pins, quotas.
+//! Purpose: [`Owner`] stands for a tenant in the names of uploads and in the marks beside blobs; [`Owners`] has the owners
+//! of each blob. Pure bookkeeping, no storage. Invariant: two names give different owners, as far as SHA-256 does, and the
+//! name cannot be read from an owner. An owner's bytes are the sum of the sizes of its blobs. A blob has at most [`MOST`]
+//! owners. Forgetting a blob forgets all its owners. Must not know: keys, where blobs and marks lie, pins, quotas.
 
 use std::collections::{BTreeMap, HashMap};
 

@@ -1,9 +1,8 @@
 //! Blobs as streams of bytes.
 //!
-//! Purpose: turns what the object store opened into pieces of at most [`READ_BYTES`].
-//! Invariant: the stream gives exactly the range that was opened, or ends with an error. One of a whole blob ends with an
-//! error if its bytes have another digest. It holds two pieces at most.
-//! Must not know: its callers.
+//! Purpose: turns what the object store opened into pieces of at most [`READ_BYTES`]. Invariant: the stream gives exactly
+//! the range that was opened, or ends with an error. One of a whole blob ends with an error if its bytes have another
+//! digest. It holds two pieces at most. Must not know: its callers.
 
 use std::fs::File;
 use std::io::{Read, Seek, SeekFrom};

@@ -1,10 +1,9 @@
 //! Where the bytes of uploads lie until they are whole.
 //!
 //! Purpose: [`Staging`] is one way to keep parts: files that grow ([`Folder`]), memory ([`Memory`]), or the multipart
-//! uploads of an object store ([`Multipart`]).
-//! Invariant: what a part says it keeps is a prefix of what was appended. Nothing staged is visible as a blob;
-//! publishing shows all of it or nothing.
-//! Must not know: quotas, pins, or which digest was promised.
+//! uploads of an object store ([`Multipart`]). Invariant: what a part says it keeps is a prefix of what was appended.
+//! Nothing staged is visible as a blob; publishing shows all of it or nothing. Must not know: quotas, pins, or which digest
+//! was promised.
 
 mod folder;
 mod memory;

@@ -1,9 +1,8 @@
 //! The interface to blobs.
 //!
-//! Purpose: [`BlobStore`] for handlers and jobs; [`put`] stores bytes that are in memory already.
-//! Invariant: every call names its upload or blob in full, so that any process that shares the storage can answer
-//! it. No call depends on an object that an earlier call returned.
-//! Must not know: where the bytes lie.
+//! Purpose: [`BlobStore`] for handlers and jobs; [`put`] stores bytes that are in memory already. Invariant: every call
+//! names its upload or blob in full, so that any process that shares the storage can answer it. No call depends on an
+//! object that an earlier call returned. Must not know: where the bytes lie.
 
 use std::fmt::Debug;
 use std::ops::Range;
@@ -88,76 +87,51 @@ pub struct BlobRead {
 pub trait BlobStore: Send + Sync + Debug {
     /// Begins an upload or goes on with one. Room for the whole size is kept from here on. Blobs may be evicted.
     ///
-    /// If the blob is stored already and the upload's owner has it, the upload is complete. Any other owner sends all bytes,
-    /// which proves that it may have them.
-    ///
-    /// # Errors
-    /// `TooLarge`, `QuotaExceeded`, `TooManyUploads`, `WrongSize`, `StorageFull`.
+    /// If the blob is stored already and the upload's owner has it, the upload is complete. Any other owner sends all
+    /// bytes, which proves that it may have them. Errors: `TooLarge`, `QuotaExceeded`, `TooManyUploads`, `WrongSize`,
+    /// `StorageFull`.
     async fn begin(&self, upload: UploadId) -> Result<UploadStatus, BlobError> {
         self.begin_within(upload, None).await
     }
 
-    /// As [`begin`](Self::begin), with a quota for the owner's blobs and uploads together. To make room, the owner loses the
-    /// oldest of its blobs that none of its jobs needs.
-    ///
-    /// # Errors
-    /// Those of [`begin`](Self::begin), and `OwnQuotaExceeded`.
+    /// As [`begin`](Self::begin), with a quota for the owner's blobs and uploads together. To make room, the owner loses
+    /// the oldest of its blobs that none of its jobs needs. Errors: those of [`begin`](Self::begin), and
+    /// `OwnQuotaExceeded`.
     async fn begin_within(&self, upload: UploadId, own_limit_bytes: Option<u64>) -> Result<UploadStatus, BlobError>;
 
-    /// Stores the next chunk.
-    ///
-    /// # Errors
-    /// `UploadNotFound`, `WrongOffset`, `ChunkTooLarge`, `PastEnd`, `ChecksumMismatch`, `StorageFull`.
+    /// Stores the next chunk. Errors: `UploadNotFound`, `WrongOffset`, `ChunkTooLarge`, `PastEnd`, `ChecksumMismatch`,
+    /// `StorageFull`.
     async fn write(&self, upload: UploadId, chunk: Chunk) -> Result<UploadStatus, BlobError>;
 
-    /// How many bytes of an upload are stored.
-    ///
-    /// # Errors
-    /// `UploadNotFound`.
+    /// How many bytes of an upload are stored. Errors: `UploadNotFound`.
     async fn upload_status(&self, upload: UploadId) -> Result<UploadStatus, BlobError>;
 
-    /// Makes the blob visible if all bytes are there and their digest is right. With `pin`, the blob is pinned under
-    /// this name before anything can evict it. May be called again after success.
-    ///
-    /// # Errors
-    /// `UploadNotFound`, `Incomplete`, `StorageFull`; `DigestMismatch`: the upload was removed.
+    /// Makes the blob visible if all bytes are there and their digest is right. With `pin`, the blob is pinned under this
+    /// name before anything can evict it. May be called again after success. Errors: `UploadNotFound`, `Incomplete`,
+    /// `StorageFull`; `DigestMismatch`: the upload was removed.
     async fn finish(&self, upload: UploadId, pin: Option<&str>) -> Result<BlobInfo, BlobError>;
 
-    /// Removes an upload and what is stored of it.
-    ///
-    /// # Errors
-    /// `UploadNotFound`.
+    /// Removes an upload and what is stored of it. Errors: `UploadNotFound`.
     async fn abandon(&self, upload: UploadId) -> Result<(), BlobError>;
 
-    /// Reads `range` of a blob; an end after the blob's end means its end. Counts as a use. The stream of a whole blob ends with
-    /// `Damaged` if the bytes that are stored have another digest; then the blob is gone, and can be uploaded again.
-    ///
-    /// # Errors
-    /// `NotFound`, `OutOfRange`.
+    /// Reads `range` of a blob; an end after the blob's end means its end. Counts as a use. The stream of a whole blob ends
+    /// with `Damaged` if the bytes that are stored have another digest; then the blob is gone, and can be uploaded again.
+    /// Errors: `NotFound`, `OutOfRange`.
     async fn read(&self, digest: Digest, range: Range<u64>) -> Result<BlobRead, BlobError>;
 
-    /// Whether a blob is stored, and its size. Is no use.
-    ///
-    /// # Errors
-    /// `NotFound`.
+    /// Whether a blob is stored, and its size. Is no use. Errors: `NotFound`.
     async fn stat(&self, digest: Digest) -> Result<BlobInfo, BlobError>;
 
     /// Those of `digests` that are not stored, in order. For the others it counts as a use: they are the last to be
     /// evicted.
     async fn find_missing(&self, digests: &[Digest]) -> Result<Vec<Digest>, BlobError>;
 
-    /// Removes a blob.
-    ///
-    /// # Errors
-    /// `NotFound`, `Pinned`.
+    /// Removes a blob. Errors: `NotFound`, `Pinned`.
     async fn delete(&self, digest: Digest) -> Result<(), BlobError>;
 
     /// Protects blobs from eviction and deletion, in addition to those that `name` protects already. All or none.
     ///
-    /// Pins do not outlive the process: they are set again at start, before the first upload.
-    ///
-    /// # Errors
-    /// `NotFound`.
+    /// Pins do not outlive the process: they are set again at start, before the first upload. Errors: `NotFound`.
     async fn pin(&self, name: &str, digests: &[Digest]) -> Result<(), BlobError>;
 
     /// As [`pin`](Self::pin), in the name of an owner, which cannot delete the blobs meanwhile.
@@ -169,16 +143,11 @@ pub trait BlobStore: Send + Sync + Debug {
     /// As [`find_missing`](Self::find_missing), where only what this owner has counts as stored.
     async fn find_missing_of(&self, owner: Owner, digests: &[Digest]) -> Result<Vec<Digest>, BlobError>;
 
-    /// Gives blobs to an owner too. What is not stored is left out.
-    ///
-    /// # Errors
-    /// `StorageFull`.
+    /// Gives blobs to an owner too. What is not stored is left out. Errors: `StorageFull`.
     async fn claim(&self, owner: Owner, digests: &[Digest]) -> Result<(), BlobError>;
 
-    /// Takes a blob from its owner. Its bytes go with the last owner, unless they are pinned.
-    ///
-    /// # Errors
-    /// `NotFound` if the owner does not have it; `Pinned` if it is pinned in the owner's name.
+    /// Takes a blob from its owner. Its bytes go with the last owner, unless they are pinned. Errors: `NotFound` if the
+    /// owner does not have it; `Pinned` if it is pinned in the owner's name.
     async fn disown(&self, owner: Owner, digest: Digest) -> Result<(), BlobError>;
 
     async fn owned_bytes(&self, owner: Owner) -> Result<u64, BlobError>;
@@ -189,10 +158,7 @@ pub trait BlobStore: Send + Sync + Debug {
     /// Removes uploads that were idle for too long; returns how many. To be called now and then.
     async fn sweep(&self) -> Result<usize, BlobError>;
 
-    /// Whether something could be stored now. It asks the storage each time.
-    ///
-    /// # Errors
-    /// `StorageFull`.
+    /// Whether something could be stored now. It asks the storage each time. Errors: `StorageFull`.
     async fn check(&self) -> Result<(), BlobError>;
 
     async fn usage(&self) -> Result<Usage, BlobError>;
@@ -205,10 +171,8 @@ pub async fn put(store: &dyn BlobStore, bytes: Bytes, pin: Option<&str>) -> Resu
     put_upload(store, None, None, bytes, pin).await
 }
 
-/// Stores bytes that are in memory for an owner with a quota of `own_limit_bytes`.
-///
-/// # Errors
-/// As [`put`], and `OwnQuotaExceeded`.
+/// Stores bytes that are in memory for an owner with a quota of `own_limit_bytes`. Errors: as [`put`], and
+/// `OwnQuotaExceeded`.
 pub async fn put_of(
     store: &dyn BlobStore,
     owner: &str,

@@ -1,9 +1,8 @@
 //! Uploads under way.
 //!
-//! Purpose: the table of the uploads that this process knows.
-//! Invariant: at most one task changes an upload at a time. An upload that failed halfway through a change is read
-//! again from the storage before its next use, so that memory and storage never disagree.
-//! Must not know: where the bytes lie, or how much room there is.
+//! Purpose: the table of the uploads that this process knows. Invariant: at most one task changes an upload at a time. An
+//! upload that failed halfway through a change is read again from the storage before its next use, so that memory and
+//! storage never disagree. Must not know: where the bytes lie, or how much room there is.
 
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex};

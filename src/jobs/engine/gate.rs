@@ -2,11 +2,9 @@
 //!
 //! Purpose: [`Gate`] lets one pass at a time on the device, in the order in which they came; [`Gated`] is a backend whose
 //! sessions go through it. So a job's passes run while another fits or measures on the host, and a tiny job waits for one
-//! pass of a huge one and not for its end.
-//! A CPU backend needs no gate; its passes are counted and traced in the same way.
+//! pass of a huge one and not for its end. A CPU backend needs no gate; its passes are counted and traced in the same way.
 //! Invariant: what is gated does what its inner session does, with the same bits; only when it does so differs. A waiter
-//! checks its token. A panic inside gives the gate back.
-//! Must not know: which backend it is, what a job does.
+//! checks its token. A panic inside gives the gate back. Must not know: which backend it is, what a job does.
 
 use std::collections::VecDeque;
 use std::ops::Range;
@@ -23,8 +21,8 @@ use geometry::rvd::{
 };
 use geometry::token::Token;
 
-/// How often the token of a waiter is checked.
-const TOKEN_POLL: Duration = Duration::from_millis(20);
+/// How often the token of work that waits is checked.
+pub(crate) const TOKEN_POLL: Duration = Duration::from_millis(20);
 
 #[derive(Debug, Default)]
 pub(crate) struct Gate {

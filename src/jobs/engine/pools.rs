@@ -1,9 +1,8 @@
 //! Threads for jobs.
 //!
-//! Purpose: [`Pools`] leases a CPU backend with threads of its own to each job at work.
-//! Invariant: no two jobs share a pool. In a shared one a thread that waits within one job may begin another whole job, and
-//! the first then waits for the second. Results do not depend on the number of threads.
-//! Must not know: jobs, the queue.
+//! Purpose: [`Pools`] leases a CPU backend with threads of its own to each job at work. Invariant: no two jobs share a
+//! pool. In a shared one a thread that waits within one job may begin another whole job, and the first then waits for the
+//! second. Results do not depend on the number of threads. Must not know: jobs, the queue.
 
 use std::ops::Deref;
 use std::sync::{Arc, Mutex};

@@ -69,7 +69,7 @@ pub(crate) struct Queue<T> {
 }
 
 struct State<T> {
-    jobs: Schedule<Waiting<T>>,
+    jobs: Schedule<T>,
     short: VecDeque<T>,
     reservations: BTreeMap<u64, Instant>,
     tickets: u64,
@@ -80,12 +80,6 @@ struct State<T> {
     ended: bool,
     /// Moving mean of how long a job takes, for the advice to a refused caller.
     mean_s: f64,
-}
-
-struct Waiting<T> {
-    item: T,
-    /// Its name if a store keeps it; then it does not count against the limit.
-    kept: Option<JobId>,
 }
 
 struct Running {
@@ -168,8 +162,7 @@ impl<T: Item> Queue<T> {
                 if let Some(id) = request.kept {
                     state.kept.insert(id, Arc::clone(&request.tenant), item.token().clone());
                 }
-                let waiting = Waiting { item, kept: request.kept };
-                state.jobs.push(request, waiting);
+                state.jobs.push(request, item);
                 ahead
             }
             Admission::Session => {
@@ -264,7 +257,7 @@ impl<T: Item> Queue<T> {
     pub(crate) fn cancel_all(&self) {
         let mut state = lock(&self.state);
         state.running.values().for_each(|running| running.token.cancel());
-        state.jobs.iter().map(|waiting| &waiting.item).chain(&state.short).for_each(|item| item.token().cancel());
+        state.jobs.iter().map(|(item, _)| item).chain(&state.short).for_each(|item| item.token().cancel());
         state.release_kept();
     }
 
@@ -304,21 +297,15 @@ impl<T: Item> State<T> {
     /// Takes the next item of a lane. Those whose callers have gone go to `unwanted`.
     fn take(&mut self, lane: Lane, unwanted: &mut Vec<T>) -> Option<Dequeued<T>> {
         let number = self.number();
-        let (item, is_alone, kept) = match lane {
+        let (item, kept, is_alone) = match lane {
             Lane::Short => loop {
                 let item = self.short.pop_front()?;
                 if item.is_wanted() {
-                    break (item, false, None);
+                    break (item, None, false);
                 }
                 unwanted.push(item);
             },
-            Lane::Jobs => {
-                let mut gone = Vec::new();
-                let next = self.jobs.next(number, |waiting| waiting.item.is_wanted(), &mut gone);
-                unwanted.extend(gone.into_iter().map(|waiting| waiting.item));
-                let (Waiting { item, kept }, is_alone) = next?;
-                (item, is_alone, kept)
-            }
+            Lane::Jobs => self.jobs.next(number, T::is_wanted, unwanted)?,
         };
         self.running.insert(number, Running { token: item.token().clone(), kept });
         Some(Dequeued { item, number, is_alone })
@@ -336,7 +323,7 @@ impl<T: Item> State<T> {
 
     /// New jobs that wait, and places that are kept for others.
     fn new_jobs(&self) -> usize {
-        let waiting = self.jobs.iter().filter(|waiting| waiting.kept.is_none()).count();
+        let waiting = self.jobs.iter().filter(|(_, request)| request.kept.is_none()).count();
         waiting + self.reservations.values().filter(|since| since.elapsed() < RESERVATION_TTL).count()
     }
 
@@ -346,7 +333,7 @@ impl<T: Item> State<T> {
             return Ok(());
         }
         // Jobs whose callers have gone hold a place until it is needed.
-        self.jobs.retain(|waiting| waiting.item.is_wanted());
+        self.jobs.retain(T::is_wanted);
         let waiting = self.new_jobs();
         if waiting < limit {
             return Ok(());

@@ -147,8 +147,9 @@ impl<T> Schedule<T> {
         self.running.len()
     }
 
-    pub(crate) fn iter(&self) -> impl Iterator<Item = &T> {
-        self.tenants.values().flat_map(|tenant| tenant.waiting.values().map(|waiting| &waiting.item))
+    pub(crate) fn iter(&self) -> impl Iterator<Item = (&T, &AdmissionRequest)> {
+        let waiting = self.tenants.values().flat_map(|tenant| tenant.waiting.values());
+        waiting.map(|waiting| (&waiting.item, &waiting.request))
     }
 
     pub(crate) fn push(&mut self, request: AdmissionRequest, item: T) {
@@ -186,9 +187,14 @@ impl<T> Schedule<T> {
             .map(|left| left.max(Duration::from_millis(10)))
     }
 
-    /// Takes the next job that is wanted and may begin, and says whether its tenant has nothing else at work or waiting.
-    /// Unwanted jobs go to `gone`. `number` names the job for [`Self::done`].
-    pub(crate) fn next(&mut self, number: u64, is_wanted: impl Fn(&T) -> bool, gone: &mut Vec<T>) -> Option<(T, bool)> {
+    /// Takes the next job that is wanted and may begin, with its name if a store keeps it, and whether its tenant has nothing
+    /// else at work or waiting. Unwanted jobs go to `gone`. `number` names the job for [`Self::done`].
+    pub(crate) fn next(
+        &mut self,
+        number: u64,
+        is_wanted: impl Fn(&T) -> bool,
+        gone: &mut Vec<T>,
+    ) -> Option<(T, Option<JobId>, bool)> {
         let at_work = self.running.len();
         if at_work > self.slots.regular {
             return None;
@@ -223,9 +229,9 @@ impl<T> Schedule<T> {
             tenant.time += request.seconds / request.weight;
             self.time = self.time.max(time);
             self.planned = self.planned.plus(request.memory);
-            let AdmissionRequest { weight, seconds, memory, .. } = request;
+            let AdmissionRequest { weight, seconds, memory, kept, .. } = request;
             self.running.insert(number, Running { tenant: name, weight, seconds, memory });
-            return Some((item, is_alone));
+            return Some((item, kept, is_alone));
         }
         None
     }
@@ -267,7 +273,7 @@ mod tests {
     }
 
     fn next(schedule: &mut Schedule<&'static str>, number: u64) -> Option<&'static str> {
-        schedule.next(number, |_| true, &mut Vec::new()).map(|(item, _)| item)
+        schedule.next(number, |_| true, &mut Vec::new()).map(|(item, ..)| item)
     }
 
     #[test]

@@ -1,12 +1,11 @@
 //! The host threads that do the work.
 //!
 //! Purpose: work on a bounded number of OS threads. A job stays on one of them; the device is shared by the pass
-//! ([`gate`](super::gate)). [`Call`] is a piece of work from its submission to its answer.
-//! Invariant: a lost device is replaced once, by the first thread that finds it lost, before the next piece. A piece that
-//! can be begun anew waits for the new device; this is the one place that counts its attempts. Work that was promised to a
-//! device goes to the CPU only by [`LossPolicy`]. A call is answered exactly
-//! once or its caller has gone; a panic is an answer; what the work holds goes before the answer. Must not know: what a
-//! piece computes.
+//! ([`gate`](super::gate)). [`Call`] is a piece of work from its submission to its answer. Invariant: a lost device is
+//! replaced once, by the first thread that finds it lost, before the next piece. A piece that can be begun anew waits for
+//! the new device; this is the one place that counts its attempts. Work that was promised to a device goes to the CPU only
+//! by [`LossPolicy`]. A call is answered exactly once or its caller has gone; a panic is an answer; what the work holds
+//! goes before the answer. Must not know: what a piece computes.
 
 use std::any::Any;
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -18,7 +17,7 @@ use std::time::{Duration, Instant};
 
 use tokio::sync::{oneshot, watch};
 
-use crate::engine::gate::Gate;
+use crate::engine::gate::{Gate, TOKEN_POLL};
 use crate::engine::pools::Pools;
 use crate::engine::queue::{Dequeued, Item, Lane, Popped, Queue};
 use crate::engine::schedule::{Slots, Weights};
@@ -96,10 +95,6 @@ pub(crate) fn jobs_at_once() -> usize {
     std::thread::available_parallelism().map_or(2, |cores| (cores.get() / 4).clamp(2, 8))
 }
 
-/// How often the token of work that waits for a device is checked.
-const TOKEN_POLL: Duration = Duration::from_millis(20);
-
-/// Workers for short pieces.
 const SHORT_WORKERS: usize = 2;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

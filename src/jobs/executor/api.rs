@@ -18,14 +18,10 @@ use crate::store::{Created, Page, Query};
 /// be run to its end, even if the caller is gone. Every call may fail with `Store`.
 #[async_trait]
 pub trait JobApi: Send + Sync {
-    /// Keeps a job and queues it.
-    ///
-    /// # Errors
-    /// `Input`, `TooLarge`, `Packed`; `Blob` if its input is not stored; `Store` if the request came before with another
-    /// body; `Job` if the queue is full or the server drains.
+    /// Keeps a job and queues it. Errors: `Input`, `TooLarge`, `Packed`; `Blob` if its input is not stored; `Store` if the
+    /// request came before with another body; `Job` if the queue is full or the server drains.
     async fn create(&self, spec: Spec) -> Result<Created, JobApiError>;
 
-    /// A job.
     async fn get(&self, tenant: &str, id: JobId) -> Result<Job, JobApiError>;
 
     /// Jobs, the newest first. The query names its tenant.
@@ -34,10 +30,8 @@ pub trait JobApi: Send + Sync {
     /// At most `most` events after number `after`; none if none came.
     async fn events(&self, tenant: &str, id: JobId, after: u64, most: usize) -> Result<Events, JobApiError>;
 
-    /// Ends once the job has an event after number `after`.
-    ///
-    /// # Errors
-    /// `Store`; `NotFound` in it also if the job is deleted meanwhile.
+    /// Ends once the job has an event after number `after`. Errors: `Store`; `NotFound` in it also if the job is deleted
+    /// meanwhile.
     async fn wait(&self, tenant: &str, id: JobId, after: u64) -> Result<(), JobApiError>;
 
     /// The newest seeds of a job at work, from now on until it ends; the sender is then gone. Sets of more than a million are
@@ -50,10 +44,8 @@ pub trait JobApi: Send + Sync {
     /// Forgets a job that has ended, and lets its result go.
     async fn delete(&self, tenant: &str, id: JobId) -> Result<(), JobApiError>;
 
-    /// What a job would need. Counts that are not given are read from the job's input.
-    ///
-    /// # Errors
-    /// `Input`, `TooLarge`, `Packed`; `Blob` if counts are not given and the input is not stored.
+    /// What a job would need. Counts that are not given are read from the job's input. Errors: `Input`, `TooLarge`,
+    /// `Packed`; `Blob` if counts are not given and the input is not stored.
     async fn estimate(&self, spec: Spec, vertices: Option<u64>, facets: Option<u64>) -> Result<Estimate, JobApiError>;
 
     /// Ends if nothing can be kept any more: only a new process can go on.

@@ -1,9 +1,8 @@
 //! One restricted Voronoi diagram, in pieces that a caller can take at its own pace.
 //!
-//! Purpose: [`Diagram`] opens a session and hands out sums and batches of pieces in the caller's
-//! coordinates; the command line and the engine both drive it.
-//! Invariant: facets are visited once and in order. What comes out is the same whether or not it [rests](Diagram::rest) between
-//! two batches. Must not know: queues, messages, files.
+//! Purpose: [`Diagram`] opens a session and hands out sums and batches of pieces in the caller's coordinates; the command
+//! line and the engine both drive it. Invariant: facets are visited once and in order. What comes out is the same whether
+//! or not it [rests](Diagram::rest) between two batches. Must not know: queues, messages, files.
 
 use std::sync::Arc;
 use std::time::Instant;

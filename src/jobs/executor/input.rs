@@ -96,6 +96,21 @@ pub(crate) struct Reader<'a> {
     pub(crate) token: &'a Token,
 }
 
+/// Places of arrays in a request.
+const ARRAYS: &str = "spec.mesh.arrays";
+const FILE: &str = "spec.mesh.file";
+const SEEDS: &str = "spec.arrays.seeds";
+const LENGTHS: &str = "spec.arrays.edge_lengths";
+const WEIGHTS: &str = "spec.arrays.weights";
+const CREASES: &str = "spec.arrays.creases";
+
+/// The surface of a job, and how its vertices are numbered where lists go by them.
+struct Surface {
+    mesh: TriMesh,
+    attributes: Option<Attributes>,
+    vertices: FileVertices,
+}
+
 impl Reader<'_> {
     /// The bytes of an array, as many as its count says.
     fn bytes(&self, field: &str, array: &ArrayRef, numbers: u64) -> Result<Vec<u8>, WorkError> {
@@ -212,24 +227,7 @@ impl Reader<'_> {
         });
         Ok(Some(collected?))
     }
-}
 
-/// Places of arrays in a request.
-const ARRAYS: &str = "spec.mesh.arrays";
-const FILE: &str = "spec.mesh.file";
-const SEEDS: &str = "spec.arrays.seeds";
-const LENGTHS: &str = "spec.arrays.edge_lengths";
-const WEIGHTS: &str = "spec.arrays.weights";
-const CREASES: &str = "spec.arrays.creases";
-
-/// The surface of a job, and how its vertices are numbered where lists go by them.
-struct Surface {
-    mesh: TriMesh,
-    attributes: Option<Attributes>,
-    vertices: FileVertices,
-}
-
-impl Reader<'_> {
     fn surface(&self, task: &Task) -> Result<Surface, WorkError> {
         self.token.enter("read");
         let surface = match &task.mesh {

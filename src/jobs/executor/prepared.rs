@@ -1,8 +1,7 @@
 //! What a caller wants done, made ready before its turn.
 //!
-//! Purpose: [`Input`] is what was given; [`Prepared`] is checked, scaled and seeded.
-//! Invariant: preparing touches no backend, so that it can run on any thread.
-//! Must not know: where the input came from.
+//! Purpose: [`Input`] is what was given; [`Prepared`] is checked, scaled and seeded. Invariant: preparing touches no
+//! backend, so that it can run on any thread. Must not know: where the input came from.
 
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -34,7 +33,6 @@ pub struct Input {
 /// A surface in the unit frame and seeds in the caller's.
 #[derive(Clone, Debug)]
 pub struct Prepared {
-    /// For the backends.
     pub surface: Arc<Surface>,
     /// At least one, finite, caller's coordinates.
     pub seeds: Arc<Vec<DVec3>>,
@@ -45,11 +43,9 @@ pub struct Prepared {
 }
 
 impl Prepared {
-    /// Checks the density and the seeds, and draws seeds if asked. Lengths per vertex, curvature and feature
-    /// size may divide facets; with weights and uniform the surface's facets are the mesh's.
-    ///
-    /// # Errors
-    /// `WeightCount`, `BadWeight`, `NoSeeds`, `NonFiniteSeed`, `Density`, `Stopped`.
+    /// Checks the density and the seeds, and draws seeds if asked. Lengths per vertex, curvature and feature size may
+    /// divide facets; with weights and uniform the surface's facets are the mesh's. Errors: `WeightCount`, `BadWeight`,
+    /// `NoSeeds`, `NonFiniteSeed`, `Density`, `Stopped`.
     pub fn new(input: Input, token: &Token) -> Result<Self, JobError> {
         Self::with(input, token, false)
     }

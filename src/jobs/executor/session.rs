@@ -1,9 +1,8 @@
 //! An interactive session of CVT iterations on the engine's threads.
 //!
-//! Purpose: [`CvtSession`] keeps a [`Cvt`] between the commands of its caller. Every command is a
-//! piece of work of its own, so that a slow caller blocks no other.
-//! Invariant: the state is either here or in one submitted piece; what is dropped is dropped on the
-//! engine's threads. A long command gives way after a slice of time. Must not know: messages.
+//! Purpose: [`CvtSession`] keeps a [`Cvt`] between the commands of its caller. Every command is a piece of work of its own,
+//! so that a slow caller blocks no other. Invariant: the state is either here or in one submitted piece; what is dropped is
+//! dropped on the engine's threads. A long command gives way after a slice of time. Must not know: messages.
 
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -35,10 +34,7 @@ pub struct CvtSession {
 }
 
 impl CvtSession {
-    /// Queues the opening of a session, for which a place was kept.
-    ///
-    /// # Errors
-    /// `QueueFull`, `Draining`, `BackendUnavailable`.
+    /// Queues the opening of a session, for which a place was kept. Errors: `QueueFull`, `Draining`, `BackendUnavailable`.
     pub fn open(
         engine: &Engine,
         prepared: Arc<Prepared>,
@@ -66,19 +62,14 @@ impl CvtSession {
         self.cvt.as_ref().map_or(0, Cvt::len)
     }
 
-    /// The seeds now, caller's coordinates.
-    ///
-    /// # Errors
-    /// What the backend says; the session is then over.
+    /// The seeds now, caller's coordinates. Errors: what the backend says; the session is then over.
     pub async fn seeds(&mut self) -> Result<Timed<Vec<DVec3>>, JobError> {
         self.call(|cvt, _| Ok(cvt.seeds()?)).await
     }
 
-    /// Takes at least one and at most `steps` steps of a kind, as many as fit a slice of time. With
-    /// `SeedsWanted::Each` one step is taken: seeds are large, and the caller sends them on first.
-    ///
-    /// # Errors
-    /// What the backend says; the session is then over.
+    /// Takes at least one and at most `steps` steps of a kind, as many as fit a slice of time. With `SeedsWanted::Each` one
+    /// step is taken: seeds are large, and the caller sends them on first. Errors: what the backend says; the session is
+    /// then over.
     pub async fn step(&mut self, steps: usize, kind: StepKind, seeds: SeedsWanted) -> Result<Timed<Steps>, JobError> {
         self.call(move |cvt, context| {
             let token = &context.token;
@@ -106,10 +97,7 @@ impl CvtSession {
         .await
     }
 
-    /// Changes the seeds.
-    ///
-    /// # Errors
-    /// What is wrong with an edit; nothing is then changed.
+    /// Changes the seeds. Errors: what is wrong with an edit; nothing is then changed.
     pub async fn edit(&mut self, edits: Vec<SeedEdit>) -> Result<Timed<()>, JobError> {
         let mut edited = self.call(move |cvt, _| Ok(cvt.edit(&edits))).await?;
         std::mem::replace(&mut edited.value, Ok(()))?;

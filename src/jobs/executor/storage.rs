@@ -11,12 +11,10 @@ use std::time::{Duration, Instant};
 use tokio::sync::watch;
 
 use crate::blob::{BlobError, BlobStore};
+use crate::engine::TOKEN_POLL;
 use geometry::token::{Stopped, Token};
 
-/// How often a job that waits tries again.
 const RETRY_PERIOD: Duration = Duration::from_secs(1);
-/// How often the token of a job that waits is checked.
-const TOKEN_POLL: Duration = Duration::from_millis(20);
 
 #[derive(Debug, Default)]
 pub(super) struct Storage {

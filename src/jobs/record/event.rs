@@ -1,9 +1,8 @@
 //! What happened to a job, numbered.
 //!
-//! Purpose: [`Event`], and `Log`, the events of one job that are kept.
-//! Invariant: numbers of a job begin at 1, rise and are never used twice, a restart of the process included. State changes
-//! are always kept. Of stages and iterations at most [`KEPT_PROGRESS`] are: the oldest iterations go first. A number that is
-//! not there was one of those, or was never given.
+//! Purpose: [`Event`], and `Log`, the events of one job that are kept. Invariant: numbers of a job begin at 1, rise and are
+//! never used twice, a restart of the process included. State changes are always kept. Of stages and iterations at most
+//! [`KEPT_PROGRESS`] are: the oldest iterations go first. A number that is not there was one of those, or was never given.
 //! Must not know: stores, watchers.
 
 use serde::{Deserialize, Serialize};
@@ -53,7 +52,6 @@ pub enum Progress {
         kind: String,
         /// Energy of the seeds before the step.
         energy: f64,
-        /// Norm of its gradient.
         gradient_norm: f64,
         /// Wall-clock milliseconds.
         ms: f64,

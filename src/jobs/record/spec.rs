@@ -1,10 +1,9 @@
 //! What a job is asked to do.
 //!
-//! Purpose: [`Spec`] is a message that was checked, with its tenant and its request's id; [`Spec::task`] is the same for those
-//! that do it. [`task`](super::task) has the checks.
-//! Invariant: the message is kept and answered as it came, and a specification that was kept is read again, whatever the
-//! limits of the server are now. Records of layouts 1 and 2 are read as the message that asks for the same.
-//! Must not know: stores, limits of a server.
+//! Purpose: [`Spec`] is a message that was checked, with its tenant and its request's id; [`Spec::task`] is the same for
+//! those that do it. [`task`](super::task) has the checks. Invariant: the message is kept and answered as it came, and a
+//! specification that was kept is read again, whatever the limits of the server are now. Records of layouts 1 and 2 are
+//! read as the message that asks for the same. Must not know: stores, limits of a server.
 
 use std::sync::Arc;
 
@@ -36,10 +35,8 @@ impl PartialEq for Spec {
 }
 
 impl Spec {
-    /// Checks everything that can be checked without the blobs.
-    ///
-    /// # Errors
-    /// [`WireError::Field`] for the first field that is wrong, by its path in a request to create the job.
+    /// Checks everything that can be checked without the blobs. Errors: [`WireError::Field`] for the first field that is
+    /// wrong, by its path in a request to create the job.
     pub fn new(message: proto::JobSpec, tenant: String, request_id: String) -> Result<Self, WireError> {
         let bytes = message.encoded_len();
         let spec = Self::kept(message, tenant, request_id)?;

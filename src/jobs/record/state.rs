@@ -22,6 +22,8 @@
 
 use serde::{Deserialize, Serialize};
 
+pub use super::Transition;
+
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize, strum::IntoStaticStr)]
 #[serde(rename_all = "snake_case")]
 #[strum(serialize_all = "snake_case")]
@@ -49,17 +51,6 @@ impl State {
     }
 }
 
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub enum Transition {
-    Claim,
-    Release,
-    Orphan,
-    Succeed,
-    Fail,
-    Cancel,
-    Expire,
-}
-
 /// A transition that the state does not allow.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("a job that is {} cannot be {}", state.name(), match transition {
@@ -76,10 +67,7 @@ pub struct TransitionError {
     pub transition: Transition,
 }
 
-/// The state after `transition`.
-///
-/// # Errors
-/// [`TransitionError`] where the table at the head of the module has no entry.
+/// The state after `transition`. Errors: [`TransitionError`] where the table at the head of the module has no entry.
 pub fn apply(state: State, transition: Transition) -> Result<State, TransitionError> {
     use State as S;
     use Transition as T;

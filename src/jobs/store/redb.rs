@@ -83,11 +83,8 @@ type Command = Box<dyn FnOnce(&mut dyn TablesMut, &mut Live) -> Reply + Send>;
 type Reply = Box<dyn FnOnce(Result<(), StoreError>) + Send>;
 
 impl RedbStore {
-    /// Opens the journal of a directory; makes both if they are not there. Nothing is recovered yet:
-    /// `JobStore::recover`.
-    ///
-    /// # Errors
-    /// `InUse`, `Damaged`, `UnknownVersion`, `Io`.
+    /// Opens the journal of a directory; makes both if they are not there. Nothing is recovered yet: `JobStore::recover`.
+    /// Errors: `InUse`, `Damaged`, `UnknownVersion`, `Io`.
     pub fn open(directory: &Path, options: RedbOptions) -> Result<Self, StoreError> {
         let (directory, database) = Directory::open(directory, options.cache_bytes)?;
         Self::start(database, directory.journal(), options.clock, Some(directory))

@@ -98,7 +98,6 @@ impl Waiters {
         lock(&self.0).entry(id).or_insert_with(|| watch::channel(()).0).subscribe()
     }
 
-    /// Wakes the waits for these.
     pub(crate) fn wake(&self, ids: &[JobId]) {
         let mut waiters = lock(&self.0);
         if waiters.is_empty() {

@@ -1,9 +1,8 @@
 //! The options of a server, as the command line has them.
 //!
-//! Purpose: [`ServeArgs`], the one struct that describes every option: its name, its variable, its default and its help. The
-//! file (`file`) and the printed form (`options`) follow from it.
-//! Invariant: parsers here check single values; `check` checks their combinations.
-//! Must not know: the use of values.
+//! Purpose: [`ServeArgs`], the one struct that describes every option: its name, its variable, its default and its help.
+//! The file (`file`) and the printed form (`options`) follow from it. Invariant: parsers here check single values; `check`
+//! checks their combinations. Must not know: the use of values.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -20,7 +19,6 @@ use crate::config::values::{ConfigError, addresses, mebibytes, seconds};
 use geometry::rvd::{BackendChoice, BackendKind};
 use telemetry::Traces;
 
-/// Which backend should do the work.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
 pub enum BackendArg {
     /// The GPU if available, else the parallel CPU backend.
@@ -62,7 +60,6 @@ pub struct BackendArgs {
     pub gpu_timeout: Option<Duration>,
 }
 
-/// `tessera serve`'s options.
 #[derive(Args, Clone, Debug)]
 #[command(next_help_heading = "Server and its limits")]
 pub struct ServeArgs {
@@ -236,7 +233,6 @@ impl Sources {
     }
 }
 
-/// Reaction to a device that does not return.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
 pub enum OnLoss {
     /// End with exit code 76, so that a supervisor restarts the server, perhaps on another machine.
@@ -246,7 +242,6 @@ pub enum OnLoss {
     Cpu,
 }
 
-/// Options about the device.
 #[derive(Args, Clone, Debug)]
 #[command(next_help_heading = "Device")]
 pub struct DeviceArgs {
@@ -288,7 +283,6 @@ impl DeviceArgs {
     }
 }
 
-/// See the module's head.
 #[derive(Args, Clone, Debug)]
 #[command(next_help_heading = "Metrics, health and traces")]
 pub struct WatchingArgs {
@@ -324,9 +318,6 @@ impl WatchingArgs {
     }
 
     /// The collector of traces, and the part that is exported.
-    ///
-    /// # Errors
-    /// [`ConfigError`].
     pub fn traces(&self) -> Result<Option<Traces>, ConfigError> {
         // The variable that programs with OpenTelemetry share.
         let shared = || std::env::var("OTEL_EXPORTER_OTLP_ENDPOINT").ok().filter(|url| !url.is_empty());

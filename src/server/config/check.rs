@@ -1,16 +1,13 @@
 //! Validation of the options.
 //!
-//! Purpose: makes a [`ServeConfig`] of [`ServeArgs`].
-//! Invariant: a `ServeConfig` exists only if every value is usable, alone and in combination; it is made before any port is
-//! bound.
-//! Must not know: the source of a value.
+//! Purpose: makes a [`ServeConfig`] of [`ServeArgs`]. Invariant: a `ServeConfig` exists only if every value is usable,
+//! alone and in combination; it is made before any port is bound. Must not know: the source of a value.
 
 use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::time::Duration;
 
-use super::args::DeviceRules;
-use super::args::{BackendArgs, ServeArgs};
+use super::args::{BackendArgs, DeviceRules, ServeArgs};
 use super::limits::Limits;
 use super::security::TlsFiles;
 use jobs::Ceilings;
@@ -55,10 +52,7 @@ pub struct ServeConfig {
 }
 
 impl ServeArgs {
-    /// Checks every value.
-    ///
-    /// # Errors
-    /// [`ConfigError`] for the first one that is wrong.
+    /// Checks every value. Errors: [`ConfigError`] for the first one that is wrong.
     pub fn check(&self) -> Result<ServeConfig, ConfigError> {
         self.check_all().map_err(|error| match self.sources.of(error.option) {
             Some(source) => ConfigError { value: format!("{} ({source})", error.value), ..error },
@@ -158,10 +152,7 @@ impl ServeArgs {
     }
 }
 
-/// The data folder of a server: the given one, or the user's.
-///
-/// # Errors
-/// [`ConfigError`] if both are missing.
+/// The data folder of a server: the given one, or the user's. Errors: [`ConfigError`] if both are missing.
 pub fn data_dir(given: Option<&PathBuf>) -> Result<PathBuf, ConfigError> {
     let variable = |name| std::env::var_os(name).map(PathBuf::from).filter(|path: &PathBuf| path.is_absolute());
     let state = || variable("XDG_STATE_HOME").or_else(|| Some(variable("HOME")?.join(".local/state")));
@@ -171,10 +162,6 @@ pub fn data_dir(given: Option<&PathBuf>) -> Result<PathBuf, ConfigError> {
 }
 
 impl BackendArgs {
-    /// Checks the number of threads.
-    ///
-    /// # Errors
-    /// [`ConfigError`].
     pub fn check(&self) -> Result<(), ConfigError> {
         self.threads.map_or(Ok(()), |threads| within("--threads", threads, 1..=4096).map(drop))
     }

@@ -1,9 +1,8 @@
 //! Options in a file.
 //!
 //! Purpose: [`ConfigFile`] reads TOML whose keys are the names of the options with `_` for `-`, and makes each value the
-//! default of its option.
-//! Invariant: an unknown key, a value of the wrong type and an invalid value are refused with file, line and key.
-//! Must not know: the list of options.
+//! default of its option. Invariant: an unknown key, a value of the wrong type and an invalid value are refused with file,
+//! line and key. Must not know: the list of options.
 
 use std::collections::BTreeMap;
 use std::fs::File;
@@ -55,10 +54,6 @@ pub struct ConfigFile {
 }
 
 impl ConfigFile {
-    /// Reads and checks a file.
-    ///
-    /// # Errors
-    /// [`FileError`].
     pub fn read(path: &Path) -> Result<Self, FileError> {
         let cannot = |cause| FileError::Read { file: path.to_owned(), cause };
         let mut bytes = Vec::new();
@@ -71,10 +66,6 @@ impl ConfigFile {
         Self::parse(path, &text)
     }
 
-    /// Parses the text of a file.
-    ///
-    /// # Errors
-    /// As [`Self::read`].
     pub(super) fn parse(path: &Path, text: &str) -> Result<Self, FileError> {
         let wrong = |at: usize, what: String| {
             let line = 1 + text.as_bytes()[..at.min(text.len())].iter().filter(|byte| **byte == b'\n').count();

@@ -124,7 +124,6 @@ impl Default for Transport {
     }
 }
 
-/// See the module's head.
 #[derive(Args, Clone, Debug)]
 #[command(next_help_heading = "Connections")]
 pub struct TransportArgs {

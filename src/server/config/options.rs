@@ -38,10 +38,7 @@ pub(super) fn untouched() -> Command {
     options().mut_args(|arg| arg.env(Resettable::Reset))
 }
 
-/// The defaults of all options.
-///
-/// # Errors
-/// A fault of the program: an option without a default that is needed.
+/// The defaults of all options. Errors: a fault of the program: an option without a default that is needed.
 pub fn defaults() -> Result<ArgMatches, clap::Error> {
     untouched().try_get_matches_from(["serve"])
 }

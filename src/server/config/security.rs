@@ -1,8 +1,7 @@
 //! Options of access to the server.
 //!
 //! Invariant: a server that other machines can reach has TLS and keys, unless an option waives them. Secrets are given by
-//! file, never as a value.
-//! Must not know: certificates, keys.
+//! file, never as a value. Must not know: certificates, keys.
 
 use std::net::{IpAddr, SocketAddr};
 use std::path::PathBuf;
@@ -24,7 +23,6 @@ pub struct TlsFiles {
     pub reload: Duration,
 }
 
-/// See the module's head.
 #[derive(Args, Clone, Debug)]
 #[command(next_help_heading = "TLS and keys")]
 pub struct SecurityArgs {

@@ -24,9 +24,6 @@ impl ConfigError {
 }
 
 /// A time as people write it: a number and s, m, h or d.
-///
-/// # Errors
-/// A sentence for the user.
 pub fn period(text: &str) -> Result<Duration, String> {
     let unit = |letter| match letter {
         's' => Some(1.0),
@@ -82,9 +79,6 @@ pub(super) fn addresses(option: &'static str, listen: &str) -> Result<Vec<Socket
 }
 
 /// A whole number as people write it: `10000`, `1e4`.
-///
-/// # Errors
-/// A sentence for the user.
 pub fn whole<N: TryFrom<u64>>(text: &str) -> Result<N, String> {
     number(text).and_then(|n| n.try_into().ok()).ok_or_else(|| {
         let words = "a whole number is needed, as 10000 or 1e4";
@@ -93,9 +87,6 @@ pub fn whole<N: TryFrom<u64>>(text: &str) -> Result<N, String> {
 }
 
 /// The same, from 1 on.
-///
-/// # Errors
-/// A sentence for the user.
 pub fn count(text: &str) -> Result<u32, String> {
     match whole(text) {
         Ok(number) if number > 0 => Ok(number),

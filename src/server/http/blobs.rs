@@ -32,7 +32,6 @@ fn digest(text: &str) -> Result<Digest, RequestError> {
     text.parse().map_err(|error: jobs::blob::DigestError| wrong("digest", format!("is no digest: {error}")))
 }
 
-/// `POST /v1/blobs`.
 pub(super) async fn upload(State(desk): State<Desk>, Extension(client): Whose, request: Request) -> Answered {
     let mut asked = Asked::of_query(request.uri().query())?;
     let named = asked.digest("digest")?;
@@ -113,7 +112,6 @@ async fn stream(
     timely(desk.blobs.finish(upload, None)).await
 }
 
-/// `GET` and `HEAD /v1/blobs/{digest}`.
 pub(super) async fn read(
     State(desk): State<Desk>,
     Extension(client): Whose,
@@ -124,7 +122,6 @@ pub(super) async fn read(
     send(&desk, &client.tenant, digest(&named)?, request.headers(), "application/octet-stream", ()).await
 }
 
-/// `DELETE /v1/blobs/{digest}`.
 pub(super) async fn remove(State(desk): State<Desk>, Extension(client): Whose, Path(named): Path<String>) -> Answered {
     timely(desk.blobs.disown(Owner::of(&client.tenant), digest(&named)?)).await?;
     Ok(StatusCode::NO_CONTENT.into_response())

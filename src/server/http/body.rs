@@ -85,10 +85,7 @@ pub(super) enum Coding {
     Gzip,
 }
 
-/// How a body comes, as its headers say.
-///
-/// # Errors
-/// A coding that is not known.
+/// How a body comes, as its headers say. Errors: a coding that is not known.
 pub(super) fn coding(headers: &HeaderMap) -> Result<Coding, RequestError> {
     let Some(value) = headers.get(CONTENT_ENCODING) else { return Ok(Coding::Plain) };
     match value.to_str().unwrap_or("unreadable").trim().to_ascii_lowercase().as_str() {

@@ -6,7 +6,6 @@
 
 use std::future::Future;
 use std::pin::Pin;
-use std::sync::Arc;
 use std::task::{Context, Poll};
 use std::time::Instant;
 
@@ -110,9 +109,7 @@ pub(super) async fn open(State(open): State<Open>, request: Request, next: Next)
     let entered = desk.access.check_host(&request).map_err(RequestError::from);
     let (permit, response) = match entered.and_then(|()| desk.gate.admit(Kind::Call)) {
         Ok(permit) => {
-            if let Some(exchange) = request.extensions().get::<Arc<Exchange>>() {
-                exchange.admit();
-            }
+            Exchange::admit(request.extensions());
             (Some(permit), next.run(request).await)
         }
         Err(error) => (None, Problem::from(error).into_response()),
@@ -143,9 +140,7 @@ type Entered = (Request, OwnedSemaphorePermit, Option<Pass>);
 fn enter(desk: &Desk, route: Route, mut request: Request) -> Result<Entered, RequestError> {
     let pass = desk.access.admit(&mut request, Some(route.role))?;
     let permit = desk.gate.admit(route.kind)?;
-    if let Some(exchange) = request.extensions().get::<Arc<Exchange>>() {
-        exchange.admit();
-    }
+    Exchange::admit(request.extensions());
     let tenant = tenant_of(request.headers(), request.extensions())?;
     let bytes = request.extensions().get::<Caller>().and_then(|caller| caller.bytes);
     request.extensions_mut().insert(Caller { tenant, bytes });

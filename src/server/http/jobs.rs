@@ -19,8 +19,7 @@ use super::blobs::send;
 use super::guard::Whose;
 use super::options::{Asked, format_names, media_type};
 use super::problem::{Answered, Problem, wrong};
-use crate::service;
-use crate::service::{Caller, Desk, Detail, Fault, FaultKind, Phase, RequestError, job_id, to_the_end};
+use crate::service::{self, Caller, Desk, Detail, Fault, FaultKind, Phase, RequestError, job_id, to_the_end};
 use jobs::record::event::{Event, Progress, What};
 use jobs::record::state::State as JobState;
 use jobs::record::{Cause, Failure, FailureKind, Job, JobId, Outcome, ResultFormat, Spec};
@@ -30,13 +29,11 @@ use telemetry::trace;
 /// The longest specification, bytes.
 const SPEC_BYTES: usize = 1 << 20;
 
-/// Events that wait for the client.
 const WAITING_EVENTS: usize = 16;
 
 /// Between two events or signs of life, for what stands between here and the client.
 const ALIVE_EVERY: Duration = Duration::from_secs(15);
 
-/// A part of an answer.
 pub(super) fn answer(status: StatusCode, body: &Value) -> Response {
     (status, [(CONTENT_TYPE, "application/json")], body.to_string()).into_response()
 }
@@ -68,7 +65,6 @@ pub(super) fn told(job: &Job) -> Value {
     })
 }
 
-/// `POST /v1/jobs`.
 pub(super) async fn create(State(desk): State<Desk>, Extension(client): Whose, request: Request) -> Answered {
     Asked::of_query(request.uri().query())?.finish()?;
     let bytes = to_bytes(request.into_body(), SPEC_BYTES)
@@ -112,7 +108,6 @@ fn specification(bytes: &[u8], tenant: &str) -> Result<Spec, RequestError> {
     Ok(Spec::new(message, tenant.to_owned(), request_id)?)
 }
 
-/// `GET /v1/jobs`.
 pub(super) async fn list(State(desk): State<Desk>, Extension(client): Whose, request: Request) -> Answered {
     let mut asked = Asked::of_query(request.uri().query())?;
     let states = asked.take("states", "states with commas between, as queued,running", |text| {
@@ -135,26 +130,22 @@ pub(super) async fn list(State(desk): State<Desk>, Extension(client): Whose, req
     Ok(answer(StatusCode::OK, &json!({ "jobs": jobs, "next_page_token": next })))
 }
 
-/// `GET /v1/jobs/{id}`.
 pub(super) async fn one(State(desk): State<Desk>, Extension(client): Whose, Path(id): Path<String>) -> Answered {
     Ok(answer(StatusCode::OK, &told(&desk.api.get(&client.tenant, job_id(&id)?).await?)))
 }
 
-/// `POST /v1/jobs/{id}/cancel`.
 pub(super) async fn cancel(State(desk): State<Desk>, Extension(client): Whose, Path(id): Path<String>) -> Answered {
     let id = job_id(&id)?;
     let job = to_the_end(async move { desk.api.cancel(&client.tenant, id).await }).await?;
     Ok(answer(StatusCode::OK, &told(&job)))
 }
 
-/// `DELETE /v1/jobs/{id}`.
 pub(super) async fn remove(State(desk): State<Desk>, Extension(client): Whose, Path(id): Path<String>) -> Answered {
     let id = job_id(&id)?;
     to_the_end(async move { desk.api.delete(&client.tenant, id).await }).await?;
     Ok(StatusCode::NO_CONTENT.into_response())
 }
 
-/// `GET /v1/jobs/{id}/result`.
 pub(super) async fn result(
     State(desk): State<Desk>,
     Extension(client): Whose,
@@ -229,7 +220,6 @@ fn without_result(job: &Job) -> Fault {
     }
 }
 
-/// `GET /v1/jobs/{id}/events`.
 pub(super) async fn events(
     State(desk): State<Desk>,
     Extension(client): Whose,

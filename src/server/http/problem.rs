@@ -17,7 +17,6 @@ use wire::{WireError, names};
 #[derive(Debug)]
 pub(super) struct Problem(pub(super) Fault);
 
-/// What is answered with, or an error.
 pub(super) type Answered = Result<Response, Problem>;
 
 impl<E: Into<RequestError>> From<E> for Problem {
@@ -28,15 +27,7 @@ impl<E: Into<RequestError>> From<E> for Problem {
 
 impl Problem {
     /// A fault, with the names that options have here.
-    pub(super) fn of(fault: Fault) -> Self {
-        let mut problem = Self(fault);
-        problem.name_options();
-        problem
-    }
-
-    /// Says the names of options, where the fault has paths of messages.
-    fn name_options(&mut self) {
-        let fault = &mut self.0;
+    pub(super) fn of(mut fault: Fault) -> Self {
         let plain = |name: &str| name.to_owned();
         if let Some(text) = names::in_text(&fault.text, plain) {
             fault.text = text;
@@ -50,17 +41,12 @@ impl Problem {
                 *description = text;
             }
         }
+        Self(fault)
     }
-}
 
-/// A part of the request is wrong.
-pub(super) fn wrong(field: impl Into<String>, reason: impl Into<String>) -> RequestError {
-    WireError::field(field, reason).into()
-}
-
-impl Problem {
     pub(super) fn status(&self) -> StatusCode {
         let fault = &self.0;
+        let has_quota = || fault.details.iter().any(|detail| matches!(detail, Detail::Quota { .. }));
         match (fault.kind, fault.refused) {
             (_, Some(Refused::TooLarge | Refused::MessageSize)) => StatusCode::PAYLOAD_TOO_LARGE,
             (FaultKind::InvalidArgument, _) => StatusCode::BAD_REQUEST,
@@ -71,7 +57,7 @@ impl Problem {
             (FaultKind::AlreadyExists | FaultKind::FailedPrecondition, _) => StatusCode::CONFLICT,
             (FaultKind::Aborted | FaultKind::Cancelled, _) => StatusCode::CONFLICT,
             (FaultKind::OutOfRange, _) => StatusCode::RANGE_NOT_SATISFIABLE,
-            (FaultKind::ResourceExhausted, _) => match (self.has_quota(), self.retry()) {
+            (FaultKind::ResourceExhausted, _) => match (has_quota(), self.retry()) {
                 // A limit of the caller's key,
                 (true, Some(_)) => StatusCode::TOO_MANY_REQUESTS,
                 // one that the same work would meet again,
@@ -82,10 +68,6 @@ impl Problem {
             (FaultKind::Unavailable, _) => StatusCode::SERVICE_UNAVAILABLE,
             (FaultKind::Internal | FaultKind::DataLoss, _) => StatusCode::INTERNAL_SERVER_ERROR,
         }
-    }
-
-    fn has_quota(&self) -> bool {
-        self.0.details.iter().any(|detail| matches!(detail, Detail::Quota { .. }))
     }
 
     fn retry(&self) -> Option<Duration> {
@@ -114,16 +96,7 @@ impl Problem {
         }
         Value::Object(body)
     }
-}
 
-impl IntoResponse for Problem {
-    fn into_response(self) -> Response {
-        let status = self.status();
-        self.with_status(status)
-    }
-}
-
-impl Problem {
     /// The answer, with a status that says more than the fault does.
     pub(super) fn with_status(self, status: StatusCode) -> Response {
         let mut headers = HeaderMap::new();
@@ -141,5 +114,16 @@ impl Problem {
             response.extensions_mut().insert(refused);
         }
         response
+    }
+}
+
+pub(super) fn wrong(field: impl Into<String>, reason: impl Into<String>) -> RequestError {
+    WireError::field(field, reason).into()
+}
+
+impl IntoResponse for Problem {
+    fn into_response(self) -> Response {
+        let status = self.status();
+        self.with_status(status)
     }
 }

@@ -26,7 +26,6 @@ use jobs::record::state::State as JobState;
 use jobs::record::{Job, JobId, Spec};
 use wire::proto::{self, JobSpec, job_mesh, result_format};
 
-/// `POST /v1/remesh`.
 pub(super) async fn remesh(State(desk): State<Desk>, Extension(client): Whose, request: Request) -> Answered {
     let (parts, body) = request.into_parts();
     let wanted = match wanted(&parts, &client) {

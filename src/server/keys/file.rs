@@ -1,9 +1,8 @@
 //! The file of the keys.
 //!
-//! Purpose: [`KeyFile`] reads and changes `keys.json` in a server's folder, while the server runs or not.
-//! Invariant: the file is written completely under another name and renamed, readable by its user alone; concurrent changes
-//! are not lost. A missing file is an empty set.
-//! Must not know: the use of keys.
+//! Purpose: [`KeyFile`] reads and changes `keys.json` in a server's folder, while the server runs or not. Invariant: the
+//! file is written completely under another name and renamed, readable by its user alone; concurrent changes are not lost.
+//! A missing file is an empty set. Must not know: the use of keys.
 
 use std::fs::{self, File, OpenOptions};
 use std::io::{ErrorKind, Read, Write};
@@ -42,7 +41,6 @@ impl KeyFile {
         self.folder.join(NAME)
     }
 
-    /// Identifies a version of the file.
     pub fn stamp(&self) -> Stamp {
         let Ok(found) = fs::metadata(self.path()) else { return Stamp::default() };
         #[cfg(unix)]
@@ -52,10 +50,6 @@ impl KeyFile {
         Stamp { changed: found.modified().ok(), length: found.len(), number }
     }
 
-    /// The keys that are kept.
-    ///
-    /// # Errors
-    /// `Io`, `Damaged`.
     pub fn read(&self) -> Result<KeySet, KeysError> {
         let path = self.path();
         match read_regular(&path, MOST_BYTES) {
@@ -68,10 +62,7 @@ impl KeyFile {
         }
     }
 
-    /// Changes the keys, unless `change` fails.
-    ///
-    /// # Errors
-    /// `Io`, `Damaged`, and the errors of `change`.
+    /// Changes the keys, unless `change` fails. Errors: `Io`, `Damaged`, and the errors of `change`.
     pub fn change<R>(&self, change: impl FnOnce(&mut KeySet) -> Result<R, KeysError>) -> Result<R, KeysError> {
         let io = |action: &'static str, path: &Path| {
             let path = path.to_owned();
@@ -108,10 +99,7 @@ impl KeyFile {
     }
 }
 
-/// All bytes of a regular file.
-///
-/// # Errors
-/// `FileTooLarge` if it has more than `most` bytes.
+/// All bytes of a regular file. Errors: `FileTooLarge` if it has more than `most` bytes.
 pub(crate) fn read_regular(path: &Path, most: u64) -> std::io::Result<Vec<u8>> {
     // A pipe would be waited for.
     if !fs::metadata(path)?.is_file() {

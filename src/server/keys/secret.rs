@@ -1,9 +1,8 @@
 //! A key as its owner has it: `tsr_ID_SECRET`.
 //!
-//! Purpose: [`Secret`] is generated or parsed; [`Hash`] is its stored form.
-//! Invariant: a secret has 256 bits of the system's generator, and only [`Secret::reveal`] shows it. Hashes are compared in
-//! constant time, and comparing with the hash of no key costs the same work.
-//! Must not know: names, roles, files.
+//! Purpose: [`Secret`] is generated or parsed; [`Hash`] is its stored form. Invariant: a secret has 256 bits of the
+//! system's generator, and only [`Secret::reveal`] shows it. Hashes are compared in constant time, and comparing with the
+//! hash of no key costs the same work. Must not know: names, roles, files.
 
 use std::fmt;
 
@@ -40,10 +39,6 @@ impl fmt::Debug for Secret {
 }
 
 impl Secret {
-    /// A new one.
-    ///
-    /// # Errors
-    /// `Random`.
     pub fn random() -> Result<Self, KeysError> {
         let mut bytes = [0; ID_LETTERS + SECRET_BYTES];
         getrandom::fill(&mut bytes).map_err(|error| KeysError::Random(error.to_string()))?;

@@ -8,7 +8,6 @@ use std::fmt::Write as _;
 use prometheus_client::encoding::text;
 use prometheus_client::registry::Registry;
 
-/// How metrics are written.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Format {
     /// OpenMetrics 1.0.

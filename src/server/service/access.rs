@@ -39,7 +39,6 @@ pub(super) const TENANT: &str = "tessera-tenant";
 /// Between two looks whether the file of the keys has changed or a key has ended.
 const LOOK_EVERY: Duration = Duration::from_secs(1);
 
-/// What is decided once for a server.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct AccessOptions {
     pub require_keys: bool,
@@ -129,10 +128,7 @@ impl Access {
         Self::new(None, options, Table::default())
     }
 
-    /// By the keys of a server's folder, now and as they change.
-    ///
-    /// # Errors
-    /// `Io`, `Damaged`.
+    /// By the keys of a server's folder, now and as they change. Errors: `Io`, `Damaged`.
     pub fn in_folder(folder: &Path, options: AccessOptions) -> Result<Self, KeysError> {
         let file = KeyFile::in_folder(folder);
         let set = file.read()?;

@@ -54,7 +54,6 @@ impl Budget {
     }
 }
 
-/// What one holder has of the budget.
 #[derive(Debug)]
 pub struct Share {
     budget: Budget,

@@ -45,12 +45,10 @@ fn failure_value(kind: FailureKind) -> proto::JobFailureKind {
     }
 }
 
-/// A digest at this path.
 pub(super) fn digest(path: &str, text: &str) -> Result<Digest, WireError> {
     text.parse().map_err(|error: DigestError| WireError::field(path, format!("is no digest: {error}")))
 }
 
-/// The name of a job.
 pub(crate) fn job_id(text: &str) -> Result<JobId, WireError> {
     text.parse().map_err(|error: JobIdError| WireError::field("id", format!("names no job: {error}")))
 }

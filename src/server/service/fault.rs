@@ -56,15 +56,10 @@ impl Kind {
 /// What a program can read of it.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Detail {
-    /// A field is wrong.
     Field { path: String, description: String },
-    /// When it is worth another try.
     Retry(Duration),
-    /// A limit is reached.
     Quota { subject: &'static str, description: String },
-    /// Something has to be otherwise first.
     Precondition { kind: &'static str, subject: String, description: String },
-    /// Something is not there.
     Missing { kind: &'static str, name: String, description: String },
 }
 

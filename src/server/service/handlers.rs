@@ -1,8 +1,20 @@
 //! The three streams; [`blobs`] and [`jobs`] are services of their own.
 //!
-//! Purpose: read the upload, hand it to the engine, send what comes back. Invariant: thin: no
-//! geometry here, and no status codes. What a stream holds is dropped with its future.
-//! Must not know: which backend works, how statuses look.
+//! Purpose: read the upload, hand it to the engine, send what comes back. Invariant: thin: no geometry here, and no status
+//! codes. What a stream holds is dropped with its future. Must not know: which backend works, how statuses look.
+
+/// How messages and chunks become the answers of a stream.
+macro_rules! wraps {
+    ($response:ident) => {
+        fn wrap(message: response::Message) -> $response {
+            $response { message: Some(message) }
+        }
+
+        fn wrap_chunk(chunk: Chunk) -> $response {
+            wrap(response::Message::Chunk(chunk))
+        }
+    };
+}
 
 pub(super) mod blobs;
 mod cvt;
@@ -26,8 +38,7 @@ use ::jobs::admission::estimate::{self, Counts, need};
 use ::jobs::admission::forecast::must_fit;
 use ::jobs::executor::prepared::{Input, Prepared};
 use ::jobs::observe::activity::Origin;
-pub(super) use ::jobs::{AdmissionRequest, admission};
-pub(super) use ::jobs::{BackendInfo, CancelOnDrop, Engine, JobError, Reservation};
+pub(super) use ::jobs::{AdmissionRequest, BackendInfo, CancelOnDrop, Engine, JobError, Reservation, admission};
 use geometry::cvt::density::Count;
 use geometry::mesh::TriMesh;
 use geometry::remesh::report::to_json;
@@ -42,6 +53,9 @@ use wire::{attributes, codec, proto};
 
 /// The longest report that the last message holds, bytes; a longer one goes ahead of it in chunks.
 const REPORT_IN_DONE_BYTES: usize = 256 << 10;
+
+/// The answer to a call of one message.
+type Reply<T> = Result<Response<T>, Status>;
 
 pub(super) struct Handlers {
     shared: Arc<Shared>,
@@ -62,12 +76,7 @@ impl Handlers {
         let preparing = Arc::new(Semaphore::new(cores));
         Self { shared: Arc::new(Shared { engine, limits, budget, gate, preparing }) }
     }
-}
 
-/// The answer to a call of one message.
-type Reply<T> = Result<Response<T>, Status>;
-
-impl Handlers {
     /// Runs a stream in the name of its tenant.
     fn stream<M, T: Send + 'static, F: Future<Output = Result<(), RequestError>> + Send + 'static>(
         &self,
@@ -307,10 +316,8 @@ trait Needs: Header<Options: Start> {
     fn counts(counts: Counts, options: &Self::Options) -> Counts;
 }
 
-/// The admission request of a stream's job, in the name of its tenant.
-///
-/// # Errors
-/// `JobApi` with `TooLarge` if it could never run here.
+/// The admission request of a stream's job, in the name of its tenant. Errors: `JobApi` with `TooLarge` if it could never
+/// run here.
 fn admission_request<H: Needs>(
     shared: &Shared,
     tenant: &str,

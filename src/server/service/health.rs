@@ -28,7 +28,6 @@ pub(super) struct Told {
     health: HealthReporter,
     names: &'static [&'static str],
     metrics: Metrics,
-    /// The last condition that was published.
     last: Mutex<Option<Condition>>,
 }
 

@@ -2,10 +2,9 @@
 //!
 //! Purpose: [`Gate`] admits, [`Inbox`] reads with an idle limit, [`Outbox`] writes as the client takes it,
 //! [`respond`] runs a handler until it ends or the client goes, the deadline passes, the server cuts; [`answer`] does the
-//! same for a handler that gives one message.
-//! Invariant: a stream that ends without its last message ends with an error, never with OK. A stream keeps its place
-//! until its answer has left or was thrown away; what waits in between is counted. The transport resets a stream whose
-//! client takes nothing. Must not know: what the messages say.
+//! same for a handler that gives one message. Invariant: a stream that ends without its last message ends with an error,
+//! never with OK. A stream keeps its place until its answer has left or was thrown away; what waits in between is counted.
+//! The transport resets a stream whose client takes nothing. Must not know: what the messages say.
 
 use std::future::Future;
 use std::pin::Pin;
@@ -122,7 +121,6 @@ pub(super) struct Outbox<T> {
     budget: Budget,
 }
 
-/// A message, and what it takes of the memory.
 #[derive(Debug)]
 struct Waiting<T> {
     message: T,
@@ -194,9 +192,7 @@ pub(super) async fn answer<T>(
     work: impl Future<Output = Result<T, RequestError>>,
 ) -> Result<Response<T>, Status> {
     let _permit = gate.admit(kind).inspect_err(|error| gate.note(error))?;
-    if let Some(exchange) = extensions.get::<Arc<Exchange>>() {
-        exchange.admit();
-    }
+    Exchange::admit(extensions);
     let start = Instant::now();
     let result = tokio::select! {
         result = work => result,
@@ -230,10 +226,8 @@ where
     F: Future<Output = Result<(), RequestError>> + Send + 'static,
 {
     let permit = Arc::new(gate.admit(kind).inspect_err(|error| gate.note(error))?);
+    Exchange::admit(extensions);
     let exchange = extensions.get::<Arc<Exchange>>().cloned();
-    if let Some(exchange) = &exchange {
-        exchange.admit();
-    }
     let deadline = timeout(metadata);
     let (sender, receiver) = mpsc::channel(OUTBOX_MESSAGES);
     let (end, ended) = oneshot::channel();

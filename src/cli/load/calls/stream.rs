@@ -11,7 +11,7 @@ use super::{Answers, Asked, At, End, Pace};
 use crate::remote::Door;
 use wire::arrays::Arrays;
 use wire::proto::remesh_service_client::RemeshServiceClient;
-use wire::proto::{self, ArrayKind, Chunk, ComputeRvdRequest, CvtRequest, RemeshRequest, RvdOutput, Timing};
+use wire::proto::{self, ArrayKind, Chunk, RvdOutput, Timing};
 
 const CVT_STEPS: u32 = 5;
 
@@ -72,38 +72,54 @@ fn wrong(what: impl std::fmt::Display) -> End {
     End::Wrong(what.to_string())
 }
 
-fn unended<T>() -> Result<T, End> {
-    Err(End::Wrong("it ended before the work was done".to_owned()))
+/// A stream: sends the surface between the header with these options and the messages `ends`, and takes the answer to its last
+/// message; `on` are the messages of its own kind. Gives that last message, and the arrays that came.
+macro_rules! stream {
+    (
+        $at:ident, $asked:ident, $pace:ident, $method:literal, $call:ident, $request:ident,
+        $header:ident($options:expr), $ends:expr, on |$flow:ident| { $($own:pat => $act:expr,)* }
+    ) => {{
+        let (mesh, backend) = (Some($at.surface.header.clone()), $at.backend());
+        let header = Ask::Header(proto::$header { mesh, seeds: 0, backend, options: Some($options) });
+        let chunks = $at.surface.chunks.iter().cloned().map(Ask::Chunk);
+        let all = [header].into_iter().chain(chunks).chain($ends);
+        let messages = all.map(|message| proto::$request { message: Some(message) }).collect();
+        $asked.sent_bytes = $at.surface.chunk_bytes();
+        let (mut $flow, mut client) = (Flow::begin(), client($at.door));
+        let call = $at.caller.tally.begin(concat!("tessera.v1.RemeshService/", $method));
+        let mut answers = Answers::of(call, $at.ends, client.$call(told(messages, &$flow.left))).await?;
+        let mut done = None;
+        while let Some(answer) = answers.next($at.ends).await? {
+            match answer.message {
+                Some(Answer::Chunk(chunk)) => $flow.chunk(&chunk, $asked, $pace).await?,
+                Some(Answer::Done(end)) => done = Some(end),
+                $(Some($own) => $act,)*
+                _ => {}
+            }
+        }
+        let Some(done) = done else { return Err(wrong("it ended before the work was done")) };
+        $flow.end(done.timing.as_ref(), $asked);
+        (done, $flow.arrays)
+    }};
 }
 
 impl At<'_> {
     pub(super) async fn remesh(&self, asked: &mut Asked, pace: &mut Pace) -> Result<(), End> {
         use proto::remesh_request::Message as Ask;
         use proto::remesh_response::Message as Answer;
-        let header = proto::RemeshHeader {
-            mesh: Some(self.surface.header.clone()),
-            seeds: 0,
-            backend: self.backend(),
-            options: Some(self.remesh_options()),
-        };
-        let chunks = self.surface.chunks.iter().cloned().map(Ask::Chunk);
-        let all = [Ask::Header(header)].into_iter().chain(chunks).chain([Ask::Finish(proto::Finish {})]);
-        let messages = all.map(|message| RemeshRequest { message: Some(message) }).collect();
-        asked.sent_bytes = self.surface.chunk_bytes();
-        let (mut flow, mut client) = (Flow::begin(), client(self.door));
-        let call = self.caller.tally.begin("tessera.v1.RemeshService/Remesh");
-        let mut answers = Answers::of(call, self.ends, client.remesh(told(messages, &flow.left))).await?;
-        let mut done = None;
-        while let Some(answer) = answers.next(self.ends).await? {
-            match answer.message {
-                Some(Answer::Chunk(chunk)) => flow.chunk(&chunk, asked, pace).await?,
-                Some(Answer::Done(end)) => done = Some(end),
-                _ => {}
-            }
-        }
-        let Some(done) = done else { return unended() };
-        flow.end(done.timing.as_ref(), asked);
-        let bytes = |kind| flow.arrays.bytes(kind).map(|bytes| bytes.len() as u64).map_err(wrong);
+        let ends = [Ask::Finish(proto::Finish {})];
+        let (done, arrays) = stream!(
+            self,
+            asked,
+            pace,
+            "Remesh",
+            remesh,
+            RemeshRequest,
+            RemeshHeader(self.remesh_options()),
+            ends,
+            on | flow | {}
+        );
+        let bytes = |kind| arrays.bytes(kind).map(|bytes| bytes.len() as u64).map_err(wrong);
         let (positions, facets) = (bytes(ArrayKind::Positions)?, bytes(ArrayKind::Facets)?);
         match (positions, facets) == (24 * done.vertices, 12 * done.facets) && facets > 0 {
             true => Ok(()),
@@ -114,39 +130,20 @@ impl At<'_> {
     pub(super) async fn rvd(&self, asked: &mut Asked, pace: &mut Pace) -> Result<(), End> {
         use proto::compute_rvd_request::Message as Ask;
         use proto::compute_rvd_response::Message as Answer;
-        let header = proto::ComputeRvdHeader {
-            mesh: Some(self.surface.header.clone()),
-            seeds: 0,
-            backend: self.backend(),
-            options: Some(proto::DiagramOptions {
-                outputs: vec![RvdOutput::Cells.into(), RvdOutput::Centroids.into()],
-                ..self.diagram_options()
-            }),
-        };
-        let chunks = self.surface.chunks.iter().cloned().map(Ask::Chunk);
-        let all = [Ask::Header(header)].into_iter().chain(chunks).chain([Ask::Finish(proto::Finish {})]);
-        let messages = all.map(|message| ComputeRvdRequest { message: Some(message) }).collect();
-        asked.sent_bytes = self.surface.chunk_bytes();
-        let (mut flow, mut client) = (Flow::begin(), client(self.door));
-        let call = self.caller.tally.begin("tessera.v1.RemeshService/ComputeRvd");
-        let mut answers = Answers::of(call, self.ends, client.compute_rvd(told(messages, &flow.left))).await?;
-        let (mut done, mut pieces) = (None, 0);
-        while let Some(answer) = answers.next(self.ends).await? {
-            match answer.message {
-                Some(Answer::Cells(cells)) => {
+        let outputs = vec![RvdOutput::Cells.into(), RvdOutput::Centroids.into()];
+        let options = proto::DiagramOptions { outputs, ..self.diagram_options() };
+        let (mut pieces, ends) = (0, [Ask::Finish(proto::Finish {})]);
+        let (done, arrays) = stream!(
+            self, asked, pace, "ComputeRvd", compute_rvd, ComputeRvdRequest, ComputeRvdHeader(options), ends, on |flow| {
+                Answer::Cells(cells) => {
                     pieces += u64::from(cells.pieces);
                     let indices =
                         cells.facet.len() + cells.seed.len() + cells.vertex_count.len() + cells.opposite.len();
                     flow.came(indices + cells.positions.len() + cells.weights.len(), asked, pace).await;
-                }
-                Some(Answer::Chunk(chunk)) => flow.chunk(&chunk, asked, pace).await?,
-                Some(Answer::Done(end)) => done = Some(end),
-                _ => {}
+                },
             }
-        }
-        let Some(done) = done else { return unended() };
-        flow.end(done.timing.as_ref(), asked);
-        let centroids = flow.arrays.bytes(ArrayKind::Centroids).map_err(wrong)?.len() as u64;
+        );
+        let centroids = arrays.bytes(ArrayKind::Centroids).map_err(wrong)?.len() as u64;
         match centroids == 24 * done.seeds && done.seeds == self.surface.points && pieces > 0 {
             true => Ok(()),
             false => Err(wrong("its cells are not those of the seeds")),
@@ -156,36 +153,16 @@ impl At<'_> {
     pub(super) async fn cvt(&self, asked: &mut Asked, pace: &mut Pace) -> Result<(), End> {
         use proto::cvt_request::Message as Ask;
         use proto::cvt_response::Message as Answer;
-        let header = proto::CvtHeader {
-            mesh: Some(self.surface.header.clone()),
-            seeds: 0,
-            backend: self.backend(),
-            options: Some(proto::CvtOptions {
-                points: self.surface.points(),
-                seed: Some(self.random_seed),
-                ..proto::CvtOptions::default()
-            }),
-        };
+        let (points, seed) = (self.surface.points(), Some(self.random_seed));
+        let options = proto::CvtOptions { points, seed, ..proto::CvtOptions::default() };
         let step = proto::CvtStep { iterations: CVT_STEPS, ..proto::CvtStep::default() };
-        let chunks = self.surface.chunks.iter().cloned().map(Ask::Chunk);
-        let end = [Ask::Start(proto::CvtStart {}), Ask::Step(step), Ask::Finish(proto::Finish {})];
-        let all = [Ask::Header(header)].into_iter().chain(chunks).chain(end);
-        let messages = all.map(|message| CvtRequest { message: Some(message) }).collect();
-        asked.sent_bytes = self.surface.chunk_bytes();
-        let (mut flow, mut client) = (Flow::begin(), client(self.door));
-        let call = self.caller.tally.begin("tessera.v1.RemeshService/Cvt");
-        let mut answers = Answers::of(call, self.ends, client.cvt(told(messages, &flow.left))).await?;
-        let (mut done, mut steps) = (None, 0);
-        while let Some(answer) = answers.next(self.ends).await? {
-            match answer.message {
-                Some(Answer::Iteration(_)) => steps += 1,
-                Some(Answer::Chunk(chunk)) => flow.chunk(&chunk, asked, pace).await?,
-                Some(Answer::Done(end)) => done = Some(end),
-                _ => {}
+        let ends = [Ask::Start(proto::CvtStart {}), Ask::Step(step), Ask::Finish(proto::Finish {})];
+        let mut steps = 0;
+        let (done, _) = stream!(
+            self, asked, pace, "Cvt", cvt, CvtRequest, CvtHeader(options), ends, on |flow| {
+                Answer::Iteration(_) => steps += 1,
             }
-        }
-        let Some(done) = done else { return unended() };
-        flow.end(done.timing.as_ref(), asked);
+        );
         match steps == CVT_STEPS && done.iterations == u64::from(CVT_STEPS) {
             true => Ok(()),
             false => Err(wrong("it took other steps than were asked for")),

@@ -1,10 +1,9 @@
 //! The changes of a store: uploads, evictions, removals.
 //!
-//! Purpose: keeps the books of the quota, the uploads under way, the staged bytes and the objects in step.
-//! Invariant: a slot of an upload is locked before a digest, never the other way. The bytes of a blob are shown and
-//! removed under the lock of its digest, so that a late removal never takes a blob that has come back. A blob is in the
-//! books only while its bytes are stored.
-//! Must not know: which store it is.
+//! Purpose: keeps the books of the quota, the uploads under way, the staged bytes and the objects in step. Invariant: a
+//! slot of an upload is locked before a digest, never the other way. The bytes of a blob are shown and removed under the
+//! lock of its digest, so that a late removal never takes a blob that has come back. A blob is in the books only while its
+//! bytes are stored. Must not know: which store it is.
 
 use std::fs::File;
 use std::sync::{Arc, Mutex};

@@ -1,10 +1,9 @@
 //! Parts as files beside the blobs.
 //!
-//! Purpose: an upload is a file that grows; publishing renames it. `object_store` cannot append, so files are written
-//! here, and it does the rename.
-//! Invariant: beside `NAME.part` lies `NAME.sums` with the end and the CRC-32C of each chunk, written after the chunk.
-//! After a crash or a loss of power, the bytes of a part count up to the first chunk that is missing or wrong.
-//! Must not know: quotas.
+//! Purpose: an upload is a file that grows; publishing renames it. `object_store` cannot append, so files are written here,
+//! and it does the rename. Invariant: beside `NAME.part` lies `NAME.sums` with the end and the CRC-32C of each chunk,
+//! written after the chunk. After a crash or a loss of power, the bytes of a part count up to the first chunk that is
+//! missing or wrong. Must not know: quotas.
 
 use std::fs::{self, File, OpenOptions};
 use std::io::{self, ErrorKind, Read, Seek, SeekFrom, Write};

@@ -1,10 +1,9 @@
 //! Parts as multipart uploads of an object store.
 //!
 //! Purpose: uploads to S3 and to stores like it. A note beside the blobs says how far each upload is, so that any process
-//! can go on with it.
-//! Invariant: the note is written after each part of [`PART_BYTES`] and names only parts that the store has. What came
-//! after the last part lies in memory: a crash loses less than [`PART_BYTES`] of an upload.
-//! Must not know: which store it is.
+//! can go on with it. Invariant: the note is written after each part of [`PART_BYTES`] and names only parts that the store
+//! has. What came after the last part lies in memory: a crash loses less than [`PART_BYTES`] of an upload. Must not know:
+//! which store it is.
 //!
 //! Multipart uploads whose note was never written cost room until the store removes them: give the bucket a rule that
 //! aborts incomplete multipart uploads after some days.
@@ -33,7 +32,6 @@ const PART_BYTES: usize = 8 << 20;
 #[derive(Clone)]
 pub(in crate::blob) struct Multipart {
     objects: Arc<dyn ObjectStore>,
-    /// The same store.
     parts: Arc<dyn MultipartStore>,
     prefix: Path,
 }

@@ -19,7 +19,6 @@ use ::redb::{Builder, Database, DatabaseError, StorageError};
 
 use super::StoreError;
 
-/// The layout that is written.
 const LAYOUT: u32 = 1;
 
 /// A directory that is ours until this is dropped.

@@ -63,10 +63,8 @@ fn read(directory: &Directory, folder: &Path) -> Result<(Rows, Vec<String>), Sto
     Ok((rows, faults))
 }
 
-/// Looks at the journal of a folder. Nothing is changed.
-///
-/// # Errors
-/// `InUse` if a server uses it; `Unreadable` if nothing of it can be read; `Io`.
+/// Looks at the journal of a folder. Nothing is changed. Errors: `InUse` if a server uses it; `Unreadable` if nothing of it
+/// can be read; `Io`.
 pub fn check(folder: &Path) -> Result<Findings, StoreError> {
     let directory = Directory::locked(folder)?;
     let (rows, faults) = read(&directory, folder)?;

@@ -13,9 +13,6 @@ use tonic::codegen::http::{HeaderMap, HeaderName, HeaderValue, Request, Uri, hea
 use super::Refusal;
 
 /// Refuses requests to other hosts than this machine or an allowed one, and those of other sites' pages.
-///
-/// # Errors
-/// [`Refusal::Host`], [`Refusal::Origin`].
 pub(super) fn check<B>(request: &Request<B>, allowed: &[String]) -> Result<(), Refusal> {
     let is_ours = |authority: &Authority| is_here(authority.host(), allowed);
     let all = |name: HeaderName, authority: fn(&HeaderValue) -> Option<Authority>| {
@@ -38,7 +35,6 @@ fn of<'a>(headers: &'a HeaderMap, name: &HeaderName) -> impl Iterator<Item = &'a
     headers.get_all(name).into_iter()
 }
 
-/// Whether a host is this machine, or one of `allowed`.
 fn is_here(host: &str, allowed: &[String]) -> bool {
     let host = host.strip_suffix('.').unwrap_or(host);
     let bare = host.trim_start_matches('[').trim_end_matches(']');

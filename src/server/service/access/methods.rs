@@ -20,7 +20,6 @@ pub(super) enum Needs {
     Reflection,
 }
 
-/// Service, method, and the role that it needs.
 const METHODS: &[(&str, &str, Role)] = &[
     ("tessera.v1.RemeshService", "ComputeRvd", Role::Submit),
     ("tessera.v1.RemeshService", "Cvt", Role::Submit),
@@ -58,7 +57,6 @@ pub(super) fn needs(path: &str) -> Option<Needs> {
 }
 
 /// All methods that are served, as "package.Service/Method": from the descriptors, so that a new method is on the list.
-/// All of them, as "package.Service/Method".
 pub(in crate::service) fn served() -> Vec<String> {
     let mut all: Vec<String> = REFLECTION.map(|name| format!("{name}/ServerReflectionInfo")).to_vec();
     for bytes in [proto::DESCRIPTORS, tonic_health::pb::FILE_DESCRIPTOR_SET] {

@@ -1,9 +1,8 @@
 //! A request's body, as the transport sees it.
 //!
 //! Purpose: [`Arriving`] counts the received bytes of incomplete messages. It refuses a message if the server's memory is
-//! used up, or if the message is too long, compressed or not.
-//! Invariant: bytes are counted from their arrival until their message is complete or the stream ends; they pass unchanged.
-//! Must not know: the content of messages.
+//! used up, or if the message is too long, compressed or not. Invariant: bytes are counted from their arrival until their
+//! message is complete or the stream ends; they pass unchanged. Must not know: the content of messages.
 
 use std::pin::Pin;
 use std::task::{Context, Poll};

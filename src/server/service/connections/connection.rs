@@ -1,10 +1,9 @@
 //! One connection: HTTP on a socket, with time limits.
 //!
-//! Purpose: [`serve`] runs a connection of gRPC, [`serve_web`] one of HTTP/1.1 and HTTP/2 with a router, until it ends, is closed,
-//! or exceeds a limit.
-//! Invariant: every stream is cut with its connection; a stream is reset if its client reads nothing; if its bytes remain,
-//! the connection is closed. HTTP/1.1 has no streams: its connection is closed.
-//! Must not know: other connections, messages, requests and answers.
+//! Purpose: [`serve`] runs a connection of gRPC, [`serve_web`] one of HTTP/1.1 and HTTP/2 with a router, until it ends, is
+//! closed, or exceeds a limit. Invariant: every stream is cut with its connection; a stream is reset if its client reads
+//! nothing; if its bytes remain, the connection is closed. HTTP/1.1 has no streams: its connection is closed. Must not
+//! know: other connections, messages, requests and answers.
 
 use std::convert::Infallible;
 use std::fmt;

@@ -1,9 +1,8 @@
 //! One request and its answer, as the transport sees them.
 //!
 //! Purpose: [`Exchange`] counts the bytes that wait for the client, and has the time of the last write; [`Answer`] is the
-//! answer's body and reports its written bytes.
-//! Invariant: every byte of an answer is counted from the service's call until it is written or the stream ends.
-//! Must not know: messages, the content of answers.
+//! answer's body and reports its written bytes. Invariant: every byte of an answer is counted from the service's call until
+//! it is written or the stream ends. Must not know: messages, the content of answers.
 
 use std::future::Future;
 use std::pin::Pin;
@@ -15,6 +14,7 @@ use std::time::{Duration, Instant};
 use bytes::Buf;
 use http_body::Frame;
 use tokio::sync::Notify;
+use tonic::Extensions;
 use tonic::codegen::{Body, Bytes, http::HeaderMap};
 
 use super::super::budget::Budget;
@@ -75,16 +75,15 @@ impl Exchange {
         }
     }
 
-    /// The request is work that was admitted: a shutdown lets it end.
-    pub(crate) fn admit(&self) {
-        self.admitted.set();
+    /// Marks the request with these extensions as admitted.
+    pub(crate) fn admit(extensions: &Extensions) {
+        extensions.get::<Arc<Self>>().map(|exchange| exchange.admitted.set());
     }
 
     pub(super) fn age(&self) -> Duration {
         self.began.elapsed()
     }
 
-    /// Bytes that wait for the client.
     pub(super) fn waiting(&self) -> u64 {
         self.waiting.load(Ordering::Acquire)
     }

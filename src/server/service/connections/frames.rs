@@ -1,17 +1,15 @@
 //! Frames of HTTP/2 that carry neither a request nor its bytes: pings, settings, resets, windows.
 //!
 //! Purpose: [`Meter`] counts control frames and ends a connection that sends too many. Each takes time to read, and many
-//! need an answer, even without a request.
-//! Invariant: the frames that a client needs to read answers are free: written bytes earn frames.
-//! Must not know: requests, HTTP/2 beyond the head of a frame.
+//! need an answer, even without a request. Invariant: the frames that a client needs to read answers are free: written
+//! bytes earn frames. Must not know: requests, HTTP/2 beyond the head of a frame.
 
 use std::io;
 use std::sync::Arc;
 use std::task::Poll;
 use std::time::Instant;
 
-use super::socket::Tap;
-use super::socket::Traffic;
+use super::socket::{Tap, Traffic};
 
 const PREFACE: &[u8; 24] = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n";
 

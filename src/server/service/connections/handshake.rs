@@ -1,10 +1,9 @@
 //! TLS handshakes, limited in number.
 //!
-//! Purpose: [`Handshakes::shake`] performs the TLS handshake of a socket.
-//! Invariant: it ends within its time limit, ends with its connection or when the server drains, and does not delay the
-//! accepting of others. A connection that sent nothing takes no turn. If all turns are taken, the oldest handshake above a
-//! second is dropped, so that stalled ones delay others by a second at most.
-//! Must not know: the protocol over TLS.
+//! Purpose: [`Handshakes::shake`] performs the TLS handshake of a socket. Invariant: it ends within its time limit, ends
+//! with its connection or when the server drains, and does not delay the accepting of others. A connection that sent
+//! nothing takes no turn. If all turns are taken, the oldest handshake above a second is dropped, so that stalled ones
+//! delay others by a second at most. Must not know: the protocol over TLS.
 
 use std::collections::BTreeMap;
 use std::io;

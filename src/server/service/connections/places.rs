@@ -1,9 +1,8 @@
 //! Limits on the number of connections, and which ones are closed for new ones.
 //!
-//! Purpose: [`Places`] counts connections, in all and from each peer.
-//! Invariant: an open connection has a [`Place`], which is given back when it is dropped. If all places are taken, silent
-//! connections are closed first, then idle ones. Connections with requests stay.
-//! Must not know: sockets, HTTP.
+//! Purpose: [`Places`] counts connections, in all and from each peer. Invariant: an open connection has a [`Place`], which
+//! is given back when it is dropped. If all places are taken, silent connections are closed first, then idle ones.
+//! Connections with requests stay. Must not know: sockets, HTTP.
 
 use std::collections::HashMap;
 use std::fmt;
@@ -155,7 +154,6 @@ fn rank(standing: Standing) -> Option<(u8, Duration)> {
     }
 }
 
-/// The address that counts as one peer.
 fn network(address: IpAddr) -> IpAddr {
     match address.to_canonical() {
         IpAddr::V6(v6) => IpAddr::V6(Ipv6Addr::from_bits(v6.to_bits() & (u128::MAX << NETWORK_BITS))),

@@ -1,14 +1,12 @@
 //! The byte stream of a connection: a TCP socket that records whether anything arrived, and since when writing is blocked, or
 //! TLS on it.
 //!
-//! Purpose: [`open`] makes a [`Socket`], [`Traffic`] has its state. [`Line`] is one type for both streams, so that HTTP is compiled
-//! once; [`Tapped`] shows the bytes of a stream to a [`Tap`], unchanged.
-//! Invariant: the system buffers at most [`UNSENT_BYTES`] beyond what the peer's window takes, so that bytes written are
-//! bytes the peer has room for.
-//! Must not know: HTTP, certificates.
+//! Purpose: [`open`] makes a [`Socket`], [`Traffic`] has its state. [`Line`] is one type for both streams, so that HTTP is
+//! compiled once; [`Tapped`] shows the bytes of a stream to a [`Tap`], unchanged. Invariant: the system buffers at most
+//! [`UNSENT_BYTES`] beyond what the peer's window takes, so that bytes written are bytes the peer has room for. Must not
+//! know: HTTP, certificates.
 
-use std::io;
-use std::io::IoSlice;
+use std::io::{self, IoSlice};
 use std::pin::Pin;
 use std::sync::{Arc, Mutex};
 use std::task::{Context, Poll};

@@ -51,10 +51,6 @@ struct State {
 }
 
 impl Tls {
-    /// Reads the files.
-    ///
-    /// # Errors
-    /// [`TlsError`] names the file and the remedy.
     pub fn load(files: TlsFiles) -> Result<Self, TlsError> {
         let material = Material::read(&files)?;
         let (config, validity) = material.config(&files)?;

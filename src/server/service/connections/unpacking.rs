@@ -1,9 +1,8 @@
 //! How long a compressed message will be.
 //!
-//! Purpose: [`Unpacking`] decompresses a message on arrival and discards the result, so that a message that expands too much
-//! is refused before memory is allocated.
-//! Invariant: it holds only the compression window; accepted messages have at most the given length.
-//! Must not know: messages, their readers.
+//! Purpose: [`Unpacking`] decompresses a message on arrival and discards the result, so that a message that expands too
+//! much is refused before memory is allocated. Invariant: it holds only the compression window; accepted messages have at
+//! most the given length. Must not know: messages, their readers.
 
 use std::io::{self, Write};
 

@@ -47,6 +47,67 @@ impl Blobs {
         let work = work(message, Owner::of(&tenant), Arc::clone(&self.store));
         answer((method, Kind::Call), &metadata, &extensions, &self.gate, Some(STORE_TIME), work).await
     }
+
+    /// Reads an upload until it finishes, its client ends it, or the blob is there. `most` is what its tenant may have, bytes.
+    async fn receive(
+        &self,
+        mut inbox: Inbox<proto::WriteRequest>,
+        tenant: &str,
+        most: Option<u64>,
+    ) -> Result<proto::WriteResponse, RequestError> {
+        let deadline = tokio::time::Instant::now() + self.limits.upload;
+        let Some((mut message, mut share)) = self.next(&mut inbox, deadline).await? else {
+            return Err(WireError::Order("the stream ended before its first message, which names the blob").into());
+        };
+        let upload = UploadId::new(digest("digest", &message.digest)?, message.size_bytes).of(tenant);
+        let mut status = timely(self.store.begin_within(upload, most)).await?;
+        let _empty = EmptyUpload::new(&self.store, upload);
+        while !status.complete {
+            let proto::WriteRequest { digest: _, size_bytes: _, offset, data, crc32c, finish } = message;
+            let chunk = Chunk { offset, bytes: data, crc32c };
+            let storing = store(&*self.store, upload, chunk, status);
+            if finish {
+                status = storing.await?;
+                if !status.complete {
+                    let BlobInfo { size_bytes, .. } = timely(self.store.finish(upload, None)).await?;
+                    status = UploadStatus { kept_bytes: size_bytes, complete: true };
+                }
+                break;
+            }
+            // The next piece comes while this one is stored; a fault of either ends both.
+            let next;
+            (status, next) = tokio::try_join!(storing, self.next(&mut inbox, deadline))?;
+            drop(share);
+            let Some(next) = next else { break };
+            check_same(upload, &next.0)?;
+            (message, share) = next;
+        }
+        let UploadStatus { kept_bytes, complete } = status;
+        Ok(proto::WriteResponse {
+            digest: upload.digest.to_string(),
+            size_bytes: upload.size_bytes,
+            kept_bytes,
+            complete,
+        })
+    }
+
+    /// The next message with its memory. It must come before the time for the upload is over.
+    async fn next(
+        &self,
+        inbox: &mut Inbox<proto::WriteRequest>,
+        deadline: tokio::time::Instant,
+    ) -> Result<Option<(proto::WriteRequest, Share)>, RequestError> {
+        let message = tokio::select! {
+            message = inbox.next(self.limits.upload_idle) => message?,
+            () = tokio::time::sleep_until(deadline) => return Err(RequestError::UploadTime(self.limits.upload)),
+            // The upload goes on elsewhere, or when the server is back.
+            () = self.gate.reached(Phase::Draining) => return Err(RequestError::Draining),
+        };
+        let Some(message) = message else { return Ok(None) };
+        let mut share = self.budget.share();
+        share.grow(message.data.len() as u64)?;
+        Ok(Some((message, share)))
+    }
 }
 
 #[tonic::async_trait]
@@ -115,69 +176,6 @@ impl proto::blob_service_server::BlobService for Blobs {
             Ok(proto::DeleteResponse {})
         })
         .await
-    }
-}
-
-impl Blobs {
-    /// Reads an upload until it finishes, its client ends it, or the blob is there. `most` is what its tenant may have, bytes.
-    async fn receive(
-        &self,
-        mut inbox: Inbox<proto::WriteRequest>,
-        tenant: &str,
-        most: Option<u64>,
-    ) -> Result<proto::WriteResponse, RequestError> {
-        let deadline = tokio::time::Instant::now() + self.limits.upload;
-        let Some((mut message, mut share)) = self.next(&mut inbox, deadline).await? else {
-            return Err(WireError::Order("the stream ended before its first message, which names the blob").into());
-        };
-        let upload = UploadId::new(digest("digest", &message.digest)?, message.size_bytes).of(tenant);
-        let mut status = timely(self.store.begin_within(upload, most)).await?;
-        let _empty = EmptyUpload::new(&self.store, upload);
-        while !status.complete {
-            let proto::WriteRequest { digest: _, size_bytes: _, offset, data, crc32c, finish } = message;
-            let chunk = Chunk { offset, bytes: data, crc32c };
-            let storing = store(&*self.store, upload, chunk, status);
-            if finish {
-                status = storing.await?;
-                if !status.complete {
-                    let BlobInfo { size_bytes, .. } = timely(self.store.finish(upload, None)).await?;
-                    status = UploadStatus { kept_bytes: size_bytes, complete: true };
-                }
-                break;
-            }
-            // The next piece comes while this one is stored; a fault of either ends both.
-            let next;
-            (status, next) = tokio::try_join!(storing, self.next(&mut inbox, deadline))?;
-            drop(share);
-            let Some(next) = next else { break };
-            check_same(upload, &next.0)?;
-            (message, share) = next;
-        }
-        let UploadStatus { kept_bytes, complete } = status;
-        Ok(proto::WriteResponse {
-            digest: upload.digest.to_string(),
-            size_bytes: upload.size_bytes,
-            kept_bytes,
-            complete,
-        })
-    }
-
-    /// The next message with its memory. It must come before the time for the upload is over.
-    async fn next(
-        &self,
-        inbox: &mut Inbox<proto::WriteRequest>,
-        deadline: tokio::time::Instant,
-    ) -> Result<Option<(proto::WriteRequest, Share)>, RequestError> {
-        let message = tokio::select! {
-            message = inbox.next(self.limits.upload_idle) => message?,
-            () = tokio::time::sleep_until(deadline) => return Err(RequestError::UploadTime(self.limits.upload)),
-            // The upload goes on elsewhere, or when the server is back.
-            () = self.gate.reached(Phase::Draining) => return Err(RequestError::Draining),
-        };
-        let Some(message) = message else { return Ok(None) };
-        let mut share = self.budget.share();
-        share.grow(message.data.len() as u64)?;
-        Ok(Some((message, share)))
     }
 }
 

@@ -14,13 +14,7 @@ use wire::options::within;
 use wire::proto::{CvtDone, CvtEdit, CvtEdited, CvtRequest, CvtResponse, CvtStep, SeedsWanted};
 use wire::proto::{cvt_request as request, cvt_response as response};
 
-fn wrap(message: response::Message) -> CvtResponse {
-    CvtResponse { message: Some(message) }
-}
-
-fn wrap_chunk(chunk: Chunk) -> CvtResponse {
-    wrap(response::Message::Chunk(chunk))
-}
+wraps!(CvtResponse);
 
 pub(super) async fn handle(
     shared: Arc<Shared>,

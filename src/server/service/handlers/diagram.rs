@@ -18,13 +18,7 @@ use wire::chunks::number_chunks;
 use wire::proto::compute_rvd_response as response;
 use wire::proto::{ArrayKind, ComputeRvdRequest, ComputeRvdResponse, RvdDone};
 
-fn wrap(message: response::Message) -> ComputeRvdResponse {
-    ComputeRvdResponse { message: Some(message) }
-}
-
-fn wrap_chunk(chunk: Chunk) -> ComputeRvdResponse {
-    wrap(response::Message::Chunk(chunk))
-}
+wraps!(ComputeRvdResponse);
 
 pub(super) async fn handle(
     shared: Arc<Shared>,

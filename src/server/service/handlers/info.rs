@@ -11,8 +11,7 @@ use super::Reply;
 use crate::config::Limits;
 use crate::readiness::Readiness;
 use geometry::rvd::{BackendChoice, BackendKind};
-use jobs::Engine;
-use jobs::memory;
+use jobs::{Engine, memory};
 use wire::proto::{self, GetServerInfoRequest, GetServerInfoResponse};
 
 pub(in crate::service) struct Info {
@@ -111,7 +110,6 @@ fn duration(time: Duration) -> Option<prost_types::Duration> {
 pub struct About {
     /// Revision of the sources, if the build was told.
     pub revision: Option<&'static str>,
-    /// Features that were compiled in.
     pub features: Vec<&'static str>,
     pub started: Instant,
     /// Memory of the machine or its container, bytes, if it is known.

@@ -20,13 +20,7 @@ use wire::proto::{ArrayKind, RemeshDone, RemeshRequest, RemeshResponse};
 /// Progress that waits for the client.
 const EVENTS: usize = 256;
 
-fn wrap(message: response::Message) -> RemeshResponse {
-    RemeshResponse { message: Some(message) }
-}
-
-fn wrap_chunk(chunk: Chunk) -> RemeshResponse {
-    wrap(response::Message::Chunk(chunk))
-}
+wraps!(RemeshResponse);
 
 enum Event {
     Started(f64),
