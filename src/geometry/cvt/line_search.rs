@@ -19,16 +19,13 @@ const GROWTH: f64 = 4.0;
 /// An interpolated step stays this share of the bracket away from its ends.
 const MARGIN: f64 = 0.1;
 
-/// How a search ended.
 pub(super) struct Found {
     /// The last probe; `None` if no step lowered the energy enough.
     pub(super) evaluation: Option<Evaluation>,
     pub(super) probes: usize,
-    /// What they did.
     pub(super) stats: PassStats,
 }
 
-/// One point of the line.
 #[derive(Clone, Copy)]
 struct Point {
     step: f64,

@@ -37,8 +37,7 @@ impl Wanted {
         Self { score, largest, cotangents: [cotangent(score) - rounding, cotangent(largest) + rounding] }
     }
 
-    /// What a triangle with this Q lacks of it, degrees; 0 if nothing. Most triangles lack nothing, and to see that needs no
-    /// arc tangent.
+    /// What a triangle with this Q lacks of it, degrees; 0 if nothing. Most lack nothing: that needs no arc tangent.
     pub(super) fn lack(&self, corners: [DVec3; 3], quality: f64) -> f64 {
         let [a, b, c] = corners;
         let (u, v, w) = (b - a, c - b, a - c);

@@ -46,8 +46,8 @@ pub struct DensityOptions {
     /// Target edge length, caller's units; read for [`Count::Implied`] unless lengths per vertex are given. With
     /// curvature or feature size, the points are as many as edges of this length everywhere would need.
     pub edge_length: Option<f64>,
-    /// 0 makes lengths equal, 1 (the default) takes them as the source says; between, h is the median times
-    /// (h / median) to this power. Not read for weights.
+    /// 0 makes lengths equal, 1 (the default) takes the source's; between, they are the median times (h / median) to this
+    /// power. Not read for weights.
     pub adaptivity: f64,
     /// The most that a length may grow per distance along the mesh's edges, above 0; infinite for no bound.
     /// 0.3 by default: from one ring of triangles to the next, lengths grow by about a quarter. Where lengths jump

@@ -5,10 +5,9 @@
 //! where its facets cost least; where no place is better, an edge of a poor facet is flipped. Independent vertices are looked at
 //! at the same time. [`restore`] takes vertices that went too far from their curves back towards where they were. [`tighten`]
 //! moves ends of edges that are too far from their curves even so.
-//! Invariant: moves are short beside an edge. A vertex moves in the tangent plane; a vertex of a curve along the curve, within a
-//! small tolerance across it; the end of a curve within that tolerance; a corner not at all. [`restore`] and [`tighten`] move only
-//! vertices of curves, each to where its edges are nearer to the curves. No facet turns over. The same bits whatever the number of
-//! threads.
+//! Invariant: moves are short beside an edge. A vertex moves in the tangent plane; a vertex of a curve along the curve,
+//! within a small tolerance across it; an end within that; a corner not at all. [`restore`] and [`tighten`] move only
+//! vertices of curves, to where edges are nearer. No facet turns over. The same bits whatever the number of threads.
 //! Must not know: seeds, diagrams, files.
 
 use glam::DVec3;
@@ -18,12 +17,7 @@ use super::objective::ShapeCost;
 use super::{Place, Queue, Steps, cheapest, places_around};
 use crate::mesh::csr::ascending;
 use crate::mesh::measure::facet_quality;
-use crate::remesh::constants::{
-    BACKTRACKING, DIRECTIONS, FARTHEST_ACROSS, FARTHEST_OF_CORNER, FARTHEST_OF_END, FARTHEST_TANGENTIAL,
-    FARTHEST_TIGHTENED, FIRST_STEP, FIRST_TIGHTENING_STEP, LEAST_GAIN, LEAST_GAIN_OF_PASS, LEAST_SCORE,
-    MOVES_PER_VERTEX, POOR_ANGLE, POOR_SCORE, RESTORING_PASSES, SHAPES_AT_ONCE, SHAPES_PER_TASK, TIGHTENING_PASSES,
-    UNMEASURED_COSINE,
-};
+use crate::remesh::constants::*;
 use crate::remesh::features::envelope::CurveEnvelope;
 use crate::remesh::manifold::{Flip, LocalMesh};
 use crate::remesh::triangle::{Wanted, perimeter, score};
@@ -37,7 +31,6 @@ pub(crate) enum Mobility {
     Along(DVec3),
     /// Within a small tolerance: the end of a curve.
     End,
-    /// Not at all.
     Fixed,
 }
 
@@ -63,7 +56,6 @@ pub(crate) fn improve_shapes(mesh: &mut LocalMesh, bounds: MotionBounds<'_>, tok
     let vertices = mesh.corners_around(&poor);
     let mut is_due = vec![false; mesh.positions.len()];
     vertices.iter().for_each(|&v| is_due[v as usize] = true);
-    let vertices = || vertices.iter().copied();
     let count = mesh.positions.len();
     let mut shapes = Shapes {
         start: mesh.positions.clone(),
@@ -77,8 +69,8 @@ pub(crate) fn improve_shapes(mesh: &mut LocalMesh, bounds: MotionBounds<'_>, tok
         claims: vec![0; count],
         rounds: 0,
     };
-    shapes.push(vertices().collect());
-    let mut left = MOVES_PER_VERTEX * vertices().len();
+    let mut left = MOVES_PER_VERTEX * vertices.len();
+    shapes.push(vertices);
     loop {
         let batch = shapes.next_batch(left);
         if batch.is_empty() || token.is_stopped() {
@@ -112,9 +104,8 @@ struct Shapes<'a> {
 impl Shapes<'_> {
     fn push(&mut self, mut vertices: Vec<u32>) {
         vertices.retain(|&v| self.bounds.mobility[v as usize] != Mobility::Fixed);
-        let cost_of = |&v: &u32| {
-            self.cost.around(self.mesh, v, self.mesh.positions[v as usize], f64::INFINITY, f64::NEG_INFINITY)
-        };
+        let at = |v: u32| self.mesh.positions[v as usize];
+        let cost_of = |&v: &u32| self.cost.around(self.mesh, v, at(v), f64::INFINITY, f64::NEG_INFINITY);
         let costs: Vec<f64> = vertices.par_iter().with_min_len(SHAPES_PER_TASK).map(cost_of).collect();
         vertices.into_iter().zip(costs).for_each(|(v, cost)| self.push_one(v, cost));
     }
@@ -124,8 +115,7 @@ impl Shapes<'_> {
         self.queue.push(Place::new((), v, cost));
     }
 
-    /// The costliest vertices, `most` at most, no two of them with a neighbour in common: what one does leaves the costs of the
-    /// others.
+    /// The costliest vertices, `most` at most, no two with a neighbour in common: none changes the costs of the others.
     fn next_batch(&mut self, most: usize) -> Vec<Place<()>> {
         self.rounds += 1;
         let (mut batch, mut waiting) = (Vec::new(), Vec::new());
@@ -230,7 +220,7 @@ pub(crate) fn restore(mesh: &mut LocalMesh, envelope: &CurveEnvelope, token: &To
             // What is within the limit costs the same: the first such place is taken.
             let violation = |p| envelope.violation(&mesh.positions, v, p).max(1.0);
             let cost = |p, _| if mesh.turns(v, p, UNMEASURED_COSINE) { f64::INFINITY } else { violation(p) };
-            let back = BACKTRACKING.into_iter().map(|t| here.lerp(envelope.start(v), t));
+            let back = BACKTRACKING.into_iter().map(|t| here.lerp(envelope.start[v as usize], t));
             let (_, to) = cheapest((violation(here), here), LEAST_GAIN, back, cost);
             moved |= to != here;
             mesh.positions[v as usize] = to;
@@ -241,9 +231,8 @@ pub(crate) fn restore(mesh: &mut LocalMesh, envelope: &CurveEnvelope, token: &To
     }
 }
 
-/// Moves vertices whose edges are farther from their curves than the goal a little, to where they are nearer. Corners, which
-/// are `fixed`, move less, and only on boundaries, whose teeth may be narrower than an edge is long. Returns the corners that
-/// moved.
+/// Moves vertices whose edges are farther from curves than the goal a little nearer. Corners, which are `fixed`, move less,
+/// and only on boundaries, whose teeth may be narrower than an edge is long. Returns the corners that moved.
 pub(crate) fn tighten(mesh: &mut LocalMesh, envelope: &CurveEnvelope, fixed: &[bool], token: &Token) -> Vec<u32> {
     let excess = |mesh: &LocalMesh, v: u32| envelope.excess(&mesh.positions, v, mesh.positions[v as usize]);
     let may_move = |mesh: &LocalMesh, v: u32| !fixed[v as usize] || mesh.is_on_boundary(v);

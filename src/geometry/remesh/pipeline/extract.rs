@@ -24,15 +24,13 @@ use crate::remesh::features::envelope::CurveEnvelope;
 use crate::remesh::fit::{self, Target};
 use crate::remesh::improve::MeshEditor;
 use crate::remesh::improve::places::{improve, recover_edge};
-use crate::remesh::improve::shapes::{Mobility, MotionBounds, improve_shapes};
-use crate::remesh::improve::shapes::{restore, tighten};
+use crate::remesh::improve::shapes::{Mobility, MotionBounds, improve_shapes, restore, tighten};
 use crate::remesh::manifold::{LocalMesh, boundary_ears, repair};
 use crate::remesh::report::RepairFigures;
 use crate::remesh::{Placement, RemeshError};
 use crate::rvd::{Surface, dual};
 use crate::token::Token;
 
-/// What a result is made from.
 pub(super) struct Extraction<'a> {
     pub(super) divided: &'a TriMesh,
     pub(super) surface: &'a Surface,
@@ -48,7 +46,6 @@ pub(super) struct Extraction<'a> {
     pub(super) token: &'a Token,
 }
 
-/// A triangulation that may still change.
 pub(super) struct Draft<'a> {
     /// Caller's coordinates.
     pub(super) positions: Vec<DVec3>,
@@ -58,9 +55,7 @@ pub(super) struct Draft<'a> {
     pub(super) curve_edges: Vec<Option<[u32; 2]>>,
     pub(super) repair: RepairFigures,
     pub(super) fitted: Option<Fitted<'a>>,
-    /// What it lacks of the input.
     pub(super) missed: Missed,
-    /// Number of seeds.
     pub(super) seeds: usize,
 }
 
@@ -78,8 +73,7 @@ pub(super) struct Fitted<'a> {
 /// What a draft lacks of the input.
 #[derive(Clone, Default)]
 pub(super) struct Missed {
-    /// Places that it is far from, each with the nearest seed, by falling deviation; unit frame. Empty if the vertices were not
-    /// fitted.
+    /// Places that it is far from, with the nearest seed, by falling deviation; unit frame. Empty if it was not fitted.
     pub(super) places: Vec<(u32, DVec3)>,
     /// Hausdorff distance, unit frame; 0 if the vertices were not fitted.
     pub(super) deviation: f64,
@@ -136,7 +130,7 @@ impl<'a> Extraction<'a> {
     }
 
     /// Improves the worst facets; where `hold_curves`, without the vertices of curves.
-    pub(super) fn improve_shapes(
+    fn improve_shapes(
         &self,
         mesh: &mut LocalMesh,
         draft: &Draft<'_>,
@@ -167,8 +161,7 @@ impl<'a> Extraction<'a> {
         dual.components.iter().map(place).collect()
     }
 
-    /// Moves the draft's vertices to where its facets are nearest to the input ([`fit`]). Corners of curves stay.
-    /// `component` is that of the dual for each vertex.
+    /// Moves the draft's vertices to where facets are nearest to the input. Corners stay. `component` is by vertex.
     fn fit(&self, draft: &mut Draft<'a>, component: &[u32], dual: &dual::Dual) {
         let mut vertex = vec![u32::MAX; dual.components.len()];
         component.iter().enumerate().rev().for_each(|(v, &c)| vertex[c as usize] = v as u32);
@@ -197,18 +190,14 @@ impl<'a> Extraction<'a> {
         let HausdorffEstimate { missed, largest, by_vertex } =
             HausdorffEstimate::of(&mesh, &target.input, self.tolerance, self.token);
         let places = missed.into_iter().map(|(v, place)| (draft.vertex_seed[v as usize], place)).collect();
-        let lost = self.seeds_without_vertex(draft);
+        let mut there = vec![false; draft.seeds];
+        draft.vertex_seed.iter().for_each(|&s| there[s as usize] = true);
+        let lost: Vec<u32> =
+            (self.curves.seeds.len() as u32..draft.seeds as u32).filter(|&s| !there[s as usize]).collect();
         let midpoints = long_edge_midpoints(&mesh.positions, mesh.facets(), &target.fixed, lost.len());
         draft.missed =
             Missed { places, deviation: largest, seeds_without_vertex: lost, long_edge_midpoints: midpoints };
         draft.fitted = Some(Fitted { mesh, target, envelope, reference, distances: by_vertex });
-    }
-
-    /// See [`Missed::seeds_without_vertex`].
-    fn seeds_without_vertex(&self, draft: &Draft<'_>) -> Vec<u32> {
-        let mut there = vec![false; draft.seeds];
-        draft.vertex_seed.iter().for_each(|&s| there[s as usize] = true);
-        (self.curves.seeds.len() as u32..draft.seeds as u32).filter(|&s| !there[s as usize]).collect()
     }
 
     /// The input by vertex of the draft: one sample for each piece, and the input's vertices and facets. `vertex` is that of the
@@ -232,7 +221,7 @@ impl<'a> Extraction<'a> {
         }
         let input_vertices = Csr::group(vertices, &owner_of, |v| surface.positions()[v]);
         let facets = Csr::group(vertices, &owners, |k| dual.pieces[k].facet);
-        let reference = Reference::new(surface, facets, input_vertices.clone());
+        let reference = Reference { surface, facets, vertices: input_vertices.clone() };
         (InputSamples { samples: Csr::group(vertices, &owners, sample), vertices: input_vertices }, reference)
     }
 }
@@ -252,14 +241,11 @@ fn long_edge_midpoints(positions: &[DVec3], facets: &[[u32; 3]], fixed: &[bool],
 }
 
 /// How each vertex may move: vertices with two edges of curves along these, other ends of such edges hardly at all.
-pub(super) fn mobility(positions: &[DVec3], curve_edges: &[Option<[u32; 2]>], fixed: &[bool]) -> Vec<Mobility> {
+fn mobility(positions: &[DVec3], curve_edges: &[Option<[u32; 2]>], fixed: &[bool]) -> Vec<Mobility> {
     let mut ends: Vec<(u32, u32)> = curve_edges.iter().flatten().flat_map(|&[a, b]| [(a, b), (b, a)]).collect();
     ends.sort_unstable();
-    let of = |v: usize| match fixed[v] {
-        true => Mobility::Fixed,
-        false => Mobility::Free,
-    };
-    let mut mobility: Vec<Mobility> = (0..positions.len()).map(of).collect();
+    let of = |&fixed: &bool| if fixed { Mobility::Fixed } else { Mobility::Free };
+    let mut mobility: Vec<Mobility> = fixed.iter().map(of).collect();
     for group in ends.chunk_by(|a, b| a.0 == b.0) {
         let own = &mut mobility[group[0].0 as usize];
         if *own == Mobility::Free {
@@ -277,7 +263,6 @@ pub(super) fn mobility(positions: &[DVec3], curve_edges: &[Option<[u32; 2]>], fi
 pub(super) struct Built {
     pub(super) mesh: TriMesh,
     pub(super) vertex_seed: Vec<u32>,
-    /// For each segment of the curves the result's edge, if it is there.
     pub(super) curve_edges: Vec<Option<[u32; 2]>>,
     pub(super) repair: RepairFigures,
     /// Places of the input that it is still far from.
@@ -314,8 +299,7 @@ impl<'a> Extraction<'a> {
                 self.find_curves(draft, &mut fitted.mesh);
                 self.improve_shapes(&mut fitted.mesh, draft, &fitted.target.fixed, &fitted.envelope, false);
                 let input = &fitted.target.input;
-                let estimate = HausdorffEstimate::of(&fitted.mesh, input, self.tolerance, self.token);
-                fitted.distances = estimate.by_vertex;
+                fitted.distances = HausdorffEstimate::of(&fitted.mesh, input, self.tolerance, self.token).by_vertex;
             }
         }
         let Fitted { mesh, target, reference, distances, .. } = fitted;
