@@ -120,10 +120,7 @@ impl<'a> Plan<'a> {
 /// Weights below this share of the largest stand for edges a hundred times as long.
 const LEAST_WEIGHT: f64 = 1e-8;
 
-/// Makes the density of `mesh` that `options` ask for.
-///
-/// # Errors
-/// [`DensityError`]. Weights are checked where they are used, by `Surface::new`.
+/// Makes the density of `mesh` that `options` ask for. Weights are checked where they are used, by `Surface::new`.
 pub fn plan<'a>(
     mesh: &'a TriMesh,
     options: &DensityOptions,

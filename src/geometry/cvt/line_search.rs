@@ -41,16 +41,16 @@ struct Search<'a> {
     found: Found,
 }
 
-/// Searches from the present point, which has this `energy` and `slope` < 0, beginning at `first`.
+/// Searches from the present point, whose slope is below 0, beginning at `first`.
 pub(super) fn search(
     vectors: &mut dyn Resident,
-    (energy, slope): (f64, f64),
+    present: Evaluation,
     first: f64,
     token: &Token,
 ) -> Result<Found, RvdError> {
     let found = Found { evaluation: None, probes: 0, stats: PassStats::default() };
-    let mut search = Search { vectors, token, energy, slope, found };
-    let mut before = Point { step: 0.0, evaluation: Evaluation { energy, slope, ..Evaluation::default() } };
+    let mut search = Search { vectors, token, energy: present.energy, slope: present.slope, found };
+    let mut before = Point { step: 0.0, evaluation: present };
     let mut step = first;
     while search.found.probes < MAX_PROBES {
         let here = search.probe(step)?;
@@ -175,7 +175,9 @@ mod tests {
 
     fn find(f: impl Fn(f64) -> (f64, f64), first: f64) -> (Found, f64) {
         let mut line = Line(&f, Vec::new());
-        let found = search(&mut line, f(0.0), first, &Token::default()).unwrap();
+        let (energy, slope) = f(0.0);
+        let present = Evaluation { energy, slope, ..Evaluation::default() };
+        let found = search(&mut line, present, first, &Token::default()).unwrap();
         let last = *line.1.last().unwrap();
         (found, last)
     }

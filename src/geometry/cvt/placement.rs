@@ -78,10 +78,7 @@ impl Cvt {
         &self.curves
     }
 
-    /// Moves every seed that is not held to the closest point of the surface.
-    ///
-    /// # Errors
-    /// `Stopped`, with the seeds where they were; or `Internal`.
+    /// Moves every seed that is not held to the closest point of the surface. A stop leaves them where they were.
     pub fn project_seeds(&mut self, token: &Token) -> Result<(), RvdError> {
         self.download()?;
         let mut seeds = std::mem::take(&mut self.seeds);
@@ -93,9 +90,7 @@ impl Cvt {
 
     /// Moves every seed that is not held to the closest point of the surface that is clear of the curves: along a sharp crease
     /// seeds lie inside, between its two sides, and the point that is closest to one may be between two seeds of the curve.
-    ///
-    /// # Errors
-    /// `Stopped`, with the seeds somewhere between; or `Internal`.
+    /// A stop leaves them somewhere between.
     pub fn put_on_surface(&mut self, token: &Token) -> Result<(), RvdError> {
         self.project_seeds(token)?;
         for _ in 0..PUSHES {
@@ -222,10 +217,7 @@ pub enum SeedEdit {
 }
 
 impl Cvt {
-    /// Applies edits in order; nothing is changed if one of them is wrong.
-    ///
-    /// # Errors
-    /// `TooManySeeds` beyond the room reserved, `NonFiniteSeed`, `NoSeeds` if none would be left, `NoSuchSeed`.
+    /// Applies edits in order; nothing is changed if one of them is wrong: `TooManySeeds` beyond the room reserved, `NonFiniteSeed`, `NoSeeds` if none would be left, `NoSuchSeed`.
     pub fn edit(&mut self, edits: &[SeedEdit]) -> Result<(), RvdError> {
         self.download()?;
         let frame = self.surface.frame();

@@ -62,15 +62,13 @@ pub struct Iteration {
 
 impl Cvt {
     /// One Lloyd step: every seed to the centroid of its cell, or, if that is empty, beside the cell of highest energy.
-    ///
-    /// # Errors
-    /// `Stopped`, or an error of the device. Seeds are then as before, or after it, if stopped on their way to the surface.
+    /// After an error seeds are as before, or as after the step, if it was stopped on their way to the surface.
     pub fn lloyd(&mut self, token: &Token) -> Result<Iteration, RvdError> {
         self.metered(|cvt| {
             let begin = Instant::now();
             let (evaluation, evaluations) = cvt.evaluate(token)?;
             let report = Iteration { evaluations, ..cvt.figures(StepKind::Lloyd, evaluation) };
-            cvt.lloyd_from(evaluation, report, begin, token)
+            cvt.lloyd_from(report, begin, token)
         })
     }
 
@@ -87,7 +85,7 @@ impl Cvt {
         if evaluation.empty_cells > 0 || evaluation.gradient_squared == 0.0 {
             report.kind = StepKind::Lloyd;
             self.converged |= evaluation.empty_cells == 0;
-            return self.lloyd_from(evaluation, report, begin, token);
+            return self.lloyd_from(report, begin, token);
         }
         let vectors = resident(&mut *self.session)?;
         let mut slope = vectors.search_direction()?;
@@ -97,12 +95,12 @@ impl Cvt {
             slope = vectors.search_direction()?;
             first = FIRST_STEP;
         }
-        let found = line_search::search(vectors, (evaluation.energy, slope), first, token)?;
+        let found = line_search::search(vectors, Evaluation { slope, ..evaluation }, first, token)?;
         report.evaluations += found.probes;
         report.stats.add(&found.stats);
         let Some(next) = found.evaluation else {
             report.kind = StepKind::Lloyd;
-            return self.lloyd_from(evaluation, report, begin, token);
+            return self.lloyd_from(report, begin, token);
         };
         vectors.accept()?;
         (self.newest, self.fresh) = (Newest::InSession, false);
@@ -153,22 +151,16 @@ impl Cvt {
     }
 
     /// The step to the centroids from seeds that were evaluated.
-    fn lloyd_from(
-        &mut self,
-        evaluation: Evaluation,
-        mut report: Iteration,
-        begin: Instant,
-        token: &Token,
-    ) -> Result<Iteration, RvdError> {
+    fn lloyd_from(&mut self, mut report: Iteration, begin: Instant, token: &Token) -> Result<Iteration, RvdError> {
         let update = Instant::now();
         let vectors = resident(&mut *self.session)?;
-        if evaluation.empty_cells > 0 {
+        if report.empty_cells > 0 {
             vectors.read_sums(&mut self.sums)?;
         }
         vectors.to_centroids()?;
         (self.newest, self.fresh) = (Newest::InSession, true);
         self.present = None;
-        if evaluation.empty_cells > 0 {
+        if report.empty_cells > 0 {
             self.download()?;
             let places = self.new_places(token)?;
             places.into_iter().for_each(|(seed, place)| self.seeds[seed as usize] = place);
@@ -220,8 +212,8 @@ impl Cvt {
         let mut taken = Vec::with_capacity(evaluations.len());
         for evaluation in evaluations {
             let report = Iteration { evaluations: 1, ..self.figures(StepKind::Lloyd, evaluation) };
-            taken.push(if evaluation.empty_cells > 0 {
-                self.lloyd_from(evaluation, report, Instant::now(), token)?
+            taken.push(if report.empty_cells > 0 {
+                self.lloyd_from(report, Instant::now(), token)?
             } else {
                 self.steps += 1;
                 report

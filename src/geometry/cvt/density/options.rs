@@ -100,9 +100,6 @@ impl DensityOptions {
     }
 
     /// Whether every number is in its range; lengths and weights per vertex are checked later.
-    ///
-    /// # Errors
-    /// `BadOption`.
     pub fn check(&self) -> Result<(), DensityError> {
         let bad = |name, value, range| Err(DensityError::BadOption { name, value, range });
         match *self {

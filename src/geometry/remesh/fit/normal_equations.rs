@@ -285,14 +285,8 @@ impl NormalEquations {
         Self { vertices: mesh.positions.len(), unknowns, rows }
     }
 
+    /// The moves, by conjugate gradients.
     pub(super) fn solve(&self, token: &Token) -> Vec<DVec3> {
-        let mut moves = vec![DVec3::ZERO; self.vertices];
-        let x = self.conjugate_gradients(token);
-        self.unknowns.iter().zip(x).for_each(|(&v, x)| moves[v as usize] = x);
-        moves
-    }
-
-    fn conjugate_gradients(&self, token: &Token) -> Vec<DVec3> {
         let n = self.unknowns.len();
         let (mut x, mut q) = (vec![DVec3::ZERO; n], vec![DVec3::ZERO; n]);
         let mut r: Vec<DVec3> = self.rows.iter().flat_map(|rows| rows.right.iter().copied()).collect();
@@ -313,7 +307,9 @@ impl NormalEquations {
             rz = next;
             p.iter_mut().zip(&q).for_each(|(p, &z)| *p = z + beta * *p);
         }
-        x
+        let mut moves = vec![DVec3::ZERO; self.vertices];
+        self.unknowns.iter().zip(x).for_each(|(&v, x)| moves[v as usize] = x);
+        moves
     }
 
     /// Computes `q = A p`. Returns `p·q`.

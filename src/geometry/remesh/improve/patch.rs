@@ -221,15 +221,11 @@ impl Patch {
         (0..).zip(&self.vertices).filter(|(k, _)| self.mesh.is_inside(*k)).map(|(_, &v)| v)
     }
 
-    /// Edges of the centre's facets, each once: facet and side of it.
-    pub(super) fn edges_around(&self) -> impl Iterator<Item = (u32, usize)> + '_ {
-        let all = self.mesh.ring(self.centre).iter().flat_map(|&f| (0..3).map(move |side| (f, side)));
-        all.filter(|&(f, side)| self.mesh.facets()[f as usize][side] != self.centre)
-    }
-
-    /// Flips of these edges that are allowed with such valences.
+    /// Flips of the edges of the centre's facets, each once, that are allowed with such valences.
     pub(super) fn flips(&self, valences: [usize; 2]) -> Vec<Flip> {
-        self.edges_around().filter_map(|(f, side)| self.mesh.flip(f, side, valences)).collect()
+        let all = self.mesh.ring(self.centre).iter().flat_map(|&f| (0..3).map(move |side| (f, side)));
+        let edges = all.filter(|&(f, side)| self.mesh.facets()[f as usize][side] != self.centre);
+        edges.filter_map(|(f, side)| self.mesh.flip(f, side, valences)).collect()
     }
 
     pub(super) fn flip(&mut self, flip: &Flip) {

@@ -200,7 +200,8 @@ impl Shapes<'_> {
             let before: f64 = flip.facets.iter().map(|&f| self.cost.of(mesh.corners(f))).sum();
             before - flip.corners.iter().map(|&t| self.cost.of(mesh.places(t))).sum::<f64>()
         };
-        let flips = mesh.ring(v).iter().filter(is_poor).flat_map(|&f| mesh.flips_of(f));
+        let sides = mesh.ring(v).iter().filter(is_poor).flat_map(|&f| (0..3).map(move |side| (f, side)));
+        let flips = sides.filter_map(|(f, side)| mesh.flip(f, side, VALENCES));
         let best = flips.map(|flip| (gain(&flip), flip)).reduce(|a, b| if b.0 > a.0 { b } else { a });
         best.filter(|(gain, _)| *gain > LEAST_GAIN_OF_PASS).map(|(_, flip)| flip)
     }

@@ -83,13 +83,6 @@ pub(super) struct Missed {
     pub(super) long_edge_midpoints: Vec<DVec3>,
 }
 
-impl Draft<'_> {
-    /// Edges of curves, lower end first.
-    fn curves(&self) -> HashSet<[u32; 2]> {
-        self.curve_edges.iter().flatten().map(|&e| undirected(e)).collect()
-    }
-}
-
 impl<'a> Extraction<'a> {
     /// The dual made a triangulation: repaired, its vertices placed, with the seed of each vertex.
     pub(super) fn draft(&self, dual: &dual::Dual, seeds: &[DVec3]) -> Result<Draft<'a>, RemeshError> {
@@ -175,7 +168,8 @@ impl<'a> Extraction<'a> {
         let facets = std::mem::take(&mut draft.facets);
         // Most poor facets are improved where the fit brings their vertices back to the surface. Curves have not settled yet.
         let improved = || {
-            let mut mesh = LocalMesh::new(unit, facets, draft.curves());
+            let kept: HashSet<[u32; 2]> = draft.curve_edges.iter().flatten().map(|&e| undirected(e)).collect();
+            let mut mesh = LocalMesh::new(unit, facets, kept);
             self.improve_shapes(&mut mesh, draft, &fixed, &envelope, true);
             mesh
         };

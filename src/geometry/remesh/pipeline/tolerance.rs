@@ -74,7 +74,7 @@ pub(super) fn refine<'a>(
     random_seed: u64,
 ) -> Result<Attempt<'a>> {
     let options = RemeshOptions { refine: None, ..options.clone() };
-    let mut search = Search::begin(job, prepared, options.clone(), limits, limits.tolerance)?;
+    let mut search = Search::begin(job, prepared, options.clone(), limits)?;
     let mut from = None;
     // Where another density is nearer, one more search goes on from there.
     for _ in 0..2 {
@@ -96,7 +96,7 @@ pub(super) fn add<'a>(
     limits: Limits,
 ) -> Result<Attempt<'a>> {
     let mut tolerance = limits.tolerance;
-    let mut search = Search::begin(job, prepared, options.clone(), limits, tolerance)?;
+    let mut search = Search::begin(job, prepared, options.clone(), limits)?;
     let first = if let Seeds::Given(seeds) = &options.seeds { seeds.len() } else { search.first.0 };
     search.first = (first, f64::INFINITY);
     for _ in 1..MAX_ADDING_TIMES {
@@ -112,15 +112,9 @@ pub(super) fn add<'a>(
 }
 
 impl<'a, 'j, 'b> Search<'a, 'j, 'b> {
-    fn begin(
-        job: &'j mut Job<'a, 'b>,
-        prepared: Prepared<'a>,
-        options: RemeshOptions,
-        limits: Limits,
-        tolerance: f64,
-    ) -> Result<Self> {
+    fn begin(job: &'j mut Job<'a, 'b>, prepared: Prepared<'a>, options: RemeshOptions, limits: Limits) -> Result<Self> {
         let comparison = Comparison::new(job.separated, limits.tolerance, job.token)?;
-        let best = attempt(job, &comparison, prepared, options, tolerance)?;
+        let best = attempt(job, &comparison, prepared, options, limits.tolerance)?;
         let first = (best.points(), best.distances.largest);
         let limits = Limits { max_points: limits.max_points.max(first.0), ..limits };
         Ok(Self { job, comparison, limits, best, first, rounds: 0, compared: 0, passes_of_others: 0 })
