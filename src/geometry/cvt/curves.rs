@@ -234,8 +234,7 @@ impl CurveSeeds {
         Ok(())
     }
 
-    /// Splits segments of the curves that `may` allows if a seed of another curve comes between their ends, as across a
-    /// slit: until seeds lie opposite each other, or parts would be too short.
+    /// Splits segments of the curves that `may` allows if another curve's seed comes between their ends, as across a slit.
     pub fn split_between_others(&mut self, may: impl Fn(u32) -> bool, token: &Token) -> Result<(), Stopped> {
         for _ in 0..MAX_SPLIT_ROUNDS {
             token.check()?;

@@ -88,9 +88,8 @@ impl Cvt {
         done
     }
 
-    /// Moves every seed that is not held to the closest point of the surface that is clear of the curves: along a sharp crease
-    /// seeds lie inside, between its two sides, and the point that is closest to one may be between two seeds of the curve.
-    /// A stop leaves them somewhere between.
+    /// Moves every seed that is not held to the closest point of the surface that is clear of the curves: at a sharp crease
+    /// seeds lie inside, and the closest point may be between two seeds of the curve. A stop leaves them somewhere between.
     pub fn put_on_surface(&mut self, token: &Token) -> Result<(), RvdError> {
         self.project_seeds(token)?;
         for _ in 0..PUSHES {
@@ -110,6 +109,77 @@ impl Cvt {
         moved.for_each(|(_, (seed, place))| *seed = place.position);
         Ok(())
     }
+
+    /// New places for seeds with empty cells, by the sums and the seeds that are at hand.
+    pub(super) fn new_places(&mut self, token: &Token) -> Result<Vec<(u32, DVec3)>, RvdError> {
+        let empty: Vec<u32> = (0..self.seeds.len() as u32)
+            .filter(|&i| self.sums.area[i as usize] <= 0.0 && !is_held(&self.held, i))
+            .collect();
+        let closest = closest(&mut self.closest, &self.surface)?;
+        let clearance = (!self.curves.is_empty()).then(|| self.curves.clearance(STAYS));
+        let may = |p| clearance.as_ref().is_none_or(|clearance| clearance.holds(p));
+        Ok(place(&empty, &self.sums, &self.seeds, (&self.surface, closest), may, token)?)
+    }
+
+    /// Applies edits in order; nothing is changed if one of them is wrong: `TooManySeeds` beyond the room reserved, `NonFiniteSeed`, `NoSeeds` if none would be left, `NoSuchSeed`.
+    pub fn edit(&mut self, edits: &[SeedEdit]) -> Result<(), RvdError> {
+        self.download()?;
+        let frame = self.surface.frame();
+        let mut seeds = self.seeds.clone();
+        let mut held = self.held.clone();
+        held.resize(seeds.len(), false);
+        for edit in edits {
+            match *edit {
+                SeedEdit::Move { index, to } => *seed_at(&mut seeds, index)? = frame.to_unit(to),
+                SeedEdit::Add { at } => {
+                    if seeds.len() == self.options.max_seeds {
+                        return Err(RvdError::TooManySeeds { given: seeds.len() + 1, limit: self.options.max_seeds });
+                    }
+                    seeds.push(frame.to_unit(at));
+                    held.push(false);
+                }
+                SeedEdit::Remove { index } => {
+                    seed_at(&mut seeds, index)?;
+                    seeds.swap_remove(index as usize);
+                    held.swap_remove(index as usize);
+                }
+            }
+        }
+        check_seeds(&seeds, self.options.max_seeds)?;
+        self.seeds = seeds;
+        if held.contains(&true) {
+            self.held = held;
+        }
+        self.seeds_changed();
+        Ok(())
+    }
+
+    /// Which seeds never move, one entry a seed.
+    pub fn hold(&mut self, held: Vec<bool>) -> Result<(), RvdError> {
+        if held.len() != self.seeds.len() {
+            return Err(RvdError::Internal(format!("{} marks for {} seeds", held.len(), self.seeds.len())));
+        }
+        self.download()?;
+        self.held = held;
+        self.seeds_changed();
+        Ok(())
+    }
+
+    /// Puts seeds at places (unit frame), where they stay, and adds and holds new ones within the room. Returns how many.
+    pub fn pin(&mut self, pins: &[(u32, DVec3)], new: &[DVec3]) -> Result<usize, RvdError> {
+        self.download()?;
+        self.held.resize(self.seeds.len(), false);
+        for &(seed, to) in pins {
+            *seed_at(&mut self.seeds, seed)? = to;
+            self.held[seed as usize] = true;
+        }
+        let room = self.options.max_seeds - self.seeds.len().min(self.options.max_seeds);
+        let added = new.len().min(room);
+        self.seeds.extend(&new[..added]);
+        self.held.resize(self.seeds.len(), true);
+        self.seeds_changed();
+        Ok(added)
+    }
 }
 
 /// Made on first use.
@@ -122,19 +192,6 @@ pub(super) fn closest<'a>(slot: &'a mut Option<ClosestPoint>, surface: &Surface)
 
 /// A seed that is farther from a curve than this share of the spacing of the curve's seeds is not pushed off it.
 const STAYS: f64 = 0.75;
-
-impl Cvt {
-    /// New places for seeds with empty cells, by the sums and the seeds that are at hand.
-    pub(super) fn new_places(&mut self, token: &Token) -> Result<Vec<(u32, DVec3)>, RvdError> {
-        let empty: Vec<u32> = (0..self.seeds.len() as u32)
-            .filter(|&i| self.sums.area[i as usize] <= 0.0 && !is_held(&self.held, i))
-            .collect();
-        let closest = closest(&mut self.closest, &self.surface)?;
-        let clearance = (!self.curves.is_empty()).then(|| self.curves.clearance(STAYS));
-        let may = |p| clearance.as_ref().is_none_or(|clearance| clearance.holds(p));
-        Ok(place(&empty, &self.sums, &self.seeds, (&self.surface, closest), may, token)?)
-    }
-}
 
 /// New places for the seeds `empty`, each in another cell, by falling energy, and where `may` lets a seed stay as long as
 /// there are such; if there are more empty cells than full ones, several share a cell on smaller and smaller circles.
@@ -214,68 +271,6 @@ pub enum SeedEdit {
         /// Which seed.
         index: u32,
     },
-}
-
-impl Cvt {
-    /// Applies edits in order; nothing is changed if one of them is wrong: `TooManySeeds` beyond the room reserved, `NonFiniteSeed`, `NoSeeds` if none would be left, `NoSuchSeed`.
-    pub fn edit(&mut self, edits: &[SeedEdit]) -> Result<(), RvdError> {
-        self.download()?;
-        let frame = self.surface.frame();
-        let mut seeds = self.seeds.clone();
-        let mut held = self.held.clone();
-        held.resize(seeds.len(), false);
-        for edit in edits {
-            match *edit {
-                SeedEdit::Move { index, to } => *seed_at(&mut seeds, index)? = frame.to_unit(to),
-                SeedEdit::Add { at } => {
-                    if seeds.len() == self.options.max_seeds {
-                        return Err(RvdError::TooManySeeds { given: seeds.len() + 1, limit: self.options.max_seeds });
-                    }
-                    seeds.push(frame.to_unit(at));
-                    held.push(false);
-                }
-                SeedEdit::Remove { index } => {
-                    seed_at(&mut seeds, index)?;
-                    seeds.swap_remove(index as usize);
-                    held.swap_remove(index as usize);
-                }
-            }
-        }
-        check_seeds(&seeds, self.options.max_seeds)?;
-        self.seeds = seeds;
-        if held.contains(&true) {
-            self.held = held;
-        }
-        self.seeds_changed();
-        Ok(())
-    }
-
-    /// Which seeds never move, one entry a seed.
-    pub fn hold(&mut self, held: Vec<bool>) -> Result<(), RvdError> {
-        if held.len() != self.seeds.len() {
-            return Err(RvdError::Internal(format!("{} marks for {} seeds", held.len(), self.seeds.len())));
-        }
-        self.download()?;
-        self.held = held;
-        self.seeds_changed();
-        Ok(())
-    }
-
-    /// Puts seeds at places (unit frame), where they stay, and adds and holds new ones within the room. Returns how many.
-    pub fn pin(&mut self, pins: &[(u32, DVec3)], new: &[DVec3]) -> Result<usize, RvdError> {
-        self.download()?;
-        self.held.resize(self.seeds.len(), false);
-        for &(seed, to) in pins {
-            *seed_at(&mut self.seeds, seed)? = to;
-            self.held[seed as usize] = true;
-        }
-        let room = self.options.max_seeds - self.seeds.len().min(self.options.max_seeds);
-        let added = new.len().min(room);
-        self.seeds.extend(&new[..added]);
-        self.held.resize(self.seeds.len(), true);
-        self.seeds_changed();
-        Ok(added)
-    }
 }
 
 fn is_held(held: &[bool], seed: u32) -> bool {

@@ -114,8 +114,7 @@ impl Cvt {
         Ok(report)
     }
 
-    /// Whether the last quasi-Newton step passed a test of convergence: ‖∇E‖ below a thousandth of the
-    /// first step's, or two steps running that gain less than a millionth of the energy.
+    /// Whether the last quasi-Newton step converged: ‖∇E‖ below a thousandth of the first, or two gains below a millionth.
     pub fn converged(&self) -> bool {
         self.converged
     }

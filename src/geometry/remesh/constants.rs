@@ -11,8 +11,7 @@ pub(super) const REGULAR_VALENCE: usize = 6;
 pub(super) const VALENCES: [usize; 2] = [5, 7];
 /// Least and largest valence that the recovery of a curve's edge may make: the curve counts for more than a valence.
 pub(super) const RECOVERY_VALENCES: [usize; 2] = [4, 8];
-/// Least cosine between the normals of flipped facets and the mean normal before. It is less strict than for a relocation,
-/// since an edge across a ridge turns both facets.
+/// Least cosine between the normals of flipped facets and the mean before. An edge across a ridge turns both facets.
 pub(super) const FLIPPED_COSINE: f64 = 0.3;
 /// Least cosine between a facet's normal and its marked normal where the distance from the input is measured, and where not.
 pub(super) const MEASURED_COSINE: f64 = 0.5;

@@ -64,8 +64,7 @@ pub fn remesh(
     });
     let options = measured.as_ref().unwrap_or(options);
     on_threads_of(backend, || match run_stages(given, options, backend, observer, token) {
-        // Vertices far off the surface take all the points: without their spikes, which are put back afterwards. Given seeds are
-        // where they are, whatever takes them.
+        // Far vertices take all the points: without their spikes, which are put back afterwards. Given seeds stay.
         Err(error @ (RemeshError::TooFewSeeds { .. } | RemeshError::Rvd(RvdError::NoArea))) => {
             let near = draw_in(given).filter(|_| !matches!(options.seeds, Seeds::Given(_)));
             let Some(near) = near else { return Err(error) };
@@ -131,7 +130,7 @@ fn run_stages(
         (Some(limits), &(Seeds::Sample { seed, .. } | Seeds::Implied { seed })) => {
             prepared.and_then(|prepared| tolerance::refine(&mut job, prepared, options, limits, seed))
         }
-        (Some(limits), _) => prepared.and_then(|prepared| tolerance::add(&mut job, prepared, options, limits)),
+        (Some(limits), _) => prepared.and_then(|prepared| job.add(prepared, options, limits)),
         (None, _) => prepared.and_then(|prepared| job.attempt(prepared, options, None)),
     };
     let mut attempt = attempt.map_err(|error| error.for_surface(&input.topology))?;

@@ -95,8 +95,7 @@ pub struct RefineFigures {
     pub added_seeds: usize,
     /// Passes over the diagram.
     pub evaluations: usize,
-    /// Samples of the input and of the result that are farther from the other surface than the tolerance; without one, places
-    /// of the input that the result is far from.
+    /// Samples of either surface that are farther from the other than the tolerance; without one, far places of the input.
     pub out_of_tolerance: usize,
     /// The largest distance of a sample, both ways, % of the input's bounding-box diagonal; absent without a tolerance.
     pub deviation_percent: Option<f64>,
@@ -210,8 +209,7 @@ pub struct ResultFigures {
     /// Euler characteristic χ, components, holes, non-manifold elements.
     #[serde(flatten)]
     pub topology: Topology,
-    /// Vertices that share no edge with another one and are in its place, to within 10⁻⁵ of the diagonal: parts that touch.
-    /// A merge of vertices by position joins such parts.
+    /// Vertices in the place of another, within 10⁻⁵ of the diagonal, without a common edge: a merge joins their parts.
     pub coincident_vertices: usize,
     /// Shape and distance figures; absent if not measured.
     #[serde(flatten)]
@@ -245,8 +243,7 @@ pub struct RepairFigures {
     pub non_manifold_facets: usize,
     /// Vertices split because their facets form more than one fan, and vertices put into edges along which two sheets touch.
     pub split_vertices: usize,
-    /// Seeds that no vertex is of, and vertices beyond the first of their seed: the result has as many vertices as
-    /// there are seeds, less the former, plus the latter.
+    /// Seeds without a vertex, and vertices beyond the first of theirs: vertices are seeds less the former plus the latter.
     pub seeds_without_vertex: usize,
     /// See `seeds_without_vertex`.
     pub extra_vertices: usize,

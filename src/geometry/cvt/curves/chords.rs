@@ -80,8 +80,7 @@ impl Line<'_> {
     }
 }
 
-/// The points at which to cut, ascending, without the ends of an open line; of a closed one at least three. `None` if it
-/// cannot be cut so, or not into `least` parts.
+/// Where to cut, ascending, without the ends of an open line; `None` if it cannot be cut so, or not into `least` parts.
 pub(super) fn cut(line: &Line<'_>, least: usize, token: &Token) -> Result<Option<Vec<usize>>, Stopped> {
     let Some(n) = line.points.len().checked_sub(1).filter(|&n| n > 1) else { return Ok(None) };
     let chords = line.chords(token)?;

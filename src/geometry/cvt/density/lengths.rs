@@ -70,8 +70,7 @@ pub(super) fn resolved(net: &Net, points: f64) -> Vec<f64> {
     net.resolution().into_iter().map(|edge| (edge * net.outline.extent).min(most)).collect()
 }
 
-/// Lengths that go up and down from vertex to vertex are noise if they change by more than this per distance. Such may be left with
-/// a larger [`DensityOptions::gradation`] alone.
+/// Lengths up and down from vertex to vertex are noise if they change by more per distance, as a large gradation allows.
 const STEEPEST: f64 = 0.5;
 /// A surface has noise if it is more than this share of the area: lengths drawn alone at each vertex have a quarter.
 const NOISE: f64 = 0.02;

@@ -172,8 +172,7 @@ pub(super) fn facet_normal([a, b, c]: [DVec3; 3]) -> DVec3 {
     (b - a).normalize_or_zero().cross((c - a).normalize_or_zero()).normalize_or_zero()
 }
 
-/// [`vertex_normals`] after `steps` rounds in which each becomes the mean over its vertex and those across an edge,
-/// weighted by their areas. A radius of about √steps mesh edges.
+/// [`vertex_normals`] after `steps` rounds of means over each vertex and its neighbours by area. A radius of √steps edges.
 ///
 /// Noise of a scan turns normals either way and averages out; on spheres, cylinders and planes the mean is the normal.
 pub(super) fn smoothed_normals(net: &Net, steps: usize, token: &Token) -> Result<Vec<DVec3>, Stopped> {

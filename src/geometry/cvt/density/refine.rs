@@ -59,8 +59,7 @@ pub(super) fn shorten(
     let (low, high) = mesh.bounds();
     let mut draft = Draft::new(mesh, low, (high - low).max_element(), sizes, token);
     draft.values = values.to_vec();
-    // Facets that lie on one another have their edges in common and no others, but would have the edges between their parts
-    // too: two sides of a closed surface would become one.
+    // Facets on one another would have the edges between their parts in common too: two sides would become one.
     if draft.is_mostly_long(mesh) && !duplicates::any(mesh) && draft.split_long(most)? {
         return Ok(draft.mesh().map(|mesh| (mesh, draft.values)));
     }

@@ -19,8 +19,7 @@ pub(crate) struct SizeField {
 }
 
 impl SizeField {
-    /// Takes one length per vertex of the mesh that `net` was made of. Coincident vertices get the
-    /// smallest one of theirs; a vertex that no facet uses gets the median.
+    /// Takes one length per vertex. Coincident ones get the smallest of theirs; one that no facet uses gets the median.
     pub(crate) fn new(net: &Net, sizes: Vec<f64>) -> Result<Self, DensityError> {
         let vertices = net.vertices();
         if sizes.len() != vertices {

@@ -3,8 +3,7 @@
 //! Purpose: the chords of a curve are chosen to stay close to it. Later moves of their ends, for a smaller mean distance or a
 //! better facet, must not undo that. [`CurveEnvelope`] knows the points of the curve beside each of its vertices, and how far
 //! the edges there may be from them. It measures how far they are with a vertex at some place.
-//! Invariant: a chord that was farther than the limit may stay as far as it was. A corner moves on a boundary alone. Where a
-//! curve is straight, its edges stay on it.
+//! Invariant: a chord beyond the limit may stay as far. A corner moves on a boundary alone. Edges of a straight curve stay.
 //! Must not know: why else vertices move.
 
 use glam::DVec3;

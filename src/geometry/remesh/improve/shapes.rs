@@ -16,7 +16,6 @@ use rayon::prelude::*;
 use super::objective::ShapeCost;
 use super::{Place, Queue, Steps, cheapest, places_around};
 use crate::mesh::csr::ascending;
-use crate::mesh::measure::facet_quality;
 use crate::remesh::constants::*;
 use crate::remesh::features::envelope::CurveEnvelope;
 use crate::remesh::manifold::{Flip, LocalMesh};
@@ -46,12 +45,8 @@ pub(crate) struct MotionBounds<'a> {
 pub(crate) fn improve_shapes(mesh: &mut LocalMesh, bounds: MotionBounds<'_>, token: &Token) {
     mesh.mark();
     let wanted = Wanted::new(POOR_SCORE, POOR_ANGLE);
-    let lack = |f: u32| {
-        let corners = mesh.corners(f);
-        wanted.lack(corners, facet_quality(corners))
-    };
-    let facets = (0..mesh.facets().len() as u32).into_par_iter();
-    let poor: Vec<u32> = facets.filter(|&f| lack(f) > 0.0).flat_map_iter(|f| mesh.facets()[f as usize]).collect();
+    let poor = (0..mesh.facets().len() as u32).into_par_iter().filter(|&f| wanted.is_lacking(mesh.corners(f)));
+    let poor: Vec<u32> = poor.flat_map_iter(|f| mesh.facets()[f as usize]).collect();
     // Their neighbours make room.
     let vertices = mesh.corners_around(&poor);
     let mut is_due = vec![false; mesh.positions.len()];
@@ -192,10 +187,7 @@ impl Shapes<'_> {
     /// The flip of an edge of a poor facet around `v` that gains most.
     fn better_flip(&self, v: u32) -> Option<Flip> {
         let mesh = &*self.mesh;
-        let is_poor = |f: &&u32| {
-            let corners = mesh.corners(**f);
-            self.wanted.lack(corners, facet_quality(corners)) > 0.0
-        };
+        let is_poor = |f: &&u32| self.wanted.is_lacking(mesh.corners(**f));
         let gain = |flip: &Flip| {
             let before: f64 = flip.facets.iter().map(|&f| self.cost.of(mesh.corners(f))).sum();
             before - flip.corners.iter().map(|&t| self.cost.of(mesh.places(t))).sum::<f64>()

@@ -63,14 +63,6 @@ struct Tried {
     patch: Patch,
 }
 
-impl Tried {
-    fn new(patch: Patch, measure: Measure) -> Self {
-        let distance = patch.distance();
-        let lack = (measure.score - patch.worst_score()).max(0.0) / TRIAL_SCORE_SCALE;
-        Self { measure: lack + (distance.largest() / measure.distance).max(measure.floor), distance, patch }
-    }
-}
-
 /// Relocates the vertices of a patch, the centre first, in at most `passes` passes. `worst` is the distance that costs 1.
 fn relax(patch: &mut Patch, worst: f64, passes: usize) {
     for _ in 0..passes {
@@ -121,7 +113,9 @@ pub(super) fn best(patch: &Patch, trials: &[Trial], goal: &Goal, measure: Measur
     let relaxed = |patches: Vec<Patch>, passes: usize| {
         let relaxed = |mut patch: Patch| {
             relax(&mut patch, measure.distance, passes);
-            Tried::new(patch, measure)
+            let distance = patch.distance();
+            let lack = (measure.score - patch.worst_score()).max(0.0) / TRIAL_SCORE_SCALE;
+            Tried { measure: lack + (distance.largest() / measure.distance).max(measure.floor), distance, patch }
         };
         let mut tried: Vec<Tried> = patches.into_par_iter().with_max_len(1).map(relaxed).collect();
         tried.sort_by(|a, b| a.measure.total_cmp(&b.measure));

@@ -147,8 +147,7 @@ fn conflicting(vertices: usize, facets: &[[u32; 3]]) -> Vec<usize> {
     (0..facets.len()).filter(|&f| conflicts[f]).collect()
 }
 
-/// Keeps facets so that every directed edge is used once. Those that share none of theirs stay; the `conflicting` ones
-/// are taken by falling quality as long as their edges are free.
+/// Keeps facets so that every directed edge is used once. Of the `conflicting`, by falling quality, those with free edges.
 fn oriented(
     positions: &[DVec3],
     facets: Vec<[u32; 3]>,

@@ -1,10 +1,8 @@
 //! The triangulation of a diagram: a draft, and the result of the best one.
 //!
-//! Purpose: [`Extraction::draft`] makes a triangulation of the dual of the last seeds: repairs it, places its vertices and fits
-//! it to the input. [`Extraction::finish`] recovers lost edges of curves, improves the places that need it, and gives the result
-//! in the caller's coordinates.
-//! Invariant: the draft is oriented as the input; vertices of corners are where the input has them and stay. No place of the input
-//! ends up farther away than in the draft.
+//! Purpose: [`Extraction::draft`] makes a triangulation of the dual of the last seeds: repairs it, places its vertices and
+//! fits them. [`Extraction::finish`] recovers lost edges of curves, and improves what needs it.
+//! Invariant: the draft is oriented as the input; corners stay where the input has them. No place ends up farther away.
 //! Must not know: iterations, options but those of its own.
 
 use std::collections::HashSet;
@@ -194,8 +192,7 @@ impl<'a> Extraction<'a> {
         draft.fitted = Some(Fitted { mesh, target, envelope, reference, distances: by_vertex });
     }
 
-    /// The input by vertex of the draft: one sample for each piece, and the input's vertices and facets. `vertex` is that of the
-    /// draft for each component of the dual.
+    /// The input by vertex of the draft: a sample a piece, vertices and facets. `vertex` is by component of the dual.
     fn input(&self, vertex: &[u32], dual: &dual::Dual, vertices: usize) -> (InputSamples, Reference<'a>) {
         let surface = self.surface;
         let of = |p: &dual::Piece| if p.area > 0.0 { vertex[p.component as usize] } else { u32::MAX };
@@ -218,52 +215,7 @@ impl<'a> Extraction<'a> {
         let reference = Reference { surface, facets, vertices: input_vertices.clone() };
         (InputSamples { samples: Csr::group(vertices, &owners, sample), vertices: input_vertices }, reference)
     }
-}
 
-/// The midpoints of the longest edges with free ends, `count` of them. No two edges have an end in common.
-fn long_edge_midpoints(positions: &[DVec3], facets: &[[u32; 3]], fixed: &[bool], count: usize) -> Vec<DVec3> {
-    if count == 0 {
-        return Vec::new();
-    }
-    let at = |v: u32| positions[v as usize];
-    let edges = facets.iter().flat_map(|&[a, b, c]| [[a, b], [b, c], [c, a]]).filter(|[a, b]| a < b);
-    let mut edges: Vec<(f64, [u32; 2])> = edges.map(|e| (at(e[0]).distance_squared(at(e[1])), e)).collect();
-    edges.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
-    let mut taken = fixed.to_vec();
-    let free = |e: &[u32; 2]| !e.iter().any(|&v| std::mem::replace(&mut taken[v as usize], true));
-    edges.into_iter().map(|(_, e)| e).filter(free).map(|[a, b]| at(a).midpoint(at(b))).take(count).collect()
-}
-
-/// How each vertex may move: vertices with two edges of curves along these, other ends of such edges hardly at all.
-fn mobility(positions: &[DVec3], curve_edges: &[Option<[u32; 2]>], fixed: &[bool]) -> Vec<Mobility> {
-    let mut ends: Vec<(u32, u32)> = curve_edges.iter().flatten().flat_map(|&[a, b]| [(a, b), (b, a)]).collect();
-    ends.sort_unstable();
-    let of = |&fixed: &bool| if fixed { Mobility::Fixed } else { Mobility::Free };
-    let mut mobility: Vec<Mobility> = fixed.iter().map(of).collect();
-    for group in ends.chunk_by(|a, b| a.0 == b.0) {
-        let own = &mut mobility[group[0].0 as usize];
-        if *own == Mobility::Free {
-            *own = match group {
-                [(_, a), (_, b)] => (positions[*b as usize] - positions[*a as usize])
-                    .try_normalize()
-                    .map_or(Mobility::End, Mobility::Along),
-                _ => Mobility::End,
-            };
-        }
-    }
-    mobility
-}
-
-pub(super) struct Built {
-    pub(super) mesh: TriMesh,
-    pub(super) vertex_seed: Vec<u32>,
-    pub(super) curve_edges: Vec<Option<[u32; 2]>>,
-    pub(super) repair: RepairFigures,
-    /// Places of the input that it is still far from.
-    pub(super) missed: usize,
-}
-
-impl<'a> Extraction<'a> {
     /// The draft improved locally, in the caller's coordinates.
     pub(super) fn finish(&self, mut draft: Draft<'a>) -> Result<Built, RemeshError> {
         let mut missed = 0;
@@ -313,4 +265,47 @@ impl<'a> Extraction<'a> {
         draft.curve_edges = self.curves.edges_in(mesh.facets(), &draft.vertex_seed);
         draft.curve_edges.iter().flatten().for_each(|&edge| mesh.keep(edge));
     }
+}
+
+/// The midpoints of the longest edges with free ends, `count` of them. No two edges have an end in common.
+fn long_edge_midpoints(positions: &[DVec3], facets: &[[u32; 3]], fixed: &[bool], count: usize) -> Vec<DVec3> {
+    if count == 0 {
+        return Vec::new();
+    }
+    let at = |v: u32| positions[v as usize];
+    let edges = facets.iter().flat_map(|&[a, b, c]| [[a, b], [b, c], [c, a]]).filter(|[a, b]| a < b);
+    let mut edges: Vec<(f64, [u32; 2])> = edges.map(|e| (at(e[0]).distance_squared(at(e[1])), e)).collect();
+    edges.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
+    let mut taken = fixed.to_vec();
+    let free = |e: &[u32; 2]| !e.iter().any(|&v| std::mem::replace(&mut taken[v as usize], true));
+    edges.into_iter().map(|(_, e)| e).filter(free).map(|[a, b]| at(a).midpoint(at(b))).take(count).collect()
+}
+
+/// How each vertex may move: vertices with two edges of curves along these, other ends of such edges hardly at all.
+fn mobility(positions: &[DVec3], curve_edges: &[Option<[u32; 2]>], fixed: &[bool]) -> Vec<Mobility> {
+    let mut ends: Vec<(u32, u32)> = curve_edges.iter().flatten().flat_map(|&[a, b]| [(a, b), (b, a)]).collect();
+    ends.sort_unstable();
+    let of = |&fixed: &bool| if fixed { Mobility::Fixed } else { Mobility::Free };
+    let mut mobility: Vec<Mobility> = fixed.iter().map(of).collect();
+    for group in ends.chunk_by(|a, b| a.0 == b.0) {
+        let own = &mut mobility[group[0].0 as usize];
+        if *own == Mobility::Free {
+            *own = match group {
+                [(_, a), (_, b)] => (positions[*b as usize] - positions[*a as usize])
+                    .try_normalize()
+                    .map_or(Mobility::End, Mobility::Along),
+                _ => Mobility::End,
+            };
+        }
+    }
+    mobility
+}
+
+pub(super) struct Built {
+    pub(super) mesh: TriMesh,
+    pub(super) vertex_seed: Vec<u32>,
+    pub(super) curve_edges: Vec<Option<[u32; 2]>>,
+    pub(super) repair: RepairFigures,
+    /// Places of the input that it is still far from.
+    pub(super) missed: usize,
 }

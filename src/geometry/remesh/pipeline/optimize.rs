@@ -142,6 +142,47 @@ impl<'a> Job<'a, '_> {
         }
         Ok(best)
     }
+
+    /// Seeds that result in as many vertices as were asked for, or as near to that as fewer seeds and a few rounds come.
+    fn scale_seeds(&mut self, mut best: Optimized<'a>, options: &RemeshOptions) -> Result<Optimized<'a>> {
+        let (&Seeds::Sample { seed, .. } | &Seeds::Implied { seed }) = &options.seeds else { return Ok(best) };
+        let asked = best.figures.asked;
+        let least = (FEWEST_SEEDS_SHARE * asked as f64).max(FEWEST_SEEDS).min(asked as f64);
+        // Seeds and vertices of the best.
+        let mut from = (asked as f64, best.failing.vertices as f64);
+        // Vertices per further seed, and how much farther to go than that says.
+        let (mut slope, mut stretch) = (from.1 / from.0, 1.0);
+        for round in 1..=MAX_COUNT_ROUNDS {
+            if !self.scales_seeds || is_near(best.failing.vertices, asked) {
+                break;
+            }
+            let drawn = (from.0 + stretch * (asked as f64 - from.1) / slope).clamp(least, asked as f64).round();
+            if drawn == from.0 {
+                break;
+            }
+            // Shorter edges in thin parts stay.
+            let options = match best.figures.refine.closed_ball_rounds {
+                0 => options.clone(),
+                _ => with_source(options, DensitySource::Sizes(best.plan.lengths(self.separated, self.token)?)),
+            };
+            let options = options.with_seeds(Seeds::Sample { points: drawn as usize, seed });
+            let Some(prepared) = self.prepare_again(&options)? else { break };
+            let Some(mut next) = self.optimize_again(prepared, &options)? else { break };
+            let here = (drawn, next.failing.vertices as f64);
+            if next.failing.vertices.abs_diff(asked) < best.failing.vertices.abs_diff(asked) {
+                next.take_over(&best);
+                next.figures.refine.count_rounds = round;
+                best = next;
+                let between = (here.1 - from.1) / (here.0 - from.0);
+                slope = between.clamp(LEAST_SLOPE, (here.1 / here.0).max(LEAST_SLOPE));
+                (from, stretch) = (here, 1.0);
+            } else {
+                stretch *= VAIN_STRETCH;
+                best.figures.refine.evaluations += next.figures.passes();
+            }
+        }
+        Ok(best)
+    }
 }
 
 impl Optimized<'_> {
@@ -307,47 +348,4 @@ pub(super) fn count_reason(
         _ if parts < surface.components => CountReason::SmallParts,
         _ => CountReason::NoThickness,
     })
-}
-
-impl<'a> Job<'a, '_> {
-    /// Seeds that result in as many vertices as were asked for, or as near to that as fewer seeds and a few rounds come.
-    fn scale_seeds(&mut self, mut best: Optimized<'a>, options: &RemeshOptions) -> Result<Optimized<'a>> {
-        let (&Seeds::Sample { seed, .. } | &Seeds::Implied { seed }) = &options.seeds else { return Ok(best) };
-        let asked = best.figures.asked;
-        let least = (FEWEST_SEEDS_SHARE * asked as f64).max(FEWEST_SEEDS).min(asked as f64);
-        // Seeds and vertices of the best.
-        let mut from = (asked as f64, best.failing.vertices as f64);
-        // Vertices per further seed, and how much farther to go than that says.
-        let (mut slope, mut stretch) = (from.1 / from.0, 1.0);
-        for round in 1..=MAX_COUNT_ROUNDS {
-            if !self.scales_seeds || is_near(best.failing.vertices, asked) {
-                break;
-            }
-            let drawn = (from.0 + stretch * (asked as f64 - from.1) / slope).clamp(least, asked as f64).round();
-            if drawn == from.0 {
-                break;
-            }
-            // Shorter edges in thin parts stay.
-            let options = match best.figures.refine.closed_ball_rounds {
-                0 => options.clone(),
-                _ => with_source(options, DensitySource::Sizes(best.plan.lengths(self.separated, self.token)?)),
-            };
-            let options = options.with_seeds(Seeds::Sample { points: drawn as usize, seed });
-            let Some(prepared) = self.prepare_again(&options)? else { break };
-            let Some(mut next) = self.optimize_again(prepared, &options)? else { break };
-            let here = (drawn, next.failing.vertices as f64);
-            if next.failing.vertices.abs_diff(asked) < best.failing.vertices.abs_diff(asked) {
-                next.take_over(&best);
-                next.figures.refine.count_rounds = round;
-                best = next;
-                let between = (here.1 - from.1) / (here.0 - from.0);
-                slope = between.clamp(LEAST_SLOPE, (here.1 / here.0).max(LEAST_SLOPE));
-                (from, stretch) = (here, 1.0);
-            } else {
-                stretch *= VAIN_STRETCH;
-                best.figures.refine.evaluations += next.figures.passes();
-            }
-        }
-        Ok(best)
-    }
 }

@@ -4,7 +4,7 @@
 //! from the input, or moves seeds that produced no vertex. [`refine`] remeshes again and again, each time with shorter edges where
 //! the last result was too far from the input. The distance of a facet from a smooth surface falls with the square of its edges, so
 //! a few rounds do. Shorter edges that grade into the others keep triangles round. Seeds that are only added do not: steps spread
-//! them out again. Given seeds stay, so [`add`] can only add to them.
+//! them out again. Given seeds stay, so [`Job::add`] can only add to them.
 //! Invariant: never more points than allowed; the nearest result of all rounds comes back. If it is too far, as many points with a
 //! uniform density or one by curvature are no nearer, unless the lengths were given. At most [`MAX_REFINING_ROUNDS`] rounds, one
 //! that adds seeds, and two comparisons for each of two searches.
@@ -84,29 +84,6 @@ pub(super) fn refine<'a>(
             break;
         }
         from = Some(search.best.attempt.plan.lengths(search.job.separated, search.job.token)?);
-    }
-    Ok(search.end())
-}
-
-/// Remeshes from what is prepared for given seeds, with more seeds where the result is too far from the input.
-pub(super) fn add<'a>(
-    job: &mut Job<'a, '_>,
-    prepared: Prepared<'a>,
-    options: &RemeshOptions,
-    limits: Limits,
-) -> Result<Attempt<'a>> {
-    let mut tolerance = limits.tolerance;
-    let mut search = Search::begin(job, prepared, options.clone(), limits)?;
-    let first = if let Seeds::Given(seeds) = &options.seeds { seeds.len() } else { search.first.0 };
-    search.first = (first, f64::INFINITY);
-    for _ in 1..MAX_ADDING_TIMES {
-        if search.is_done() || search.is_spent() {
-            break;
-        }
-        // Seeds are added by the distances of vertices, which are less than those of samples.
-        let short = limits.tolerance / search.best.distances.largest;
-        tolerance *= (PROGRESS_SHARE * short).max(SHORTEST_SHARE);
-        search.attempt(options.clone(), tolerance)?;
     }
     Ok(search.end())
 }
@@ -203,8 +180,7 @@ impl<'a, 'j, 'b> Search<'a, 'j, 'b> {
         self.attempt(options, TOLERANCE_AIM * self.limits.tolerance)
     }
 
-    /// If the best is too far: as many points by other densities, none of which may be nearer. Returns whether one was, and by
-    /// so much that shorter edges may help from there.
+    /// If the best is too far: as many points by other densities. Returns whether one was so much nearer as to go on from.
     fn compare(&mut self, first: &RemeshOptions, random_seed: u64) -> Result<bool> {
         let given = matches!(first.density.source, DensitySource::Sizes(_) | DensitySource::Weights(_));
         let (points, before) = (self.best.points(), self.best.distances.largest);
@@ -260,6 +236,24 @@ pub(super) struct Attempt<'a> {
 }
 
 impl<'a> Job<'a, '_> {
+    /// Remeshes from what is prepared for given seeds, with more seeds where the result is too far from the input.
+    pub(super) fn add(&mut self, from: Prepared<'a>, options: &RemeshOptions, limits: Limits) -> Result<Attempt<'a>> {
+        let mut tolerance = limits.tolerance;
+        let mut search = Search::begin(self, from, options.clone(), limits)?;
+        let first = if let Seeds::Given(seeds) = &options.seeds { seeds.len() } else { search.first.0 };
+        search.first = (first, f64::INFINITY);
+        for _ in 1..MAX_ADDING_TIMES {
+            if search.is_done() || search.is_spent() {
+                break;
+            }
+            // Seeds are added by the distances of vertices, which are less than those of samples.
+            let short = limits.tolerance / search.best.distances.largest;
+            tolerance *= (PROGRESS_SHARE * short).max(SHORTEST_SHARE);
+            search.attempt(options.clone(), tolerance)?;
+        }
+        Ok(search.end())
+    }
+
     /// From what is prepared for `options` to a surface. Its creases may be off by half of `tolerance`.
     pub(super) fn attempt(
         &mut self,
