@@ -41,16 +41,11 @@ struct Search<'a> {
     found: Found,
 }
 
-/// Searches from the present point, whose slope is below 0, beginning at `first`.
-pub(super) fn search(
-    vectors: &mut dyn Resident,
-    present: Evaluation,
-    first: f64,
-    token: &Token,
-) -> Result<Found, RvdError> {
+/// Searches from a point whose slope is below 0, beginning with the step `first`.
+pub(super) fn search(vectors: &mut dyn Resident, at: Evaluation, first: f64, token: &Token) -> Result<Found, RvdError> {
     let found = Found { evaluation: None, probes: 0, stats: PassStats::default() };
-    let mut search = Search { vectors, token, energy: present.energy, slope: present.slope, found };
-    let mut before = Point { step: 0.0, evaluation: present };
+    let mut search = Search { vectors, token, energy: at.energy, slope: at.slope, found };
+    let mut before = Point { step: 0.0, evaluation: at };
     let mut step = first;
     while search.found.probes < MAX_PROBES {
         let here = search.probe(step)?;

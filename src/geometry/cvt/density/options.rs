@@ -106,9 +106,7 @@ impl DensityOptions {
             Self { edge_length: Some(h), .. } if !(h.is_finite() && h > 0.0) => {
                 bad("edge length", h, "finite and above 0")
             }
-            Self { adaptivity, .. } if !(0.0..=1.0).contains(&adaptivity) => {
-                bad("adaptivity", adaptivity, "from 0 to 1")
-            }
+            Self { adaptivity: a, .. } if !(0.0..=1.0).contains(&a) => bad("adaptivity", a, "from 0 to 1"),
             Self { gradation, .. } if gradation.is_nan() || gradation <= 0.0 => bad("gradation", gradation, "above 0"),
             Self { clamp, .. } if clamp.is_nan() || clamp < 1.0 => bad("clamp", clamp, "at least 1"),
             Self { ratio, .. } if !(1.0..=1e4).contains(&ratio) => bad("ratio", ratio, "from 1 to 10000"),

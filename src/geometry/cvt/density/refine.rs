@@ -35,11 +35,11 @@ const ROUNDS: usize = 40;
 const DEPTH: usize = 60;
 
 /// A finer mesh and a value a vertex, if any facet was divided.
-type Finer = Option<(TriMesh, Vec<f64>)>;
+type Finer = Result<Option<(TriMesh, Vec<f64>)>, Stopped>;
 
 /// Splits facets of `mesh` in which `sizes` (caller's units, one a vertex) change too fast for weights that are
 /// linear in a facet, or that are long beside them; nothing if there is none. Stops before there are more than `most` facets.
-pub(super) fn refine(mesh: &TriMesh, net: &Net, sizes: &[f64], most: usize, token: &Token) -> Result<Finer, Stopped> {
+pub(super) fn refine(mesh: &TriMesh, net: &Net, sizes: &[f64], most: usize, token: &Token) -> Finer {
     let mut draft = Draft::new(mesh, net.low, net.outline.extent, sizes, token);
     // What is wanted for the sake of time comes last, so that it takes nothing from what the density needs.
     let steep = draft.split_all(Draft::is_steep, most)?;
@@ -49,13 +49,7 @@ pub(super) fn refine(mesh: &TriMesh, net: &Net, sizes: &[f64], most: usize, toke
 
 /// Splits facets of `mesh` that are long beside `sizes` and nothing else; `values`, one a vertex if there are any, stay
 /// linear. Nothing unless these are most of the area, or if facets lie on one another, and as [`refine`] otherwise.
-pub(super) fn shorten(
-    mesh: &TriMesh,
-    sizes: &[f64],
-    values: &[f64],
-    most: usize,
-    token: &Token,
-) -> Result<Finer, Stopped> {
+pub(super) fn shorten(mesh: &TriMesh, sizes: &[f64], values: &[f64], most: usize, token: &Token) -> Finer {
     let (low, high) = mesh.bounds();
     let mut draft = Draft::new(mesh, low, (high - low).max_element(), sizes, token);
     draft.values = values.to_vec();

@@ -274,8 +274,7 @@ impl NormalEquations {
         let found = NearestFacets::new(mesh, target, token);
         let facets = (0..mesh.facets().len() as u32).into_par_iter().with_min_len(VERTICES_PER_RUN);
         let shares = facets.map(|f| found.share(mesh, target, f)).collect();
-        let mut curves: Vec<CurveShare> =
-            target.curves.iter().flat_map(|s| CurveShare::both(&mesh.positions, s)).collect();
+        let mut curves: Vec<_> = target.curves.iter().flat_map(|s| CurveShare::both(&mesh.positions, s)).collect();
         curves.sort_by_key(|c| c.vertex);
         let unknowns: Vec<u32> = (0..mesh.positions.len() as u32).filter(|&v| !target.fixed[v as usize]).collect();
         let mut unknown = vec![NONE; mesh.positions.len()];

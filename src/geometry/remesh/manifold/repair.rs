@@ -238,8 +238,7 @@ fn step_back(placed: &mut [DVec3], source: &[u32], facets: &[[u32; 3]]) {
 /// Moves vertices that are in one place along their normals.
 fn separate_sides(placed: &mut [DVec3], facets: &[[u32; 3]]) {
     let together = coincident::find(placed).into_iter().flat_map(|(later, earliest)| [later, earliest]);
-    let mut normal: BTreeMap<usize, (DVec3, f64)> =
-        together.map(|v| (v as usize, (DVec3::ZERO, f64::INFINITY))).collect();
+    let mut normal: BTreeMap<usize, _> = together.map(|v| (v as usize, (DVec3::ZERO, f64::INFINITY))).collect();
     if normal.is_empty() {
         return;
     }

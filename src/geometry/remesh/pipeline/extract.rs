@@ -184,11 +184,10 @@ impl<'a> Extraction<'a> {
         let places = missed.into_iter().map(|(v, place)| (draft.vertex_seed[v as usize], place)).collect();
         let mut there = vec![false; draft.seeds];
         draft.vertex_seed.iter().for_each(|&s| there[s as usize] = true);
-        let lost: Vec<u32> =
+        let lost: Vec<_> =
             (self.curves.seeds.len() as u32..draft.seeds as u32).filter(|&s| !there[s as usize]).collect();
-        let midpoints = long_edge_midpoints(&mesh.positions, mesh.facets(), &target.fixed, lost.len());
-        draft.missed =
-            Missed { places, deviation: largest, seeds_without_vertex: lost, long_edge_midpoints: midpoints };
+        let long_edge_midpoints = long_edge_midpoints(&mesh.positions, mesh.facets(), &target.fixed, lost.len());
+        draft.missed = Missed { places, deviation: largest, seeds_without_vertex: lost, long_edge_midpoints };
         draft.fitted = Some(Fitted { mesh, target, envelope, reference, distances: by_vertex });
     }
 

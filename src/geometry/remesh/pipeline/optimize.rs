@@ -250,9 +250,8 @@ pub(super) fn failing_cells(
     let count = dual.components.len();
     let mut there = vec![false; count];
     dual.triangles.iter().flatten().for_each(|&c| there[c as usize] = true);
-    let closed_balls =
-        dual.not_disks.is_empty() && dual.multiple_boundary_arcs.is_empty() && dual.multiple_edges.is_empty();
-    if closed_balls && !there.contains(&false) {
+    let balls = dual.not_disks.is_empty() && dual.multiple_boundary_arcs.is_empty() && dual.multiple_edges.is_empty();
+    if balls && !there.contains(&false) {
         return Ok(FailingCells { vertices: count, ..FailingCells::default() });
     }
     let places: Vec<DVec3> = dual.components.iter().map(|c| c.centroid).collect();
