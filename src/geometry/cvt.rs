@@ -1,10 +1,8 @@
 //! Centroidal Voronoi tessellation: iterations that move the seeds.
 //!
-//! Purpose: [`Cvt`] holds a backend session and the seeds, and takes one step at a time, so that
-//! a caller can look, stop or edit the seeds between steps.
-//! Invariant: sees the backend through its trait and cannot name one. Energy and gradient come
-//! from one pass over the diagram. The seeds stay where the backend keeps them, and come to the host
-//! on demand.
+//! Purpose: [`Cvt`] holds a session and the seeds. It takes one step at a time: callers can look, stop or edit between.
+//! Invariant: sees the backend through its trait and cannot name one. Energy and gradient come from one pass over the
+//! diagram. The seeds stay where the backend keeps them, and come to the host on demand.
 //! Must not know: files, remeshing, jobs.
 
 pub(crate) mod curves;
@@ -30,9 +28,7 @@ pub use step::{Iteration, StepKind};
 /// Where the present seeds are.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Newest {
-    /// The host alone.
     OnHost,
-    /// The host and the session.
     OnBoth,
     /// The session alone, which has moved them.
     InSession,
@@ -147,7 +143,6 @@ impl Cvt {
         self.session.device_work()
     }
 
-    /// Hands the seeds to the session if it has others.
     fn upload(&mut self) -> Result<(), RvdError> {
         if self.newest == Newest::OnHost {
             self.session.set_seeds(&self.seeds)?;
@@ -159,7 +154,6 @@ impl Cvt {
         Ok(())
     }
 
-    /// Fetches the seeds if the session has moved them.
     fn download(&mut self) -> Result<(), RvdError> {
         if self.newest == Newest::InSession {
             resident(&mut *self.session)?.read(&mut self.seeds)?;
@@ -168,7 +162,6 @@ impl Cvt {
         Ok(())
     }
 
-    /// The host's seeds are others now.
     fn seeds_changed(&mut self) {
         (self.newest, self.fresh) = (Newest::OnHost, true);
         self.present = None;
@@ -230,7 +223,6 @@ impl Convergence {
         self.first.get_or_insert(gradient_norm);
     }
 
-    /// Judges a step from energy `before` to energy `after`.
     pub(super) fn judge(&mut self, before: f64, after: f64, gradient_norm: f64) -> bool {
         let gained = before - after > GAIN * before.abs();
         self.standstills = if gained { 0 } else { self.standstills + 1 };

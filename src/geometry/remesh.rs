@@ -2,8 +2,7 @@
 //!
 //! Purpose: one call from a surface and a count to a new surface and a report. The rooms below do the work: `pipeline` has
 //! the stages in their order, `features` the curves to keep, `manifold` the combinatorics, `fit` the placement of the
-//! vertices, `improve` local changes, `distance` the distances between the two surfaces, `attributes` what the mesh
-//! carries.
+//! vertices, `improve` local changes, `distance` the distances between both surfaces, `attributes` what the mesh carries.
 //! Invariant: the result is oriented as the input; what could not be kept is in the report.
 //! Must not know: files, jobs, the network.
 
@@ -33,6 +32,9 @@ pub use attributes::Provenance;
 pub use pipeline::remesh;
 pub use report::Report;
 
+/// Most of what a remesh does may fail so.
+type Result<T, E = RemeshError> = std::result::Result<T, E>;
+
 /// Where the first seeds come from.
 #[derive(Clone, Debug)]
 pub enum Seeds {
@@ -55,14 +57,6 @@ pub enum Seeds {
 impl Seeds {
     /// The default random seed.
     pub const RANDOM_SEED: u64 = 0;
-
-    /// How many are given.
-    fn given(&self) -> Option<usize> {
-        match self {
-            Self::Given(seeds) => Some(seeds.len()),
-            _ => None,
-        }
-    }
 
     /// How many seeds there will be.
     pub fn count(&self) -> Count {
@@ -94,8 +88,7 @@ pub enum Placement {
 /// added to them. [`report::RefineFigures::ended`] says what ended it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Refine {
-    /// The largest distance between input and result. The report's `refine.out_of_tolerance` counts the samples that are
-    /// farther away.
+    /// The largest distance between input and result. The report's `refine.out_of_tolerance` counts samples farther away.
     pub tolerance: Tolerance,
     /// The most seeds in all: at least as many as there are at first; twice as many if not set.
     pub max_points: Option<usize>,
@@ -131,12 +124,7 @@ impl Refine {
         Self { tolerance, max_points: None }
     }
 
-    /// With this [`Self::max_points`].
-    #[must_use]
-    pub fn with_max_points(mut self, max_points: usize) -> Self {
-        self.max_points = Some(max_points);
-        self
-    }
+    setters! { with_max_points(max_points: usize => Some(max_points)) }
 }
 
 /// A [`Refine`] whose numbers are known.
@@ -356,8 +344,7 @@ impl From<DensityError> for RemeshError {
 
 /// Hears of the progress of a remesh. All methods have empty defaults.
 pub trait Observer: Send {
-    /// A stage began: "prepare", "sample", "iterations", "dual", "repair", "attributes" (if
-    /// any were given), "measure".
+    /// A stage began: "prepare", "sample", "iterations", "dual", "repair", "attributes" (if any were given), "measure".
     fn stage(&mut self, _name: &'static str) {}
     /// An iteration ended; `total` iterations are planned.
     fn iteration(&mut self, _iteration: &Iteration, _total: usize) {}

@@ -1,10 +1,9 @@
 //! Seeds on curves: corners, creases and boundaries.
 //!
-//! Purpose: a seed at every corner, and on every curve as many as its length asks for, at the centroids of
-//! their own stretches of it: a centroidal Voronoi tessellation of one dimension. They are
-//! held while the other seeds move, and the other seeds are kept clear of them, so that the dual has
-//! every curve as a chain of edges (\[YLL*09\], section 5, has seeds of curves move with the rest; on a
-//! curve of its own density the tessellation of one dimension is known at once and needs no other seed).
+//! Purpose: a seed at every corner, and on every curve as many as its length asks for, at the centroids of their stretches:
+//! a centroidal Voronoi tessellation of one dimension. They are held while the others move, and the others are kept clear
+//! of them, so that the dual has every curve as a chain of edges (\[YLL*09\], section 5, has seeds of curves move with the
+//! rest; on a curve of its own density the tessellation of one dimension is known at once and needs no other seed).
 //! Invariant: with edge length h, density h⁻³ on a curve has the spacing that density h⁻⁴ has on the
 //! surface: the weight w of a surface is w^(3/4) on its curves. Lengths are those of the unit frame.
 //! Must not know: how curves were found, backends.
@@ -29,9 +28,7 @@ use crate::token::{Stopped, Token};
 pub struct CurveSeeds {
     /// Unit frame: corners first, then curve by curve.
     pub seeds: Vec<DVec3>,
-    /// How many of them are corners.
     pub corners: usize,
-    /// Neighbours on a curve.
     pub segments: Vec<Segment>,
     /// Curves between two corners that are much shorter than an edge.
     short: Vec<u32>,
@@ -40,11 +37,9 @@ pub struct CurveSeeds {
 /// Two neighbouring seeds of a curve.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Segment {
-    /// The seeds.
     pub ends: [u32; 2],
     /// Points of the curve between them, in order and about evenly spaced, unit frame.
     pub between: [DVec3; INNER_POINTS],
-    /// Which curve.
     pub curve: u32,
     /// The target edge length there, unit frame.
     pub edge: f64,
@@ -60,13 +55,11 @@ impl Segment {
     }
 }
 
-/// Segments between two checks of the token.
 const SEGMENTS_PER_CHECK: usize = 8;
 /// Fewer segments are not worth a task.
 const MIN_SEGMENTS_PER_TASK: usize = 256;
-/// Least distance of seeds of two curves, share of their spacing.
+/// Least distance of seeds of two curves, and beside a common corner, share of their spacing.
 const MIN_SEPARATION: f64 = 0.45;
-/// Least distance of seeds of two curves beside a common corner, share of their spacing.
 const MIN_CORNER_SEPARATION: f64 = 0.3;
 /// A seed comes between the ends of a segment if its distance to a point there is below this share of theirs.
 const BETWEEN_MARGIN: f64 = 0.98;
@@ -87,9 +80,8 @@ const MIN_PART: f64 = 0.5;
 /// Longest segment, in h: on a longer one, a seed beside its middle would take a part of the curve.
 const MAX_SEGMENT: f64 = 1.2;
 
-/// The edge length in the unit frame that `seeds` seeds will have where the weight is 1: 1/u of
-/// (4/√3) u² ∫√w + u ∫_boundary w^(1/4) = 2n, since a triangulation of n vertices, of which b lie on the
-/// boundary, has 2n - b - 2χ triangles of area √3/4 h².
+/// The edge length in the unit frame that `seeds` seeds have where the weight is 1: 1/u of (4/√3) u² ∫√w + u ∫_boundary
+/// w^(1/4) = 2n, since a triangulation of n vertices, b of them on the boundary, has 2n - b - 2χ triangles of area √3/4 h².
 pub(crate) fn edge_length(surface: &Surface, features: &Features, seeds: usize, token: &Token) -> Result<f64, Stopped> {
     use crate::mesh::features::CurveKind::Boundary;
     let mut one = 0.0;
@@ -125,7 +117,8 @@ impl CurveSeeds {
         for (number, curve) in features.curves.iter().enumerate() {
             token.check()?;
             let path = Path::new(surface, curve, edge);
-            if !curve.closed && path.total() < MIN_CURVE {
+            let total = path.total();
+            if !curve.closed && total < MIN_CURVE {
                 all.short.push(number as u32);
             }
             // Fewer would give two edges the same ends.
@@ -135,7 +128,6 @@ impl CurveSeeds {
                 false if pairs.get(pairs.partition_point(|&p| p < ends(curve)) + 1) == Some(&ends(curve)) => 2,
                 false => 1,
             };
-            let total = path.total();
             let count = (total.round() as usize).max((total / MAX_SEGMENT).ceil() as usize).max(least);
             // Before anything of that size is made.
             if count > most.saturating_sub(all.seeds.len()) {
@@ -165,19 +157,12 @@ impl CurveSeeds {
 
     /// For each seed, whether it is next to a corner that another segment leaves at an acute angle with its own.
     pub fn beside_acute(&self) -> Vec<bool> {
-        let mut leaving = vec![Vec::new(); self.corners];
-        for s in &self.segments {
-            for (a, b) in [(s.ends[0], s.ends[1]), (s.ends[1], s.ends[0])] {
-                if let Some(list) = leaving.get_mut(a as usize) {
-                    list.push(((self.seeds[b as usize] - self.seeds[a as usize]).normalize_or_zero(), b));
-                }
-            }
-        }
         let limit = ACUTE_CORNER_DEG.to_radians().cos();
         let mut beside = vec![false; self.seeds.len()];
-        for list in leaving {
-            for (k, &(direction, seed)) in list.iter().enumerate() {
-                let is_acute = |other: &(DVec3, u32)| other.0.dot(direction) > limit;
+        for list in self.leaving() {
+            for (k, &(direction, s, end)) in list.iter().enumerate() {
+                let seed = s.ends[1 - end];
+                let is_acute = |other: &(DVec3, &Segment, usize)| other.0.dot(direction) > limit;
                 // Of many that leave a corner most have such a one among the next: the first of each bundle comes soon.
                 let others = || list[k + 1..].iter().chain(&list[..k]);
                 beside[seed as usize] |= seed as usize >= self.corners && others().any(is_acute);
@@ -186,13 +171,25 @@ impl CurveSeeds {
         beside
     }
 
-    /// How many there are.
+    /// For each corner the directions in which segments leave it, with the segment and which of its ends the corner is.
+    fn leaving(&self) -> Vec<Vec<(DVec3, &Segment, usize)>> {
+        let mut leaving = vec![Vec::new(); self.corners];
+        for s in &self.segments {
+            for end in 0..2 {
+                let [a, b] = [s.ends[end], s.ends[1 - end]].map(|e| e as usize);
+                if let Some(list) = leaving.get_mut(a) {
+                    list.push(((self.seeds[b] - self.seeds[a]).normalize_or_zero(), s, end));
+                }
+            }
+        }
+        leaving
+    }
+
     pub fn len(&self) -> usize {
         self.seeds.len()
     }
 
-    /// Puts a seed at a point between the ends of a segment, after all others; the segment becomes two. Returns where
-    /// it is.
+    /// Puts a seed at a point between the ends of a segment, after all others; the segment becomes two. Returns the point.
     pub fn split(&mut self, segment: u32, at: usize) -> DVec3 {
         let new = self.seeds.len() as u32;
         let Segment { ends: [a, b], between, curve, edge } = self.segments[segment as usize];
@@ -217,8 +214,7 @@ impl CurveSeeds {
         middle
     }
 
-    /// Splits segments whose chord leaves the curve by more than a seventh of an edge, where it is
-    /// farthest away and both parts are long enough.
+    /// Splits segments whose chord leaves the curve by over a seventh of an edge, at the farthest point that may be.
     pub fn split_by_deviation(&mut self, token: &Token) -> Result<(), Stopped> {
         let mut next = 0;
         while let Some(&segment) = self.segments.get(next) {
@@ -231,17 +227,14 @@ impl CurveSeeds {
                 .filter(|&k| long(segment.between[k]) && off(segment.between[k]) > MAX_DEVIATION * segment.edge)
                 .max_by(|&j, &k| off(segment.between[j]).total_cmp(&off(segment.between[k])));
             match far {
-                Some(at) => {
-                    self.split(next as u32, at);
-                }
+                Some(at) => _ = self.split(next as u32, at),
                 None => next += 1,
             }
         }
         Ok(())
     }
 
-    /// Splits segments of the curves that `may` allows if a seed of another curve comes between their ends, as across a
-    /// slit: until seeds lie opposite each other, or parts would be too short.
+    /// Splits segments of the curves that `may` allows if another curve's seed comes between their ends, as across a slit.
     pub fn split_between_others(&mut self, may: impl Fn(u32) -> bool, token: &Token) -> Result<(), Stopped> {
         for _ in 0..MAX_SPLIT_ROUNDS {
             token.check()?;
@@ -270,14 +263,12 @@ impl CurveSeeds {
         Ok(())
     }
 
-    /// Whether there are none.
     pub fn is_empty(&self) -> bool {
         self.seeds.is_empty()
     }
 
-    /// Seeds that come between two neighbours on a curve: (seed, segment), each seed once. Their cells hold a part
-    /// of the curve, and the dual may have the curve no more. On a straight curve such a seed is nearer to
-    /// the middle of the segment than its ends are.
+    /// Seeds that come between two neighbours on a curve: (seed, segment), each seed once. Their cells hold a part of the
+    /// curve, which the dual may then lack. On a straight curve it is nearer to the middle of the segment than the ends.
     pub fn intruders(&self, seeds: &[DVec3], token: &Token) -> Result<Vec<(u32, u32)>, Stopped> {
         let index = SeedIndex::new(seeds);
         let of = |(k, segment): (usize, &Segment)| {
@@ -303,9 +294,8 @@ impl CurveSeeds {
         Ok(found)
     }
 
-    /// Creases to leave out, as they run so close to another curve that a triangulation has no room between: of two
-    /// curves that come within half of their spacing and do not meet there, the flatter one; never a boundary or a crease
-    /// that the caller named.
+    /// Creases to leave out, since a triangulation has no room between them and another curve: of two curves that come
+    /// within half of their spacing and do not meet there, the flatter one; never a boundary or a crease the caller named.
     pub fn too_close(&self, features: &Features, token: &Token) -> Result<BTreeSet<u32>, Stopped> {
         let mut on = vec![Vec::new(); self.seeds.len()];
         let mut reach = vec![0.0f64; self.seeds.len()];
@@ -318,8 +308,7 @@ impl CurveSeeds {
         }
         let meet: BTreeSet<(u32, u32)> =
             self.segments.iter().map(|s| (s.ends[0].min(s.ends[1]), s.ends[0].max(s.ends[1]))).collect();
-        // Seeds next to a common corner are close because their curves meet there: of each seed the corners beside it,
-        // ascending.
+        // Seeds next to a common corner are close since their curves meet there: for each seed its corners, ascending.
         let mut beside = vec![Vec::new(); self.seeds.len()];
         for s in &self.segments {
             for (a, b) in [(s.ends[0], s.ends[1]), (s.ends[1], s.ends[0])] {
@@ -338,8 +327,7 @@ impl CurveSeeds {
         let mut row = NeighbourRow::default();
         let mut out = self.acute_creases(features, token)?;
         out.extend(self.coming_between(features, &index, &on, token)?);
-        let is_removable = |c: u32| features.curves[c as usize].angle_deg < 180.0;
-        out.extend(self.short.iter().copied().filter(|&c| is_removable(c)));
+        out.extend(self.short.iter().copied().filter(|&c| features.curves[c as usize].angle_deg < 180.0));
         for i in 0..self.seeds.len() as u32 {
             token.check_at(16 * i as usize)?;
             index.row(i, 16, &mut row);
@@ -350,19 +338,13 @@ impl CurveSeeds {
                 if joined && apart > MIN_CORNER_SEPARATION / MIN_SEPARATION * reach[i as usize] {
                     continue;
                 }
-                let candidates = on[i as usize].iter().chain(&on[j as usize]);
-                let flattest = candidates
-                    .map(|&c| (features.curves[c as usize].angle_deg, c))
-                    .filter(|(_, c)| is_removable(*c))
-                    .min_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
-                out.extend(flattest.map(|(_, c)| c));
+                out.extend(flattest(features, on[i as usize].iter().chain(&on[j as usize]), 180.0));
             }
         }
         Ok(out)
     }
 
-    /// Weak creases, as of a scan, with a seed between two neighbours of another curve: the triangulation would not have
-    /// that edge.
+    /// Weak creases, as of a scan, with a seed between two neighbours of another curve: that edge would be lacking.
     fn coming_between(
         &self,
         features: &Features,
@@ -379,36 +361,23 @@ impl CurveSeeds {
                 let between = self.seeds[nearest as usize].distance(p) < BETWEEN_MARGIN * own[0].min(own[1]);
                 if between && !segment.ends.contains(&nearest) {
                     let both = on[nearest as usize].iter().chain([&segment.curve]);
-                    let bend = both.map(|&c| (features.curves[c as usize].angle_deg, c));
-                    let flattest = bend
-                        .filter(|b| b.0 < DISTINCT_CREASE_DEG)
-                        .min_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
-                    out.extend(flattest.map(|(_, c)| c));
+                    out.extend(flattest(features, both, DISTINCT_CREASE_DEG));
                 }
             }
         }
         Ok(out)
     }
 
-    /// Of two creases that enclose an acute angle at a corner, the flatter one, if it is weak: the triangle between them
-    /// could not have a larger angle.
+    /// Of two creases at an acute angle at a corner, the flatter, if weak: the triangle between them has no larger angle.
     fn acute_creases(&self, features: &Features, token: &Token) -> Result<BTreeSet<u32>, Stopped> {
-        let mut leaving = vec![Vec::new(); self.corners];
-        for s in &self.segments {
-            let bend = features.curves[s.curve as usize].ends_deg;
-            for (a, b, bend) in [(s.ends[0], s.ends[1], bend[0]), (s.ends[1], s.ends[0], bend[1])] {
-                if let Some(list) = leaving.get_mut(a as usize) {
-                    let direction = (self.seeds[b as usize] - self.seeds[a as usize]).normalize_or_zero();
-                    list.push((direction, bend, s.curve));
-                }
-            }
-        }
+        let bend = |s: &Segment, end: usize| features.curves[s.curve as usize].ends_deg[end];
         let mut out = BTreeSet::new();
-        for list in leaving {
-            for (k, &(direction, bend, c)) in list.iter().enumerate() {
+        for list in self.leaving() {
+            for (k, &(direction, s, end)) in list.iter().enumerate() {
                 token.check_at(64 * k)?;
-                for &(other, other_bend, d) in &list[..k] {
-                    let (flatter, bend) = if bend < other_bend { (c, bend) } else { (d, other_bend) };
+                for &(other, t, other_end) in &list[..k] {
+                    let (own, others) = (bend(s, end), bend(t, other_end));
+                    let (flatter, bend) = if own < others { (s.curve, own) } else { (t.curve, others) };
                     if direction.dot(other) > MIN_CORNER_DEG.to_radians().cos() && bend < DISTINCT_CREASE_DEG {
                         out.insert(flatter);
                     }
@@ -420,17 +389,7 @@ impl CurveSeeds {
 
     /// Moves intruders away from their segments, to the distance that the next row of a regular
     /// triangulation has; none if it is stopped. Returns how many there were. One pass: a moved seed may intrude elsewhere.
-    pub fn push_out(&self, seeds: &mut [DVec3], token: &Token) -> Result<usize, Stopped> {
-        self.push_out_unless(seeds, |_| false, token)
-    }
-
-    /// The same, except for seeds that `stays` holds.
-    pub fn push_out_unless(
-        &self,
-        seeds: &mut [DVec3],
-        stays: impl Fn(u32) -> bool,
-        token: &Token,
-    ) -> Result<usize, Stopped> {
+    pub fn push_out(&self, seeds: &mut [DVec3], stays: impl Fn(u32) -> bool, token: &Token) -> Result<usize, Stopped> {
         let mut intruders = self.intruders(seeds, token)?;
         intruders.retain(|&(seed, _)| !stays(seed));
         for &(seed, segment) in &intruders {
@@ -462,7 +421,12 @@ impl CurveSeeds {
     }
 }
 
-/// See [`CurveSeeds::clearance`].
+/// The flattest of some curves that bend by less than `limit`, degrees; of equals, the first.
+fn flattest<'a>(features: &Features, curves: impl Iterator<Item = &'a u32>, limit: f64) -> Option<u32> {
+    let bends = curves.map(|&c| (features.curves[c as usize].angle_deg, c)).filter(|b| b.0 < limit);
+    bends.min_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1))).map(|(_, c)| c)
+}
+
 pub struct Clearance {
     index: SeedIndex,
     places: Vec<DVec3>,

@@ -30,7 +30,7 @@ pub(crate) use size_field::SizeField;
 use lengths::{Bounded, Least, adapt, fill_gaps, of_curvature, resolved, without_noise};
 
 /// What came of a density, for a report. Lengths are in the caller's units.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct DensityFigures {
     /// See [`DensitySource::name`].
     pub source: &'static str,
@@ -42,18 +42,15 @@ pub struct DensityFigures {
     pub edge_median: Option<f64>,
     /// Largest.
     pub edge_largest: Option<f64>,
-    /// Vertices whose length was outside the bounds ([`DensityOptions::clamp`], [`DensityOptions::ratio`], the mesh's own
-    /// edges).
+    /// Vertices whose length was out of bounds ([`DensityOptions::clamp`], [`DensityOptions::ratio`], the mesh's edges).
     pub clamped_vertices: usize,
     /// Vertices whose length was lowered for the sake of gradation.
     pub graded_vertices: usize,
-    /// Share of the area whose lengths go up and down from vertex to vertex faster than triangles can follow, percent; 0 if it
-    /// is no more than here and there.
+    /// Share of the area whose lengths go up and down from vertex to vertex too fast for triangles, percent; 0 if little.
     pub noise_percent: f64,
     /// Rounds that evened such lengths out between neighbours.
     pub smoothing_rounds: usize,
-    /// Facets that the surface was divided into where weights change fast or facets are long beside the cells; as before
-    /// if it was not.
+    /// Facets, after those where weights change fast, or that are long beside the cells, were divided, if any was.
     pub facets: usize,
 }
 
@@ -89,9 +86,7 @@ impl<'a> Plan<'a> {
             _ => self.lengths(&self.mesh, token)?,
         };
         let values = self.weights.as_deref().unwrap_or(&[]);
-        let Some((fine, values)) = refine::shorten(&self.mesh, &lengths, values, most, token)? else {
-            return Ok(self);
-        };
+        let Some((fine, values)) = refine::shorten(&self.mesh, &lengths, values, most, token)? else { return Ok(self) };
         let figures = DensityFigures { facets: fine.facets().len(), ..self.figures };
         let weights = self.weights.map(|_| values);
         Ok(Plan { mesh: Cow::Owned(fine), weights, figures, ..self })
@@ -102,8 +97,7 @@ impl<'a> Plan<'a> {
         refine::divided(&self.mesh, edges, token)
     }
 
-    /// Target edge length per vertex of `mesh`, the caller's: those of the plan, or those that its points have by
-    /// its weights.
+    /// Target edge length per vertex of `mesh`, the caller's: those of the plan, or what its points have by its weights.
     pub fn lengths(&self, mesh: &TriMesh, token: &Token) -> Result<Vec<f64>, Stopped> {
         if let Some(sizes) = &self.sizes {
             return Ok(sizes.clone());
@@ -117,10 +111,8 @@ impl<'a> Plan<'a> {
         let lengths: Vec<f64> = weights[..vertices].iter().map(by_weight).collect();
         // No length is refused: weights were checked when the surface was made, and none is too small here.
         let net = Net::new(mesh, token)?;
-        let scaled = SizeField::new(&net, lengths.clone()).map(|field| {
-            let factor = (field.points(&net) / self.points.max(1) as f64).sqrt();
-            field.scaled(factor).into_sizes()
-        });
+        let factor = |field: &SizeField| (field.points(&net) / self.points.max(1) as f64).sqrt();
+        let scaled = SizeField::new(&net, lengths.clone()).map(|field| field.scaled(factor(&field)).sizes);
         Ok(scaled.unwrap_or(lengths))
     }
 }
@@ -128,10 +120,7 @@ impl<'a> Plan<'a> {
 /// Weights below this share of the largest stand for edges a hundred times as long.
 const LEAST_WEIGHT: f64 = 1e-8;
 
-/// Makes the density of `mesh` that `options` ask for.
-///
-/// # Errors
-/// [`DensityError`]. Weights are checked where they are used, by `Surface::new`.
+/// Makes the density of `mesh` that `options` ask for. Weights are checked where they are used, by `Surface::new`.
 pub fn plan<'a>(
     mesh: &'a TriMesh,
     options: &DensityOptions,
@@ -141,19 +130,13 @@ pub fn plan<'a>(
     options.check()?;
     match &options.source {
         DensitySource::Uniform | DensitySource::Weights(_) => level(mesh, options, count, token),
-        DensitySource::Sizes(_) | DensitySource::Curvature | DensitySource::FeatureSize => {
-            varying(mesh, options, count, token)
-        }
+        _ => varying(mesh, options, count, token),
     }
 }
 
-/// Uniform, and weights as they are.
-fn level<'a>(
-    mesh: &'a TriMesh,
-    options: &DensityOptions,
-    count: Count,
-    token: &Token,
-) -> Result<Plan<'a>, DensityError> {
+type Planned<'a> = Result<Plan<'a>, DensityError>;
+
+fn level<'a>(mesh: &'a TriMesh, options: &DensityOptions, count: Count, token: &Token) -> Planned<'a> {
     let outline = Outline::new(mesh, token)?;
     let implied = match (count, options.edge_length) {
         (Count::Points(points), _) => points as f64,
@@ -175,22 +158,13 @@ fn level<'a>(
         edge_least: edge,
         edge_median: edge,
         edge_largest: edge,
-        clamped_vertices: 0,
-        graded_vertices: 0,
-        noise_percent: 0.0,
-        smoothing_rounds: 0,
         facets: mesh.facets().len(),
+        ..DensityFigures::default()
     };
     Ok(Plan { mesh: Cow::Borrowed(mesh), weights, sizes: None, points, figures })
 }
 
-/// Lengths that vary.
-fn varying<'a>(
-    mesh: &'a TriMesh,
-    options: &DensityOptions,
-    count: Count,
-    token: &Token,
-) -> Result<Plan<'a>, DensityError> {
+fn varying<'a>(mesh: &'a TriMesh, options: &DensityOptions, count: Count, token: &Token) -> Planned<'a> {
     let net = Net::new(mesh, token)?;
     let target = match (count, options.edge_length, &options.source) {
         (Count::Points(points), ..) => Some(points as f64),
@@ -231,7 +205,7 @@ fn varying<'a>(
         Count::Points(points) => points,
         Count::Implied => rounded(target.unwrap_or(points_implied), options.max_points)?,
     };
-    let divided = refine::refine(mesh, &net, field.sizes(), most_facets(mesh, points), token)?;
+    let divided = refine::refine(mesh, &net, &field.sizes, most_facets(mesh, points), token)?;
     let figures = DensityFigures {
         source: options.source.name(),
         points_implied: Some(points_implied),
@@ -246,9 +220,9 @@ fn varying<'a>(
     };
     let (mesh, weights) = match divided {
         Some((fine, sizes)) => (Cow::Owned(fine), SizeField::weights_of(&sizes)),
-        None => (Cow::Borrowed(mesh), SizeField::weights_of(field.sizes())),
+        None => (Cow::Borrowed(mesh), SizeField::weights_of(&field.sizes)),
     };
-    Ok(Plan { mesh, weights: Some(weights), sizes: Some(field.into_sizes()), points, figures })
+    Ok(Plan { mesh, weights: Some(weights), sizes: Some(field.sizes), points, figures })
 }
 
 /// A facet is divided only where it is as large as a cell or so: a few for each point.
@@ -256,12 +230,10 @@ fn most_facets(mesh: &TriMesh, points: usize) -> usize {
     (mesh.facets().len() + 64 * points + 1000).min(crate::mesh::MAX_ELEMENTS)
 }
 
-/// As many points as are allowed at most.
 fn within(points: usize, limit: usize) -> Result<usize, DensityError> {
     if points <= limit { Ok(points) } else { Err(DensityError::PointLimit { points, limit }) }
 }
 
-/// Rounds a number of points.
 fn rounded(points: f64, limit: usize) -> Result<usize, DensityError> {
     if points.is_finite() && points.round() <= limit as f64 {
         return Ok(points.round().max(1.0) as usize);

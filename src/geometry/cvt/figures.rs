@@ -1,7 +1,6 @@
 //! Figures of the steps.
 //!
-//! Purpose: what a report says of each step ([`IterationFigures`]), of where they end ([`FinalFigures`]), and of the device
-//! meanwhile ([`DeviceFigures`]).
+//! Purpose: what a report says of each step, of where they end, and of the device meanwhile.
 //! Invariant: a name that scripts read does not change. Must not know: why steps were taken.
 
 use serde::Serialize;

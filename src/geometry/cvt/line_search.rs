@@ -19,16 +19,13 @@ const GROWTH: f64 = 4.0;
 /// An interpolated step stays this share of the bracket away from its ends.
 const MARGIN: f64 = 0.1;
 
-/// How a search ended.
 pub(super) struct Found {
     /// The last probe; `None` if no step lowered the energy enough.
     pub(super) evaluation: Option<Evaluation>,
     pub(super) probes: usize,
-    /// What they did.
     pub(super) stats: PassStats,
 }
 
-/// One point of the line.
 #[derive(Clone, Copy)]
 struct Point {
     step: f64,
@@ -44,16 +41,11 @@ struct Search<'a> {
     found: Found,
 }
 
-/// Searches from the present point, which has this `energy` and `slope` < 0, beginning at `first`.
-pub(super) fn search(
-    vectors: &mut dyn Resident,
-    (energy, slope): (f64, f64),
-    first: f64,
-    token: &Token,
-) -> Result<Found, RvdError> {
+/// Searches from a point whose slope is below 0, beginning with the step `first`.
+pub(super) fn search(vectors: &mut dyn Resident, at: Evaluation, first: f64, token: &Token) -> Result<Found, RvdError> {
     let found = Found { evaluation: None, probes: 0, stats: PassStats::default() };
-    let mut search = Search { vectors, token, energy, slope, found };
-    let mut before = Point { step: 0.0, evaluation: Evaluation { energy, slope, ..Evaluation::default() } };
+    let mut search = Search { vectors, token, energy: at.energy, slope: at.slope, found };
+    let mut before = Point { step: 0.0, evaluation: at };
     let mut step = first;
     while search.found.probes < MAX_PROBES {
         let here = search.probe(step)?;
@@ -178,7 +170,9 @@ mod tests {
 
     fn find(f: impl Fn(f64) -> (f64, f64), first: f64) -> (Found, f64) {
         let mut line = Line(&f, Vec::new());
-        let found = search(&mut line, f(0.0), first, &Token::default()).unwrap();
+        let (energy, slope) = f(0.0);
+        let present = Evaluation { energy, slope, ..Evaluation::default() };
+        let found = search(&mut line, present, first, &Token::default()).unwrap();
         let last = *line.1.last().unwrap();
         (found, last)
     }

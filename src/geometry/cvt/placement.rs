@@ -18,18 +18,15 @@ use crate::token::{Stopped, Token};
 
 /// Intruders that become seeds of a curve; more of them are a curve that the seeds cannot resolve.
 const MOST_ADOPTED: usize = 64;
-
 /// Times that seeds are pushed off curves after they were put on the surface: a moved seed may intrude elsewhere.
 const PUSHES: usize = 4;
 
 impl Cvt {
-    /// Holds the first seeds, which are those of `curves`, and keeps the others clear of them in every Lloyd
-    /// step.
+    /// Holds the first seeds, which are those of `curves`, and keeps the others clear of them in every Lloyd step.
     pub fn keep_curves(&mut self, curves: CurveSeeds, token: &Token) -> Result<(), RvdError> {
         self.hold((0..self.seeds.len()).map(|i| i < curves.len()).collect())?;
         self.curves = curves;
-        self.clear_curves(token)?;
-        Ok(())
+        self.clear_curves(token).map(|_| ())
     }
 
     /// Pushes seeds off the curves. Returns how many there were.
@@ -39,7 +36,7 @@ impl Cvt {
         }
         self.download()?;
         let mut seeds = self.seeds.clone();
-        let pushed = self.curves.push_out(&mut seeds, token)?;
+        let pushed = self.curves.push_out(&mut seeds, |_| false, token)?;
         if pushed > 0 {
             self.seeds = seeds;
             self.seeds_changed();
@@ -47,8 +44,7 @@ impl Cvt {
         Ok(pushed)
     }
 
-    /// Makes seeds that come between two neighbours on a curve, and could not be pushed off, seeds of that curve.
-    /// Returns how many there were.
+    /// Makes seeds between two neighbours on a curve that could not be pushed off seeds of that curve. Returns how many.
     pub fn adopt_intruders(&mut self, token: &Token) -> Result<usize, RvdError> {
         self.download()?;
         let mut adopted = 0;
@@ -82,10 +78,7 @@ impl Cvt {
         &self.curves
     }
 
-    /// Moves every seed that is not held to the closest point of the surface.
-    ///
-    /// # Errors
-    /// `Stopped`, with the seeds where they were; or `Internal`.
+    /// Moves every seed that is not held to the closest point of the surface. A stop leaves them where they were.
     pub fn project_seeds(&mut self, token: &Token) -> Result<(), RvdError> {
         self.download()?;
         let mut seeds = std::mem::take(&mut self.seeds);
@@ -95,17 +88,13 @@ impl Cvt {
         done
     }
 
-    /// Moves every seed that is not held to the closest point of the surface that is clear of the curves: along a sharp crease
-    /// seeds lie inside, between its two sides, and the point that is closest to one may be between two seeds of the curve.
-    ///
-    /// # Errors
-    /// `Stopped`, with the seeds somewhere between; or `Internal`.
+    /// Moves every seed that is not held to the closest point of the surface that is clear of the curves: at a sharp crease
+    /// seeds lie inside, and the closest point may be between two seeds of the curve. A stop leaves them somewhere between.
     pub fn put_on_surface(&mut self, token: &Token) -> Result<(), RvdError> {
         self.project_seeds(token)?;
         for _ in 0..PUSHES {
-            let held = &self.held;
-            let stays = |i: u32| held.get(i as usize).is_some_and(|&held| held);
-            if self.curves.is_empty() || self.curves.push_out_unless(&mut self.seeds, stays, token)? == 0 {
+            let stays = |i: u32| is_held(&self.held, i);
+            if self.curves.is_empty() || self.curves.push_out(&mut self.seeds, stays, token)? == 0 {
                 break;
             }
             self.project_seeds(token)?;
@@ -115,16 +104,85 @@ impl Cvt {
 
     fn project(&mut self, seeds: &mut [DVec3], token: &Token) -> Result<(), RvdError> {
         let closest = closest(&mut self.closest, &self.surface)?;
-        let held = &self.held;
-        let free = |i: usize| !held.get(i).is_some_and(|&held| held);
         let placed = closest.project_all(seeds, token)?;
-        let moved = seeds.iter_mut().zip(placed).enumerate().filter(|(i, _)| free(*i));
+        let moved = (0..).zip(seeds.iter_mut().zip(placed)).filter(|(i, _)| !is_held(&self.held, *i));
         moved.for_each(|(_, (seed, place))| *seed = place.position);
         Ok(())
     }
+
+    /// New places for seeds with empty cells, by the sums and the seeds that are at hand.
+    pub(super) fn new_places(&mut self, token: &Token) -> Result<Vec<(u32, DVec3)>, RvdError> {
+        let empty: Vec<u32> = (0..self.seeds.len() as u32)
+            .filter(|&i| self.sums.area[i as usize] <= 0.0 && !is_held(&self.held, i))
+            .collect();
+        let closest = closest(&mut self.closest, &self.surface)?;
+        let clearance = (!self.curves.is_empty()).then(|| self.curves.clearance(STAYS));
+        let may = |p| clearance.as_ref().is_none_or(|clearance| clearance.holds(p));
+        Ok(place(&empty, &self.sums, &self.seeds, (&self.surface, closest), may, token)?)
+    }
+
+    /// Applies edits in order; nothing is changed if one of them is wrong: `TooManySeeds` beyond the room reserved, `NonFiniteSeed`, `NoSeeds` if none would be left, `NoSuchSeed`.
+    pub fn edit(&mut self, edits: &[SeedEdit]) -> Result<(), RvdError> {
+        self.download()?;
+        let frame = self.surface.frame();
+        let mut seeds = self.seeds.clone();
+        let mut held = self.held.clone();
+        held.resize(seeds.len(), false);
+        for edit in edits {
+            match *edit {
+                SeedEdit::Move { index, to } => *seed_at(&mut seeds, index)? = frame.to_unit(to),
+                SeedEdit::Add { at } => {
+                    if seeds.len() == self.options.max_seeds {
+                        return Err(RvdError::TooManySeeds { given: seeds.len() + 1, limit: self.options.max_seeds });
+                    }
+                    seeds.push(frame.to_unit(at));
+                    held.push(false);
+                }
+                SeedEdit::Remove { index } => {
+                    seed_at(&mut seeds, index)?;
+                    seeds.swap_remove(index as usize);
+                    held.swap_remove(index as usize);
+                }
+            }
+        }
+        check_seeds(&seeds, self.options.max_seeds)?;
+        self.seeds = seeds;
+        if held.contains(&true) {
+            self.held = held;
+        }
+        self.seeds_changed();
+        Ok(())
+    }
+
+    /// Which seeds never move, one entry a seed.
+    pub fn hold(&mut self, held: Vec<bool>) -> Result<(), RvdError> {
+        if held.len() != self.seeds.len() {
+            return Err(RvdError::Internal(format!("{} marks for {} seeds", held.len(), self.seeds.len())));
+        }
+        self.download()?;
+        self.held = held;
+        self.seeds_changed();
+        Ok(())
+    }
+
+    /// Puts seeds at places (unit frame), where they stay, and adds and holds new ones within the room. Returns how many.
+    pub fn pin(&mut self, pins: &[(u32, DVec3)], new: &[DVec3]) -> Result<usize, RvdError> {
+        self.download()?;
+        self.held.resize(self.seeds.len(), false);
+        for &(seed, to) in pins {
+            *seed_at(&mut self.seeds, seed)? = to;
+            self.held[seed as usize] = true;
+        }
+        let room = self.options.max_seeds - self.seeds.len().min(self.options.max_seeds);
+        let added = new.len().min(room);
+        self.seeds.extend(&new[..added]);
+        self.held.resize(self.seeds.len(), true);
+        self.seeds_changed();
+        Ok(added)
+    }
 }
 
-/// What answers for closest points of a surface, made on first use.
+/// Made on first use.
 pub(super) fn closest<'a>(slot: &'a mut Option<ClosestPoint>, surface: &Surface) -> Result<&'a ClosestPoint, RvdError> {
     match slot {
         Some(tree) => Ok(tree),
@@ -135,21 +193,8 @@ pub(super) fn closest<'a>(slot: &'a mut Option<ClosestPoint>, surface: &Surface)
 /// A seed that is farther from a curve than this share of the spacing of the curve's seeds is not pushed off it.
 const STAYS: f64 = 0.75;
 
-impl Cvt {
-    /// New places for seeds with empty cells, by the sums and the seeds that are at hand.
-    pub(super) fn new_places(&mut self, token: &Token) -> Result<Vec<(u32, DVec3)>, RvdError> {
-        let empty: Vec<u32> =
-            (0..self.seeds.len() as u32).filter(|&i| self.sums.area[i as usize] <= 0.0 && !self.is_held(i)).collect();
-        let closest = closest(&mut self.closest, &self.surface)?;
-        let clearance = (!self.curves.is_empty()).then(|| self.curves.clearance(STAYS));
-        let may = |p| clearance.as_ref().is_none_or(|clearance| clearance.holds(p));
-        Ok(place(&empty, &self.sums, &self.seeds, (&self.surface, closest), may, token)?)
-    }
-}
-
-/// New places for the seeds `empty`, each in another cell, in order of falling energy, and where `may` says that a
-/// seed stays as long as there are such places; if there are more empty cells than full ones, several share a cell on
-/// smaller and smaller circles.
+/// New places for the seeds `empty`, each in another cell, by falling energy, and where `may` lets a seed stay as long as
+/// there are such; if there are more empty cells than full ones, several share a cell on smaller and smaller circles.
 fn place(
     empty: &[u32],
     sums: &CellSums,
@@ -164,8 +209,7 @@ fn place(
     if hosts.is_empty() {
         return Ok(places);
     }
-    // Where hosts are on the surface, and a tangent there. All at once: where facets lie on one another, one search may
-    // look at all of them.
+    // Where hosts are, and a tangent there. All at once: one search may look at all facets that lie on one another.
     let footing = |hosts: &[usize]| -> Result<Vec<(usize, DVec3, DVec3)>, Stopped> {
         let at: Vec<DVec3> = hosts.iter().map(|&host| seeds[host]).collect();
         let of = |(&host, centre): (&usize, SurfacePoint)| {
@@ -229,85 +273,13 @@ pub enum SeedEdit {
     },
 }
 
-impl Cvt {
-    /// Applies edits in order; nothing is changed if one of them is wrong.
-    ///
-    /// # Errors
-    /// `TooManySeeds` beyond the room reserved, `NonFiniteSeed`, `NoSeeds` if none would be
-    /// left, `NoSuchSeed`.
-    pub fn edit(&mut self, edits: &[SeedEdit]) -> Result<(), RvdError> {
-        self.download()?;
-        let frame = self.surface.frame();
-        let mut seeds = self.seeds.clone();
-        let mut held = self.held.clone();
-        held.resize(seeds.len(), false);
-        for edit in edits {
-            match *edit {
-                SeedEdit::Move { index, to } => {
-                    let count = seeds.len();
-                    let seed = seeds
-                        .get_mut(index as usize)
-                        .ok_or(RvdError::NoSuchSeed { seed: index as usize, seeds: count })?;
-                    *seed = frame.to_unit(to);
-                }
-                SeedEdit::Add { at } => {
-                    if seeds.len() == self.options.max_seeds {
-                        return Err(RvdError::TooManySeeds { given: seeds.len() + 1, limit: self.options.max_seeds });
-                    }
-                    seeds.push(frame.to_unit(at));
-                    held.push(false);
-                }
-                SeedEdit::Remove { index } => {
-                    if index as usize >= seeds.len() {
-                        return Err(RvdError::NoSuchSeed { seed: index as usize, seeds: seeds.len() });
-                    }
-                    seeds.swap_remove(index as usize);
-                    held.swap_remove(index as usize);
-                }
-            }
-        }
-        check_seeds(&seeds, self.options.max_seeds)?;
-        self.seeds = seeds;
-        if held.contains(&true) {
-            self.held = held;
-        }
-        self.seeds_changed();
-        Ok(())
-    }
+fn is_held(held: &[bool], seed: u32) -> bool {
+    held.get(seed as usize).is_some_and(|&held| held)
+}
 
-    /// Which seeds never move, one entry a seed.
-    pub fn hold(&mut self, held: Vec<bool>) -> Result<(), RvdError> {
-        if held.len() != self.seeds.len() {
-            return Err(RvdError::Internal(format!("{} marks for {} seeds", held.len(), self.seeds.len())));
-        }
-        self.download()?;
-        self.held = held;
-        self.seeds_changed();
-        Ok(())
-    }
-
-    /// Puts seeds at places (unit frame), where they stay, and adds and holds new ones as far as there is room.
-    /// Returns how many could be added.
-    pub fn pin(&mut self, pins: &[(u32, DVec3)], new: &[DVec3]) -> Result<usize, RvdError> {
-        self.download()?;
-        self.held.resize(self.seeds.len(), false);
-        for &(seed, to) in pins {
-            let seeds = self.seeds.len();
-            let place = self.seeds.get_mut(seed as usize).ok_or(RvdError::NoSuchSeed { seed: seed as usize, seeds })?;
-            (*place, self.held[seed as usize]) = (to, true);
-        }
-        let room = self.options.max_seeds - self.seeds.len().min(self.options.max_seeds);
-        let added = new.len().min(room);
-        self.seeds.extend(&new[..added]);
-        self.held.resize(self.seeds.len(), true);
-        self.seeds_changed();
-        Ok(added)
-    }
-
-    /// Whether a seed never moves.
-    pub fn is_held(&self, seed: u32) -> bool {
-        self.held.get(seed as usize).is_some_and(|&held| held)
-    }
+fn seed_at(seeds: &mut [DVec3], index: u32) -> Result<&mut DVec3, RvdError> {
+    let (seed, count) = (index as usize, seeds.len());
+    seeds.get_mut(seed).ok_or(RvdError::NoSuchSeed { seed, seeds: count })
 }
 
 #[cfg(test)]

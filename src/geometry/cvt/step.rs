@@ -35,8 +35,7 @@ impl StepKind {
     }
 }
 
-/// What one step saw and did. Energies and gradients are those of the seeds *before* the step,
-/// in the caller's units.
+/// What one step saw and did. Energies and gradients are those of the seeds *before* the step, in the caller's units.
 #[derive(Clone, Copy, Debug)]
 pub struct Iteration {
     /// 0 for the first step of this `Cvt`.
@@ -62,26 +61,15 @@ pub struct Iteration {
 }
 
 impl Cvt {
-    /// One Lloyd step: every seed to the centroid of its cell.
-    ///
-    /// A seed whose cell is empty is placed anew beside the cell of highest energy.
-    ///
-    /// # Errors
-    /// `Stopped`, or an error of the device. The seeds are then as before, or, where the step was stopped while they were put on
-    /// the surface, as after it.
+    /// One Lloyd step: every seed to the centroid of its cell, or, if that is empty, beside the cell of highest energy.
+    /// After an error seeds are as before, or as after the step, if it was stopped on their way to the surface.
     pub fn lloyd(&mut self, token: &Token) -> Result<Iteration, RvdError> {
-        self.metered(|cvt| cvt.take_lloyd(token))
-    }
-
-    fn take_lloyd(&mut self, token: &Token) -> Result<Iteration, RvdError> {
-        let begin = Instant::now();
-        let (evaluation, evaluations) = self.evaluate(token)?;
-        self.lloyd_from(
-            evaluation,
-            Iteration { evaluations, ..self.figures(StepKind::Lloyd, evaluation) },
-            begin,
-            token,
-        )
+        self.metered(|cvt| {
+            let begin = Instant::now();
+            let (evaluation, evaluations) = cvt.evaluate(token)?;
+            let report = Iteration { evaluations, ..cvt.figures(StepKind::Lloyd, evaluation) };
+            cvt.lloyd_from(report, begin, token)
+        })
     }
 
     /// One quasi-Newton step (L-BFGS; \[YLL*09\], \[FWW14\]): along -H∇E as far as the strong Wolfe
@@ -97,7 +85,7 @@ impl Cvt {
         if evaluation.empty_cells > 0 || evaluation.gradient_squared == 0.0 {
             report.kind = StepKind::Lloyd;
             self.converged |= evaluation.empty_cells == 0;
-            return self.lloyd_from(evaluation, report, begin, token);
+            return self.lloyd_from(report, begin, token);
         }
         let vectors = resident(&mut *self.session)?;
         let mut slope = vectors.search_direction()?;
@@ -107,12 +95,12 @@ impl Cvt {
             slope = vectors.search_direction()?;
             first = FIRST_STEP;
         }
-        let found = line_search::search(vectors, (evaluation.energy, slope), first, token)?;
+        let found = line_search::search(vectors, Evaluation { slope, ..evaluation }, first, token)?;
         report.evaluations += found.probes;
         report.stats.add(&found.stats);
         let Some(next) = found.evaluation else {
             report.kind = StepKind::Lloyd;
-            return self.lloyd_from(evaluation, report, begin, token);
+            return self.lloyd_from(report, begin, token);
         };
         vectors.accept()?;
         (self.newest, self.fresh) = (Newest::InSession, false);
@@ -126,21 +114,18 @@ impl Cvt {
         Ok(report)
     }
 
-    /// Whether the last quasi-Newton step passed a test of convergence: ‖∇E‖ below a thousandth of the
-    /// first step's, or two steps running that gain less than a millionth of the energy.
+    /// Whether the last quasi-Newton step converged: ‖∇E‖ below a thousandth of the first, or two gains below a millionth.
     pub fn converged(&self) -> bool {
         self.converged
     }
 
-    /// Energy, energy ratio and gradient norm of the present seeds, as in [`Iteration`]: known after a
-    /// quasi-Newton step, otherwise one more pass.
+    /// Energy, energy ratio and gradient norm of the present seeds: known after a quasi-Newton step, else one more pass.
     pub fn present(&mut self, token: &Token) -> Result<Iteration, RvdError> {
         let (evaluation, evaluations) = self.evaluate(token)?;
         Ok(Iteration { evaluations, ..self.figures(StepKind::Lloyd, evaluation) })
     }
 
-    /// Takes a step and puts into its report all that the device did for it, not only in its passes. A device that
-    /// keeps time says what the phases took.
+    /// Takes a step and reports all that the device did for it, not only in its passes, and what the phases took, if known.
     fn metered(&mut self, step: impl FnOnce(&mut Self) -> Result<Iteration, RvdError>) -> Result<Iteration, RvdError> {
         let (work, phases) = (self.session.device_work(), self.session.device_phases());
         let mut report = step(self)?;
@@ -165,22 +150,16 @@ impl Cvt {
     }
 
     /// The step to the centroids from seeds that were evaluated.
-    pub(super) fn lloyd_from(
-        &mut self,
-        evaluation: Evaluation,
-        mut report: Iteration,
-        begin: Instant,
-        token: &Token,
-    ) -> Result<Iteration, RvdError> {
+    fn lloyd_from(&mut self, mut report: Iteration, begin: Instant, token: &Token) -> Result<Iteration, RvdError> {
         let update = Instant::now();
         let vectors = resident(&mut *self.session)?;
-        if evaluation.empty_cells > 0 {
+        if report.empty_cells > 0 {
             vectors.read_sums(&mut self.sums)?;
         }
         vectors.to_centroids()?;
         (self.newest, self.fresh) = (Newest::InSession, true);
         self.present = None;
-        if evaluation.empty_cells > 0 {
+        if report.empty_cells > 0 {
             self.download()?;
             let places = self.new_places(token)?;
             places.into_iter().for_each(|(seed, place)| self.seeds[seed as usize] = place);
@@ -197,7 +176,7 @@ impl Cvt {
     }
 
     /// Energy and gradient as a caller wants them.
-    pub(super) fn figures(&self, kind: StepKind, evaluation: Evaluation) -> Iteration {
+    fn figures(&self, kind: StepKind, evaluation: Evaluation) -> Iteration {
         let scale = self.surface.frame().scale;
         Iteration {
             index: self.steps,
@@ -212,9 +191,7 @@ impl Cvt {
             stats: evaluation.stats,
         }
     }
-}
 
-impl Cvt {
     /// One Lloyd step at least and `steps` at most, as many as the backend takes at once. Time and work of steps that were taken
     /// together count for the first of them, or evenly for all. A stop leaves the seeds as after some of the steps.
     pub fn relax(&mut self, steps: usize, token: &Token) -> Result<Vec<Iteration>, RvdError> {
@@ -234,8 +211,8 @@ impl Cvt {
         let mut taken = Vec::with_capacity(evaluations.len());
         for evaluation in evaluations {
             let report = Iteration { evaluations: 1, ..self.figures(StepKind::Lloyd, evaluation) };
-            taken.push(if evaluation.empty_cells > 0 {
-                self.lloyd_from(evaluation, report, Instant::now(), token)?
+            taken.push(if report.empty_cells > 0 {
+                self.lloyd_from(report, Instant::now(), token)?
             } else {
                 self.steps += 1;
                 report

@@ -1,10 +1,8 @@
 //! Attributes of the input, carried to the remesh.
 //!
-//! Purpose: [`provenance`] tells where on the input each vertex of the result lies, [`carry`] brings the input's
-//! attributes there.
-//! Invariant: what is given per vertex is interpolated in the facet and stays between its corners' values. What
-//! is given per corner is taken from one side of a seam for each result facet: no facet's texture spans a seam. The
-//! result depends on the meshes alone, not on threads.
+//! Purpose: [`provenance`] tells where on the input the vertices of the result lie, [`carry`] brings its attributes there.
+//! Invariant: what is given per vertex is interpolated in the facet and stays between its corners' values. What is given
+//! per corner comes from one side of a seam for each result facet. The result depends on the meshes alone, not on threads.
 //! Must not know: how the result came about, files, messages.
 
 mod seams;
@@ -35,12 +33,10 @@ pub fn provenance(closest: &ClosestPoint, positions: &[DVec3], token: &Token) ->
     Ok(closest.project_all(positions, token)?.into_iter().map(place).collect())
 }
 
-/// The attributes of `result`, whose vertices lie on `mesh` where `provenance` says. `closest` answers for
-/// `mesh`.
+/// The attributes of `result`, whose vertices lie on `mesh` where `provenance` says. `closest` answers for `mesh`.
 ///
-/// Normals come out of unit length: where the interpolated one vanishes, or none is known, it is the
-/// input facet's. Texture coordinates beyond a seam or a border are extrapolated linearly from
-/// the facet at it.
+/// Normals come out of unit length: where the interpolated one vanishes, or none is known, it is the input facet's. Texture
+/// coordinates beyond a seam or a border are extrapolated linearly from the facet at it.
 ///
 /// # Errors
 /// `OtherMesh` if the attributes are not `mesh`'s, `Count` if the provenance is not `result`'s.

@@ -1,8 +1,7 @@
 //! The constants of the remesh, each with its unit and its reason.
 //!
-//! Purpose: one table. It begins with the constants that the operators, the objective and the queue of local improvement
-//! share; the constants of each other part follow. Lengths are shares of the mean edge of the one-ring unless a comment says
-//! otherwise.
+//! Purpose: one table. It begins with what the operators, the objective and the queue of local improvement share; each
+//! other part follows. Lengths are shares of the mean edge of the one-ring unless a comment says otherwise.
 
 // Operators.
 
@@ -12,21 +11,17 @@ pub(super) const REGULAR_VALENCE: usize = 6;
 pub(super) const VALENCES: [usize; 2] = [5, 7];
 /// Least and largest valence that the recovery of a curve's edge may make: the curve counts for more than a valence.
 pub(super) const RECOVERY_VALENCES: [usize; 2] = [4, 8];
-/// Least cosine between the normals of flipped facets and the mean normal before. It is less strict than for a relocation,
-/// since an edge across a ridge turns both facets.
+/// Least cosine between the normals of flipped facets and the mean before. An edge across a ridge turns both facets.
 pub(super) const FLIPPED_COSINE: f64 = 0.3;
-/// Least cosine between a facet's normal and its marked normal where the distance from the input is measured.
+/// Least cosine between a facet's normal and its marked normal where the distance from the input is measured, and where not.
 pub(super) const MEASURED_COSINE: f64 = 0.5;
-/// Least cosine between a facet's normal and its marked normal where the distance is not measured.
 pub(super) const UNMEASURED_COSINE: f64 = 0.8;
 
 // Shapes. Scores and angles are degrees; see `triangle::score`.
 
-/// Degrees that Q = 1 counts for in a score. The smallest angle decides for slender triangles, Q for those whose longest
-/// edge is too long.
+/// Degrees that Q = 1 counts for in a score. The smallest angle decides for slender triangles, Q for too long an edge.
 pub(super) const DEGREES_PER_QUALITY: f64 = 55.0;
-/// Least score of a facet where distances are measured, or its own score if that is lower. A higher bound lets ridges of a
-/// dense result stick out by a fifth more.
+/// Least score of a facet where distances are measured, or its own. A higher one lets dense ridges stick out a fifth more.
 pub(super) const LEAST_SCORE: f64 = 35.3;
 /// Score below which a facet costs something where distances are measured: a margin of two degrees above the least.
 pub(super) const MEASURED_SCORE: f64 = LEAST_SCORE + 2.0;
@@ -60,7 +55,6 @@ pub(super) const LEAST_GAIN_OF_PASS: f64 = 1e-3;
 
 // Relocation.
 
-/// First step of a relocation.
 pub(super) const FIRST_STEP: f64 = 0.2;
 /// Halvings of a vertex's step, at most: 1/80 of an edge is not visible.
 pub(super) const MAX_HALVINGS: u8 = 4;
@@ -72,16 +66,13 @@ pub(super) const NORMAL_STEP: f64 = 0.5;
 pub(super) const FARTHEST_MOVE: f64 = 0.6;
 /// Largest total move in the tangent plane or along a curve where the distance is not measured.
 pub(super) const FARTHEST_TANGENTIAL: f64 = 0.4;
-/// Largest total move across a curve. Tried below and above: below, tips between two creases keep angles of 28°; above, the
-/// result deviates more.
+/// Largest total move across a curve. With less, tips between creases keep angles of 28°; with more, it deviates more.
 pub(super) const FARTHEST_ACROSS: f64 = 0.11;
-/// Largest total move of the end of a curve.
 pub(super) const FARTHEST_OF_END: f64 = 0.07;
 /// Moves for shapes per vertex at or beside a poor facet, at most.
 pub(super) const MOVES_PER_VERTEX: usize = 40;
 /// Vertices that are relocated at the same time, at most: few of those that wait, so that the costliest come first.
 pub(super) const SHAPES_AT_ONCE: usize = 128;
-/// Least number of such vertices per task.
 pub(super) const SHAPES_PER_TASK: usize = 8;
 
 // Edges of curves. Lengths are shares of the shortest edge of a curve at the vertex.
@@ -92,11 +83,9 @@ pub(super) const BACKTRACKING: [f64; 4] = [0.25, 0.5, 0.75, 1.0];
 pub(super) const RESTORING_PASSES: usize = 3;
 /// Passes over vertices whose edges are too far from their curves, at most: four for shorter steps, eight that move.
 pub(super) const TIGHTENING_PASSES: usize = 12;
-/// First step of such a pass.
 pub(super) const FIRST_TIGHTENING_STEP: f64 = 0.1;
 /// Largest total move of a vertex whose edges are too far from their curves.
 pub(super) const FARTHEST_TIGHTENED: f64 = 0.25;
-/// Largest total move of a corner.
 pub(super) const FARTHEST_OF_CORNER: f64 = 0.12;
 
 // Patches.
@@ -107,11 +96,9 @@ pub(super) const SHARPEST_COSINE: f64 = -0.75;
 pub(super) const LONG_EDGE: f64 = 0.3;
 /// Largest distance of such a midpoint from a vertex of the patch.
 pub(super) const MIDPOINT_REACH: f64 = 0.65;
-/// Facets of a patch, at most. Its memory grows with their square, and each trial copies it. Patches of vertices with
-/// valence seven have sixty facets.
+/// Facets of a patch, at most. Memory grows with their square, and trials copy it. Around valence seven there are sixty.
 pub(super) const MAX_FACETS: usize = 512;
-/// Share of the one-ring's radius within which the input has to be known around a vertex: all points whose distances are
-/// taken lie within it.
+/// Share of the one-ring's radius within which the input is known around a vertex: all measured points lie within it.
 pub(super) const KNOWN_SHARE: f64 = 0.8;
 
 // Trials on a patch.
@@ -173,12 +160,10 @@ pub(super) const FAR_LOOK_AHEAD: usize = 4;
 pub(super) const SAME_NORMAL: f64 = 0.999;
 /// Squared length below which the direction of an interpolated normal is only rounding.
 pub(super) const LEAST_NORMAL_SQUARED: f64 = 1e-18;
-/// Radius of the ball that bounds a walk, as a multiple of half the distance between its ends. Over a right-angled crease, 1
-/// is enough.
+/// Radius of the ball that bounds a walk, in half distances between its ends. Over a right-angled crease, 1 is enough.
 pub(super) const SEAM_REACH: f64 = 1.3;
 /// The radius for a second walk, if the first reached neither its end nor a seam, as around a thin edge of the surface.
 pub(super) const LONG_SEAM_REACH: f64 = 4.0;
-/// Facets of one walk, at most.
 pub(super) const MAX_SEAM_FACETS: usize = 1 << 16;
 /// An end is reached within this share of the distance between the ends.
 pub(super) const SEAM_END_REACH: f64 = 1e-6;
@@ -190,7 +175,6 @@ pub(super) const MOST_STRETCH: f64 = 4.0;
 /// Shares of a mean edge that decide, without a tolerance, which vertices of the input were missed. If a vertex is farther
 /// away than the first share, all beyond the second share are missed.
 pub(super) const MISSED_SHARES: [f64; 2] = [0.25, 0.17];
-/// Vertices or facets per parallel task, at least.
 pub(super) const ITEMS_PER_TASK: usize = 256;
 /// Radius that a sample covers, as a multiple of the square root of its area.
 pub(super) const SAMPLE_REACH: f64 = 2.0;
@@ -215,15 +199,12 @@ pub(super) const SMOOTH_REACH: f64 = 2.5;
 /// Length of boundary below which two corners are merged, if the merge cuts off little. With both corners, a triangle
 /// between them would have an angle of about as many radians.
 pub(super) const JOINED_CORNERS: f64 = 0.4;
-/// Largest distance of an edge from its boundary.
+/// Largest distance of an edge from its boundary or crease.
 pub(super) const BOUNDARY_LIMIT: f64 = 0.08;
-/// Largest distance of an edge from its crease.
 pub(super) const CREASE_LIMIT: f64 = 0.06;
-/// Largest distance of an edge from its curve at a corner that two curves leave at an acute angle: no facet between them has
-/// a good angle anyway.
+/// Largest distance of an edge from its curve where two curves meet at an acute angle: no facet there has a good one.
 pub(super) const ACUTE_LIMIT: f64 = 0.3;
-/// Largest share of the seeds that curves may take if there are creases. Boundaries alone may take all: a strip narrower
-/// than an edge has no other seeds.
+/// Largest share of the seeds for curves if there are creases. Boundaries alone may take all, as of a very narrow strip.
 pub(super) const LARGEST_SHARE: f64 = 0.6;
 /// Curves that need more seeds than this multiple of all seeds plus [`SPARE_SEEDS`] are dropped before any seed is placed.
 pub(super) const MOST_SEEDS: usize = 16;
@@ -249,7 +230,6 @@ pub(super) const FIT_ROUNDS: usize = 2;
 pub(super) const BACKTRACKING_HALVINGS: usize = 4;
 /// Later rounds that drop the moves of bad facets.
 pub(super) const BACKTRACKING_DROPS: usize = 4;
-/// Facets per parallel task, at least.
 pub(super) const FACETS_PER_TASK: usize = 256;
 
 // Normal equations of the fit.
@@ -269,7 +249,6 @@ pub(super) const NORMAL_DAMPING: f64 = 0.01;
 pub(super) const CURVE_WEIGHT: f64 = 20.0;
 /// Vertices per parallel task, and facets at least.
 pub(super) const VERTICES_PER_RUN: usize = 256;
-/// Samples between two checks of the token.
 pub(super) const SAMPLES_PER_CHECK: usize = 64;
 /// Blocks of a row for which memory is reserved: six neighbours on average, and one more.
 pub(super) const BLOCKS_PER_ROW: usize = 7;
@@ -298,8 +277,7 @@ pub(super) const MAX_SEPARATION_ROUNDS: usize = 4;
 pub(super) const ADDING_ROUNDS: usize = 8;
 /// Rounds that move seeds which produced no vertex.
 pub(super) const MOVING_ROUNDS: usize = 1;
-/// Growth of the deviation up to which a round that adds seeds counts as better: more seeds are better although another
-/// place may become a little worse.
+/// Growth of the deviation up to which a round that adds seeds counts as better, though a place may be worse.
 pub(super) const ADDING_SLACK: f64 = 2.0;
 /// Growth of the deviation up to which a round counts as better if fewer seeds have no vertex.
 pub(super) const MOVING_SLACK: f64 = 1.25;
@@ -341,9 +319,8 @@ pub(super) const THIN_MOST_POINTS: usize = 2;
 
 // Number of vertices.
 
-/// Relative error of the number of vertices that is accepted.
+/// Relative and absolute error of the number of vertices that is accepted: the larger one.
 pub(super) const COUNT_LIMIT: f64 = 0.015;
-/// Absolute error of the number of vertices that is accepted.
 pub(super) const COUNT_SLACK: usize = 2;
 /// Least number of vertices that a further seed is expected to add; two rounds may differ by chance.
 pub(super) const LEAST_SLOPE: f64 = 0.7;
@@ -372,8 +349,7 @@ pub(super) const PROGRESS_SHARE: f64 = 0.95;
 pub(super) const FEWER_MISSED: f64 = 0.8;
 /// Share of the tolerance that shortened edges aim at: the largest distances are half as large again as the mean.
 pub(super) const TOLERANCE_AIM: f64 = 0.7;
-/// Least factor on an edge's length in one round. At a crease that was not kept the distance is proportional to the length,
-/// and there may be other causes.
+/// Least factor on an edge's length in one round. At a crease that was not kept, distance is proportional to length.
 pub(super) const SHORTEST_SHARE: f64 = 0.35;
 /// Share of missed samples up to which seeds are added there after the last round.
 pub(super) const FEW_MISSED_SHARE: f64 = 0.002;

@@ -11,9 +11,7 @@
 use glam::DVec3;
 use rayon::prelude::*;
 
-use super::constants::{
-    BOUND_ROUNDING, ITEMS_PER_TASK, MISSED_SHARES, SAMPLE_REACH, WORK_PER_VERTEX, ZERO_LENGTH_SQUARED, ZERO_SQUARED,
-};
+use super::constants::*;
 use super::manifold::LocalMesh;
 use super::triangle::perimeter;
 use crate::mesh::closest_point::closest_on_facet;
@@ -28,7 +26,6 @@ pub(crate) struct SurfaceSample {
     pub(crate) position: DVec3,
     /// Unit normal of the input there.
     pub(crate) normal: DVec3,
-    /// Area it stands for.
     pub(crate) area: f64,
 }
 
@@ -42,27 +39,14 @@ pub(crate) struct InputSamples {
 
 /// The input as facets and vertices, by result vertex.
 pub(crate) struct Reference<'a> {
-    surface: &'a Surface,
-    facets: Csr<u32>,
-    vertices: Csr<DVec3>,
+    pub(crate) surface: &'a Surface,
+    /// Those that the cell meets.
+    pub(crate) facets: Csr<u32>,
+    /// Those in the cell, unit frame.
+    pub(crate) vertices: Csr<DVec3>,
 }
 
-impl<'a> Reference<'a> {
-    /// `facets` and `vertices` are those of the input by result vertex.
-    pub(crate) fn new(surface: &'a Surface, facets: Csr<u32>, vertices: Csr<DVec3>) -> Self {
-        Self { surface, facets, vertices }
-    }
-
-    /// Input facets that the cell of result vertex `v` meets.
-    pub(crate) fn facets(&self, v: u32) -> &[u32] {
-        self.facets.of(v)
-    }
-
-    /// Input vertices in the cell of result vertex `v`, unit frame.
-    pub(crate) fn vertices(&self, v: u32) -> &[DVec3] {
-        self.vertices.of(v)
-    }
-
+impl Reference<'_> {
     /// Corners of an input facet, unit frame.
     pub(crate) fn corners(&self, facet: u32) -> [DVec3; 3] {
         self.surface.facets()[facet as usize].map(|v| self.surface.positions()[v as usize])
@@ -93,12 +77,11 @@ pub(crate) struct RingQuery {
     bounds: Vec<f64>,
 }
 
-/// The nearest point of a one-ring.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Nearest {
     /// Squared distance; infinite if there are no facets.
     pub(crate) squared: f64,
-    /// The facet; `u32::MAX` if there are none.
+    /// `u32::MAX` if there are none.
     pub(crate) facet: u32,
     /// Barycentric coordinates.
     pub(crate) weights: [f64; 3],
@@ -123,7 +106,6 @@ impl RingQuery {
         }));
     }
 
-    /// The nearest facet to `p`.
     pub(crate) fn nearest(&mut self, p: DVec3) -> Nearest {
         let d = p - self.centre;
         self.bounds.clear();
@@ -159,10 +141,9 @@ impl RingQuery {
     }
 }
 
-/// Distance between input and result.
 pub(crate) struct HausdorffEstimate {
     /// Places of the input that were missed; see [`missed_places`].
-    pub(crate) missed: Vec<(u32, DVec3)>,
+    pub(crate) missed: Places,
     /// The largest distance in either direction.
     pub(crate) largest: f64,
     /// The largest distance around each vertex of the result.
@@ -188,7 +169,7 @@ impl HausdorffEstimate {
 /// Where a vertex of the input lies, seen from the result.
 #[derive(Clone, Copy)]
 struct Deviation {
-    /// Distance from the nearest facet.
+    /// From the nearest facet.
     distance: f64,
     /// The distance divided by the facet's mean edge.
     relative: f64,
@@ -223,34 +204,25 @@ fn deviation(mesh: &LocalMesh, query: &mut RingQuery, vertex: DVec3) -> Deviatio
     let p = mesh.places(t);
     let edge = perimeter(p) / 3.0;
     let to = p.map(|q| q.distance_squared(vertex));
-    let corner = if to[0] <= to[1] && to[0] <= to[2] {
-        t[0]
-    } else if to[1] <= to[2] {
-        t[1]
-    } else {
-        t[2]
+    let corner = match to {
+        [a, b, c] if a <= b && a <= c => t[0],
+        [_, b, c] if b <= c => t[1],
+        _ => t[2],
     };
     let distance = found.squared.sqrt();
     Deviation { distance, relative: if edge > 0.0 { distance / edge } else { 0.0 }, corner }
 }
 
+/// Of the input, each with the nearest vertex of the result.
+type Places = Vec<(u32, DVec3)>;
+
 /// Places of the input that are farther from the result than `tolerance`, or than a share of an edge where that is
 /// `None`: (nearest vertex of the result, place) by falling deviation. No two are in one one-ring.
-pub(crate) fn missed_places(
-    mesh: &LocalMesh,
-    input: &InputSamples,
-    tolerance: Option<f64>,
-    token: &Token,
-) -> Vec<(u32, DVec3)> {
+pub(crate) fn missed_places(mesh: &LocalMesh, input: &InputSamples, tolerance: Option<f64>, token: &Token) -> Places {
     select(mesh, &input.vertices, &deviations(mesh, &input.vertices, token), tolerance)
 }
 
-fn select(
-    mesh: &LocalMesh,
-    vertices: &Csr<DVec3>,
-    deviations: &[Deviation],
-    tolerance: Option<f64>,
-) -> Vec<(u32, DVec3)> {
+fn select(mesh: &LocalMesh, vertices: &Csr<DVec3>, deviations: &[Deviation], tolerance: Option<f64>) -> Places {
     let is_far = |d: &Deviation| tolerance.map_or(d.relative > MISSED_SHARES[1], |t| d.distance > t);
     let far = vertices.all().iter().zip(deviations).filter(|(_, d)| is_far(d));
     let mut missed: Vec<(&DVec3, &Deviation)> = far.collect();
@@ -285,8 +257,7 @@ fn deviation_by_facet(mesh: &LocalMesh, samples: &Csr<SurfaceSample>, token: &To
     mesh.facets().par_iter().with_min_len(ITEMS_PER_TASK).map(of).collect()
 }
 
-/// Distance of `p` from the tangent plane of the nearest sample, or from that sample where it is not below `p`. 0 if there are no
-/// samples.
+/// Distance of `p` from the tangent plane of the nearest sample, or from that if it is not below. 0 without samples.
 fn distance<const N: usize>(p: DVec3, samples: [&[SurfaceSample]; N]) -> f64 {
     let (mut least, mut nearest) = (f64::INFINITY, None);
     for s in samples.into_iter().flatten() {

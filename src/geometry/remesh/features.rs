@@ -1,7 +1,6 @@
 //! Creases and boundaries that a remesh keeps.
 //!
-//! Purpose: [`KeptCurves`] finds them, places their seeds and reads their edges off a result; [`envelope`] bounds how far the
-//! result's edges may leave them.
+//! Purpose: [`KeptCurves`] finds them, places their seeds and reads their edges off a result; [`envelope`] bounds these.
 //! Invariant: if the curves would take too many of the seeds, creases are dropped first and boundaries last, and both are
 //! counted. Must not know: backends, iterations, how a result is improved.
 
@@ -12,10 +11,7 @@ use std::collections::HashSet;
 use glam::DVec3;
 use rayon::prelude::*;
 
-use super::constants::{
-    ACUTE_LIMIT, BEND_REACH, BOUNDARY_LIMIT, CLEARANCE, CREASE_LIMIT, JOINED_CORNERS, LARGEST_SHARE, LEAST_CLEAR,
-    MOST_SEEDS, SHORTEST_CREASE, SMOOTH_REACH, SPARE_POINTS, SPARE_SEEDS,
-};
+use super::constants::*;
 use super::report::FeatureFigures;
 use super::{RemeshError, RemeshOptions, Seeds};
 use crate::cvt::curves::{CurveSeeds, INNER_POINTS, Segment, edge_length};
@@ -34,12 +30,10 @@ fn evenly(points: &[DVec3], count: usize) -> impl Iterator<Item = DVec3> + '_ {
     (0..count).map(move |k| points[(k as u64 * points.len() as u64 / count as u64) as usize])
 }
 
-/// Curves and their seeds.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct KeptCurves {
     features: Features,
     pub(crate) seeds: CurveSeeds,
-    /// Curves that were dropped.
     dropped_curves: usize,
 }
 
@@ -170,8 +164,7 @@ impl KeptCurves {
         self.seeds.segments.iter().map(|s| find(s.ends)).collect()
     }
 
-    /// Vertices between which the result has no edge although their seeds follow each other on a curve of a kind that
-    /// `counts`.
+    /// Vertices between which there is no edge though their seeds follow each other on a curve of a kind that `counts`.
     pub(crate) fn missing(
         &self,
         edges: &[Option<[u32; 2]>],

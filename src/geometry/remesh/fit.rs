@@ -13,9 +13,7 @@ mod normal_equations;
 use glam::DVec3;
 use rayon::prelude::*;
 
-use super::constants::{
-    BACKTRACKING_DROPS, BACKTRACKING_HALVINGS, FACETS_PER_TASK, FIT_ROUNDS, MEASURED_COSINE, POOR_ANGLE, POOR_SCORE,
-};
+use super::constants::*;
 use super::distance::InputSamples;
 use super::features::envelope::CurveSample;
 use super::manifold::LocalMesh;
@@ -25,7 +23,6 @@ use crate::mesh::measure::facet_quality;
 use crate::token::Token;
 use normal_equations::NormalEquations;
 
-/// What there is to fit to.
 #[derive(Debug)]
 pub(super) struct Target {
     /// By result vertex: the nearest facet is in its one-ring.

@@ -47,15 +47,15 @@ pub(super) fn distance_at(context: &Context<'_>, v: u32) -> (f64, f64) {
     let Context { mesh, reference, .. } = *context;
     let (own_facets, ring) = (mesh.ring(v), mesh.neighbours(v));
     let wider: Vec<[DVec3; 3]> = mesh.facets_around(&ring).into_iter().map(|f| mesh.corners(f)).collect();
-    let input = ascending(ring.iter().flat_map(|&u| reference.facets(u)).copied());
-    let midpoints = reference.facets(v).iter().flat_map(|&f| edge_midpoints(reference.corners(f)));
+    let input = ascending(ring.iter().flat_map(|&u| reference.facets.of(u)).copied());
+    let midpoints = reference.facets.of(v).iter().flat_map(|&f| edge_midpoints(reference.corners(f)));
     let here = mesh.positions[v as usize];
     let is_own = |p: &DVec3| {
         let own = here.distance(*p);
         ring.iter().all(|&u| u == v || mesh.positions[u as usize].distance(*p) > own)
     };
     let (mut farthest, mut hint) = (0.0f64, 0);
-    for p in reference.vertices(v).iter().copied().chain(midpoints.filter(is_own)) {
+    for p in reference.vertices.of(v).iter().copied().chain(midpoints.filter(is_own)) {
         // Less than the farthest so far need not be known exactly.
         farthest = farthest.max(least_distance(p, &wider, f64::INFINITY, farthest, &mut hint));
     }
@@ -113,7 +113,6 @@ impl Steps {
         (halvings < MAX_HALVINGS).then(|| 0.5f64.powi(halvings.into()))
     }
 
-    /// None of the places was better.
     pub(super) fn halve(&mut self, v: u32) {
         self.0[v as usize] += 1;
     }
@@ -182,11 +181,6 @@ impl<'a> MeshEditor<'a> {
         self.mesh.put_back(&patch.mesh, &patch.facet_ids, &patch.vertices);
         self.edits += 1;
         patch.vertices.iter().for_each(|&v| self.last_edit[v as usize] = self.edits);
-    }
-
-    /// From now on an edge stays.
-    pub(super) fn keep(&mut self, ends: [u32; 2]) {
-        self.mesh.keep(ends);
     }
 
     /// Whether anything that the patch around `v` depends on has changed since this number of edits.

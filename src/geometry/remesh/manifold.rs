@@ -2,7 +2,7 @@
 //!
 //! Purpose: [`repair`] makes an oriented 2-manifold of the dual's triangles, [`boundary_ears`] restores edges of boundaries.
 //! [`LocalMesh`] is the result while it changes, or a part cut out of it, with its local operators: [`LocalMesh::flip`] and
-//! [`LocalMesh::turns`] say what is allowed; [`LocalMesh::apply`] and [`LocalMesh::relocate`] do it.
+//! [`LocalMesh::turns`] say what is allowed; [`LocalMesh::apply`] does it.
 //! Invariant: a manifold stays one. An edge of a curve or of the boundary stays. No facet turns over. Valences stay within the
 //! range that a flip is given. One-rings are up to date after each operator.
 //! Must not know: seeds, diagrams, distances, why something changes.
@@ -15,7 +15,7 @@ use std::collections::HashSet;
 use glam::DVec3;
 use rayon::prelude::*;
 
-use super::constants::{FLIPPED_COSINE, REGULAR_VALENCE, VALENCES};
+use super::constants::{FLIPPED_COSINE, REGULAR_VALENCE};
 use super::triangle::unit_normal;
 use crate::mesh::csr::{OneRings, ascending};
 use crate::mesh::edges::undirected;
@@ -91,7 +91,6 @@ impl LocalMesh {
         &self.facets
     }
 
-    /// Its vertices and facets, and nothing else of it.
     pub(crate) fn into_parts(self) -> (Vec<DVec3>, Vec<[u32; 3]>) {
         (self.positions, self.facets)
     }
@@ -121,7 +120,6 @@ impl LocalMesh {
         self.places(self.facets[f as usize])
     }
 
-    /// The corners of `f` with vertex `v` at `p`.
     pub(crate) fn corners_with(&self, f: u32, v: u32, p: DVec3) -> [DVec3; 3] {
         self.facets[f as usize].map(|u| if u == v { p } else { self.positions[u as usize] })
     }
@@ -143,7 +141,6 @@ impl LocalMesh {
         self.on_boundary[v as usize]
     }
 
-    /// Whether one of its edges is kept.
     pub(crate) fn is_on_curve(&self, v: u32) -> bool {
         self.neighbours(v).into_iter().any(|u| self.curves.contains(&undirected([u, v])))
     }
@@ -157,7 +154,6 @@ impl LocalMesh {
         }
     }
 
-    /// From now on an edge stays.
     pub(crate) fn keep(&mut self, ends: [u32; 2]) {
         self.curves.insert(undirected(ends));
     }
@@ -167,12 +163,10 @@ impl LocalMesh {
         self.normals = (0..self.facets.len() as u32).into_par_iter().map(|f| unit_normal(self.corners(f))).collect();
     }
 
-    /// The normal that facet `f` turns from.
     pub(crate) fn marked_normal(&self, f: u32) -> DVec3 {
         self.normals[f as usize]
     }
 
-    /// The mean normal around a vertex.
     pub(crate) fn vertex_normal(&self, v: u32) -> DVec3 {
         self.ring(v).iter().map(|&f| unit_normal(self.corners(f))).sum::<DVec3>().normalize_or(DVec3::Z)
     }
@@ -221,25 +215,11 @@ impl LocalMesh {
         fine.then_some(Flip { facets: [f, g], corners: new })
     }
 
-    /// Flips of the edges of a facet that keep valences.
-    pub(crate) fn flips_of(&self, f: u32) -> impl Iterator<Item = Flip> + '_ {
-        (0..3).filter_map(move |side| self.flip(f, side, VALENCES))
-    }
-
     pub(crate) fn apply(&mut self, flip: &Flip) {
         for (&f, &t) in flip.facets.iter().zip(&flip.corners) {
             self.replace(f, t);
             self.normals[f as usize] = unit_normal(self.corners(f));
         }
-    }
-
-    /// Moves a vertex, if no facet turns by more than this cosine.
-    pub(crate) fn relocate(&mut self, v: u32, p: DVec3, least_cosine: f64) -> bool {
-        let fine = !self.turns(v, p, least_cosine);
-        if fine {
-            self.positions[v as usize] = p;
-        }
-        fine
     }
 
     fn replace(&mut self, f: u32, t: [u32; 3]) {
@@ -253,6 +233,7 @@ impl LocalMesh {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::remesh::constants::VALENCES;
 
     /// Two facets with the edge 0-1 in a plane, and four around them.
     fn diamond(curve: &[[u32; 2]]) -> LocalMesh {
@@ -286,14 +267,15 @@ mod tests {
         // A tetrahedron: the other diagonal is there.
         let positions = vec![DVec3::ZERO, DVec3::X, DVec3::Y, DVec3::Z];
         let closed = LocalMesh::new(positions, vec![[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]], HashSet::new());
-        assert!((0..4).all(|f| closed.flips_of(f).next().is_none()), "the link condition");
+        assert!((0..12).all(|h| closed.flip(h / 3, h as usize % 3, VALENCES).is_none()), "the link condition");
     }
 
     #[test]
     fn a_vertex_moves_as_long_as_no_facet_turns_over() {
         let mut mesh = diamond(&[]);
-        assert!(mesh.relocate(2, DVec3::new(-0.5, 0.2, 0.1), 0.5));
-        assert!(!mesh.relocate(2, DVec3::new(1.0, 0.0, 0.0), 0.5));
+        assert!(!mesh.turns(2, DVec3::new(-0.5, 0.2, 0.1), 0.5));
+        mesh.positions[2] = DVec3::new(-0.5, 0.2, 0.1);
+        assert!(mesh.turns(2, DVec3::new(1.0, 0.0, 0.0), 0.5));
         assert_eq!(mesh.positions[2], DVec3::new(-0.5, 0.2, 0.1));
     }
 

@@ -1,7 +1,6 @@
 //! The stages of a remesh, in their order.
 //!
-//! Purpose: [`remesh`] takes a surface through all stages: preprocess, prepare, optimize the seeds, extract and improve the
-//! result, carry the attributes, measure.
+//! Purpose: [`remesh`] has all stages: preprocess, prepare, optimize, extract, improve, carry attributes, measure.
 //!
 //! A surface has one name in all of them:
 //!
@@ -32,7 +31,7 @@ use glam::DVec3;
 
 use super::attributes::{self, Provenance};
 use super::report::{CountFigures, InputFigures, MemoryFigures, Report, ResultFigures, Timings};
-use super::{Limits, Observer, Placement, Refine, Remesh, RemeshError, RemeshOptions, Seeds, Tolerance};
+use super::{Limits, Observer, Placement, Refine, Remesh, RemeshError, RemeshOptions, Result, Seeds, Tolerance};
 use crate::cvt::density::{Count, DensitySource, Plan};
 use crate::mesh::TriMesh;
 use crate::mesh::adjacency::Adjacency;
@@ -42,7 +41,7 @@ use crate::mesh::closest_point::{ClosestPoint, SurfacePoint};
 use crate::mesh::comparison::{LostParts, lost_parts};
 use crate::mesh::input::{draw_in, outliers};
 use crate::mesh::measure::{Quality, Topology, coincident_vertices, quality_and_distances, topology_unless};
-use crate::rvd::{Backend, RvdError, on_threads_of};
+use crate::rvd::{Backend, RvdError, elapsed_ms, on_threads_of};
 use crate::token::{Stopped, Token};
 use prepare::{Prepared, prepare, preprocess, separation};
 use schedule::Figures;
@@ -65,8 +64,7 @@ pub fn remesh(
     });
     let options = measured.as_ref().unwrap_or(options);
     on_threads_of(backend, || match run_stages(given, options, backend, observer, token) {
-        // Vertices far off the surface take all the points: without their spikes, which are put back afterwards. Given seeds are
-        // where they are, whatever takes them.
+        // Far vertices take all the points: without their spikes, which are put back afterwards. Given seeds stay.
         Err(error @ (RemeshError::TooFewSeeds { .. } | RemeshError::Rvd(RvdError::NoArea))) => {
             let near = draw_in(given).filter(|_| !matches!(options.seeds, Seeds::Given(_)));
             let Some(near) = near else { return Err(error) };
@@ -78,7 +76,7 @@ pub fn remesh(
     })
 }
 
-/// All stages, on the present threads.
+/// On the present threads.
 fn run_stages(
     given: &TriMesh,
     options: &RemeshOptions,
@@ -132,7 +130,7 @@ fn run_stages(
         (Some(limits), &(Seeds::Sample { seed, .. } | Seeds::Implied { seed })) => {
             prepared.and_then(|prepared| tolerance::refine(&mut job, prepared, options, limits, seed))
         }
-        (Some(limits), _) => prepared.and_then(|prepared| tolerance::add(&mut job, prepared, options, limits)),
+        (Some(limits), _) => prepared.and_then(|prepared| job.add(prepared, options, limits)),
         (None, _) => prepared.and_then(|prepared| job.attempt(prepared, options, None)),
     };
     let mut attempt = attempt.map_err(|error| error.for_surface(&input.topology))?;
@@ -215,7 +213,7 @@ fn measure(
     let repair = built.repair;
     let result = ResultFigures { vertices, facets, topology, coincident_vertices, quality, lost, repair };
     laps.end(|t| &mut t.measure);
-    laps.timings.total = laps.total();
+    laps.timings.total = elapsed_ms(laps.begin);
     let reason = match options.refine {
         Some(_) => None,
         None => optimize::count_reason((vertices, result.topology.components), asked, &options.seeds, &input.topology),
@@ -265,7 +263,6 @@ pub(super) struct Job<'a, 'b> {
     pub(super) scales_seeds: bool,
     /// Diagonal of the input's bounding box, caller's units.
     pub(super) diagonal: f64,
-    /// Topology of the input.
     pub(super) topology: Topology,
 }
 
@@ -291,23 +288,14 @@ impl Laps {
 
     /// Adds the time since the last call to a stage.
     pub(super) fn end(&mut self, stage: impl Fn(&mut Timings) -> &mut f64) {
-        *stage(&mut self.timings) += self.last.elapsed().as_secs_f64() * 1e3;
+        *stage(&mut self.timings) += elapsed_ms(self.last);
         self.last = Instant::now();
-    }
-
-    pub(super) fn total(&self) -> f64 {
-        self.begin.elapsed().as_secs_f64() * 1e3
     }
 }
 
 /// Makes the result of `near`, which is `given` with its far vertices drawn in, one of `given`. Only positions change: a vertex
 /// beside a spike keeps its barycentric coordinates, the vertex nearest to a far one goes there.
-pub(super) fn put_back_spikes(
-    done: &mut Remesh,
-    given: &TriMesh,
-    near: &TriMesh,
-    token: &Token,
-) -> Result<(), RemeshError> {
+fn put_back_spikes(done: &mut Remesh, given: &TriMesh, near: &TriMesh, token: &Token) -> Result<()> {
     let far = outliers(given);
     let closest = ClosestPoint::new(near);
     let back = |p: DVec3, SurfacePoint { position, facet, barycentric }: SurfacePoint| {

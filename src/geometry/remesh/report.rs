@@ -50,8 +50,7 @@ pub struct Report {
     pub device: DeviceFigures,
     /// The surface that came out.
     pub result: ResultFigures,
-    /// What is not as in the input, e.g. "euler: 0 becomes 2"; empty if χ, components and boundary
-    /// loops are kept.
+    /// What is not as in the input, e.g. "euler: 0 becomes 2"; empty if χ, components and boundary loops are kept.
     pub topology_changes: Vec<String>,
     /// Target edge lengths.
     pub density: DensityFigures,
@@ -85,8 +84,7 @@ pub fn to_json(report: &impl Serialize) -> serde_json::Result<serde_json::Value>
     Ok(json)
 }
 
-/// What was done after the iterations: curves cleared, seeds moved that had no vertex or added where the result was far from
-/// the input.
+/// What was done after the iterations: curves cleared, seeds moved that had no vertex or added where the result was far.
 #[derive(Clone, Copy, Debug, Default, Serialize, PartialEq)]
 pub struct RefineFigures {
     /// Rounds in which seeds were moved or added.
@@ -97,8 +95,7 @@ pub struct RefineFigures {
     pub added_seeds: usize,
     /// Passes over the diagram.
     pub evaluations: usize,
-    /// Samples of the input and of the result that are farther from the other surface than the tolerance; without one, places
-    /// of the input that the result is far from.
+    /// Samples of either surface that are farther from the other than the tolerance; without one, far places of the input.
     pub out_of_tolerance: usize,
     /// The largest distance of a sample, both ways, % of the input's bounding-box diagonal; absent without a tolerance.
     pub deviation_percent: Option<f64>,
@@ -119,8 +116,7 @@ pub struct CountFigures {
     pub asked: usize,
     /// How many seeds there are: fewer where cells have several components.
     pub seeds: usize,
-    /// Why there are more or fewer vertices than that, by over 1.5 %; absent where there are not, and with a tolerance, which
-    /// adds points.
+    /// Why there are more or fewer vertices than that, by over 1.5 %; absent if there are not, or with a tolerance.
     pub reason: Option<CountReason>,
 }
 
@@ -180,8 +176,7 @@ pub struct FeatureFigures {
 /// Memory that the run took.
 #[derive(Clone, Copy, Debug, Default, Serialize)]
 pub struct MemoryFigures {
-    /// The most that the process ever held, bytes; absent where the system does not say, and in a
-    /// server's report, whose process does other jobs too.
+    /// The most that the process ever held, bytes; absent if unknown, and in a server's report: it does other jobs too.
     pub host_peak_bytes: Option<u64>,
     /// Device memory of the job's plan, bytes; 0 on a CPU.
     pub device_bytes: u64,
@@ -214,8 +209,7 @@ pub struct ResultFigures {
     /// Euler characteristic χ, components, holes, non-manifold elements.
     #[serde(flatten)]
     pub topology: Topology,
-    /// Vertices that share no edge with another one and are in its place, to within 10⁻⁵ of the diagonal: parts that touch.
-    /// A merge of vertices by position joins such parts.
+    /// Vertices in the place of another, within 10⁻⁵ of the diagonal, without a common edge: a merge joins their parts.
     pub coincident_vertices: usize,
     /// Shape and distance figures; absent if not measured.
     #[serde(flatten)]
@@ -231,8 +225,7 @@ pub struct ResultFigures {
 pub struct RepairFigures {
     /// Restricted cells with more than one connected component.
     pub split_cells: usize,
-    /// Cell components that are not a disk. Where this and the next two are 0, the dual has
-    /// the topology of the surface, if that is a manifold.
+    /// Cell components that are not a disk. If this and the next two are 0, the dual has the topology of a manifold input.
     pub not_disks: usize,
     /// Pairs of cell components that meet in more than one curve.
     pub multiple_edges: usize,
@@ -250,8 +243,7 @@ pub struct RepairFigures {
     pub non_manifold_facets: usize,
     /// Vertices split because their facets form more than one fan, and vertices put into edges along which two sheets touch.
     pub split_vertices: usize,
-    /// Seeds that no vertex is of, and vertices beyond the first of their seed: the result has as many vertices as
-    /// there are seeds, less the former, plus the latter.
+    /// Seeds without a vertex, and vertices beyond the first of theirs: vertices are seeds less the former plus the latter.
     pub seeds_without_vertex: usize,
     /// See `seeds_without_vertex`.
     pub extra_vertices: usize,

@@ -37,8 +37,12 @@ impl Wanted {
         Self { score, largest, cotangents: [cotangent(score) - rounding, cotangent(largest) + rounding] }
     }
 
-    /// What a triangle with this Q lacks of it, degrees; 0 if nothing. Most triangles lack nothing, and to see that needs no
-    /// arc tangent.
+    /// Whether a triangle lacks anything of it.
+    pub(super) fn is_lacking(&self, corners: [DVec3; 3]) -> bool {
+        self.lack(corners, facet_quality(corners)) > 0.0
+    }
+
+    /// What a triangle with this Q lacks of it, degrees; 0 if nothing. Most lack nothing: that needs no arc tangent.
     pub(super) fn lack(&self, corners: [DVec3; 3], quality: f64) -> f64 {
         let [a, b, c] = corners;
         let (u, v, w) = (b - a, c - b, a - c);

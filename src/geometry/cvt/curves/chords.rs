@@ -1,9 +1,8 @@
 //! Where to cut a curve into chords that stay close to it.
 //!
-//! Purpose: the boundary of a scan zigzags at the scale of its facets; chords of even length leave it by a fifth of
-//! theirs. Of all ways to choose some of a curve's points, [`cut`] finds the one whose chords are about as long as
-//! the target and leave the curve least: dynamic programming over the curve, as for the polygons of
-//! Perez and Vidal (1994), with a cost of length beside that of deviation.
+//! Purpose: the boundary of a scan zigzags at the scale of its facets; even chords leave it by a fifth of their length. Of
+//! all choices of its points, [`cut`] finds that whose chords are about as long as the target and leave it least: dynamic
+//! programming, as for the polygons of Perez and Vidal (1994), with a cost of length beside that of deviation.
 //! Invariant: deterministic; chords are no shorter and no longer than stated shares of the target length.
 //! Must not know: surfaces, seeds.
 
@@ -14,8 +13,7 @@ use crate::token::{Stopped, Token};
 
 /// Deviation of a chord from its curve that costs [`DEVIATION_COST`], share of the target length.
 pub(super) const TOLERANCE: f64 = 0.095;
-/// Cost of a chord that deviates by [`TOLERANCE`]. The cost of its length is the squared logarithm of its share of the
-/// target length.
+/// Cost of a chord that deviates by [`TOLERANCE`]. Its length costs the squared logarithm of its share of the target.
 const DEVIATION_COST: f64 = 0.3;
 /// Shortest and longest chord, target lengths.
 const MIN_CHORD: f64 = 0.5;
@@ -82,8 +80,7 @@ impl Line<'_> {
     }
 }
 
-/// The points at which to cut, ascending, without the ends of an open line; of a closed one at least three. `None` if it
-/// cannot be cut so, or not into `least` parts.
+/// Where to cut, ascending, without the ends of an open line; `None` if it cannot be cut so, or not into `least` parts.
 pub(super) fn cut(line: &Line<'_>, least: usize, token: &Token) -> Result<Option<Vec<usize>>, Stopped> {
     let Some(n) = line.points.len().checked_sub(1).filter(|&n| n > 1) else { return Ok(None) };
     let chords = line.chords(token)?;

@@ -1,8 +1,7 @@
 //! A curve by arc length, and where its seeds go.
 //!
-//! Purpose: [`Path`] knows how many edges fit on a curve and puts as many seeds on it: a centroidal tessellation of
-//! one dimension, its seeds at kinks near them; where its chords would leave the curve all the same, at the cuts of
-//! [`chords`].
+//! Purpose: [`Path`] knows how many edges fit on a curve and puts as many seeds on it: a centroidal tessellation of one
+//! dimension, its seeds at kinks near them; where its chords would leave the curve all the same, at the cuts of [`chords`].
 //! Invariant: seeds ascend along the curve. Must not know: other curves, the surface's seeds.
 
 use glam::DVec3;
@@ -12,8 +11,7 @@ use crate::mesh::features::Curve;
 use crate::rvd::Surface;
 use crate::token::{Stopped, Token};
 
-/// Steps of Lloyd's iteration on a curve whose density varies. It starts at equal shares of ∫ ds/h,
-/// where the tessellation ends up as the seeds become many.
+/// Steps of Lloyd's iteration where the density varies. It starts at equal shares of ∫ ds/h, the limit for many seeds.
 const LLOYD_STEPS: usize = 20;
 /// Points at which the density is sampled on each edge of a curve.
 const SAMPLES_PER_EDGE: usize = 4;
@@ -30,6 +28,7 @@ const MEAN_POINTS: i32 = 4;
 const POINTS_PER_EDGE: f64 = 12.0;
 
 /// A curve by arc length, with ∫ ds/h, ∫ ds/h³ and ∫ s ds/h³ up to each of its points.
+#[derive(Default)]
 pub(super) struct Path {
     points: Vec<DVec3>,
     /// Arc length.
@@ -57,26 +56,14 @@ impl Path {
             let (q, u) = last.unwrap_or((p, w));
             for k in from..=SAMPLES_PER_EDGE {
                 let t = k as f64 / SAMPLES_PER_EDGE as f64;
-                if let Some(&before) = points.last() {
-                    let next = q.lerp(p, t);
-                    along.push(along[along.len() - 1] + next.distance(before));
-                }
-                points.push(q.lerp(p, t));
+                let next = q.lerp(p, t);
+                along.extend(points.last().map(|&before| along[along.len() - 1] + next.distance(before)));
+                points.push(next);
                 per_length.push((u + t * (w - u)).powf(0.25) / edge);
             }
             last = Some((p, w));
         }
-        let mut path = Self {
-            points,
-            along,
-            edges: Vec::new(),
-            density: Vec::new(),
-            mass: Vec::new(),
-            moment: Vec::new(),
-            closed: curve.closed,
-            smooth: vec![0.0],
-            target: Vec::new(),
-        };
+        let mut path = Self { points, along, closed: curve.closed, smooth: vec![0.0], ..Self::default() };
         path.smooth_length(&per_length);
         let fine: Vec<f64> = (0..per_length.len()).map(|k| per_length[k] / path.shortening(k, per_length[k])).collect();
         path.accumulate(&fine);
@@ -84,8 +71,7 @@ impl Path {
         path
     }
 
-    /// Measures the length by the curve's running mean over h: the zigzag of a scan's rim is longer than
-    /// what a chain of edges can follow.
+    /// Measures the length by the curve's running mean over h: no chain of edges follows the zigzag of a scan's rim.
     fn smooth_length(&mut self, per_length: &[f64]) {
         let total = self.length();
         let mean: Vec<DVec3> = (0..self.points.len())
@@ -106,8 +92,7 @@ impl Path {
         }
     }
 
-    /// By how much the spacing is to shrink at point `k`, where 1/h is `per_length`, so that chords stay close
-    /// to the curve: ℓ² κ / 8 <= [`SAGITTA`] h.
+    /// By how much the spacing shrinks at point `k`, with 1/h `per_length`, for close chords: ℓ² κ / 8 <= [`SAGITTA`] h.
     fn shortening(&self, k: usize, per_length: f64) -> f64 {
         let reach = (0.5 / per_length).min(self.length() / 3.0);
         let (here, s) = (self.points[k], self.along[k]);
@@ -152,7 +137,6 @@ impl Path {
         self.smooth[self.smooth.len() - 1]
     }
 
-    /// How many edges fit.
     pub(super) fn total(&self) -> f64 {
         self.edges[self.edges.len() - 1]
     }
@@ -173,8 +157,7 @@ impl Path {
         if t == 1.0 { self.points[k] } else { self.points[k - 1] + t * (self.points[k] - self.points[k - 1]) }
     }
 
-    /// Points between two arc lengths, evenly spaced but for those that a vertex of the curve is near: they are there, so
-    /// that no extremum of a zigzag is missed.
+    /// Points between two arc lengths, evenly spaced, but at a vertex of the curve if one is near: no tip is missed.
     pub(super) fn between(&self, s: f64, t: f64) -> [DVec3; INNER_POINTS] {
         let step = (t - s) / (INNER_POINTS + 1) as f64;
         std::array::from_fn(|k| {
@@ -245,18 +228,15 @@ impl Path {
         Ok(cuts.map(|cuts| cuts.into_iter().map(|k| at[k]).collect()))
     }
 
-    /// Moves seeds to kinks of the curve near them, where the chords then follow it better: each in turn to
-    /// the vertex between its neighbours for which Σ (ℓ/ℓ₀ - 1)² + DEVIATION_WEIGHT (deviation/ℓ₀)² over its two
-    /// chords ℓ is least.
+    /// Moves seeds to kinks of the curve near them, where the chords then follow it better: each in turn to the vertex
+    /// between its neighbours for which Σ (ℓ/ℓ₀ - 1)² + DEVIATION_WEIGHT (deviation/ℓ₀)² over its two chords ℓ is least.
     fn snap_to_kinks(&self, places: &mut [f64], token: &Token) -> Result<(), Stopped> {
         let length = self.length();
         let neighbours = |places: &[f64], k: usize| {
-            let before = if k > 0 {
-                places[k - 1]
-            } else if self.closed {
-                places[places.len() - 1] - length
-            } else {
-                0.0
+            let before = match k.checked_sub(1) {
+                Some(k) => places[k],
+                None if self.closed => places[places.len() - 1] - length,
+                None => 0.0,
             };
             let after = match places.get(k + 1) {
                 Some(&s) => s,
@@ -279,9 +259,7 @@ impl Path {
                     let vertices = (from..self.along.len()).step_by(SAMPLES_PER_EDGE).map(|v| self.along[v] + turn);
                     for s in vertices.take_while(|s| *s < high) {
                         let c = cost(s);
-                        if c < best.0 {
-                            best = (c, s);
-                        }
+                        best = if c < best.0 { (c, s) } else { best };
                     }
                 }
                 places[k] = best.1;

@@ -3,22 +3,20 @@
 //! Purpose: the largest curvature at each vertex, after Rusinkiewicz, *Estimating Curvatures and Their
 //! Derivatives on Triangle Meshes* (3DPVT 2004, section 3): in each facet the tensor that best explains how
 //! the corners' normals differ along its edges, carried to the corners and averaged there by area.
-//! Invariant: finite, at least 0, or NaN at a vertex without a usable facet. The same bits with any number of
-//! threads. Must not know: sizes.
+//! Invariant: finite, at least 0, or NaN without a usable facet. The same bits on any threads. Must not know: sizes.
 
 use glam::{DMat3, DVec3};
 use rayon::prelude::*;
 
-use super::net::{Net, facet_normal, smoothed_normals, vertex_normals};
+use super::net::{Net, facet_normal, smoothed_normals};
 use crate::token::{Stopped, Token};
 
 /// Facets thinner than this (area over squared longest edges) say nothing of curvature.
 const THIN: f64 = 1e-6;
 
-/// The larger of |κ₁| and |κ₂| at each vertex, per extent of the mesh, from normals that were smoothed in
-/// `steps` rounds ([`smoothed_normals`]).
+/// The larger of |κ₁| and |κ₂| at each vertex, per extent of the mesh, from [`smoothed_normals`] after `steps` rounds.
 pub(super) fn largest(net: &Net, steps: usize, token: &Token) -> Result<Vec<f64>, Stopped> {
-    let normals = smoothed_normals(net, vertex_normals(net), steps, token)?;
+    let normals = smoothed_normals(net, steps, token)?;
     let tensors: Vec<Option<(DVec3, DMat3)>> = net
         .facets
         .par_iter()

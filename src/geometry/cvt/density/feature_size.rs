@@ -20,48 +20,36 @@ use crate::token::{Stopped, Token};
 /// Radius of the first ball, and what a surface without medial axis has: the bounding box's longest side. A ball that
 /// touches two points of the box and is larger says nothing of features.
 pub(super) const FAR: f64 = 1.0;
-
 /// A ball stops shrinking before its two touching points are seen from its centre under a smaller angle, if they are
 /// on one sheet: they are then neighbours, and what the ball would measure is noise or the faceting. A normal that is off by δ makes a
 /// radius wrong by about δ over half of this angle. 60 degrees.
 const LEAST_ANGLE: f64 = PI / 3.0;
-
 /// Points whose normals are farther apart are of two sheets (cosine; 120 degrees): a large ball that ends at the other one
 /// under whatever angle goes on shrinking. Beside the tip of a slender cone the first balls lean over to where it is wider.
 const FACING: f64 = -0.5;
-
-/// A ball smaller than half the distance of samples is kept only if its two points are as good as opposite: two
-/// sheets. 135 degrees.
+/// A ball below half the distance of samples is kept only if its points are about opposite: two sheets. 135 degrees.
 const OPPOSITE: f64 = 0.75 * PI;
-
 /// Samples that are put into large facets, at about equal distances.
 const SAMPLES: f64 = 10_000.0;
-
 /// The most samples of each kind; of more vertices than this every k-th is one.
 const MOST_SAMPLES: usize = 200_000;
-
 /// Balls grow from about this many samples of each kind, on both sides. Beside a ball's centre all samples may be at about the same
 /// distance (a sphere), so that a query visits them all: these two bounds keep the whole from becoming quadratic.
 /// What is thinner than a hundredth of the surface's width is not resolved.
 const SOURCES: usize = 10_000;
-
 /// Normals of corners that are off their facet's by more belong to an edge (cosine; 37 degrees): samples of the facet
 /// then have the facet's normal, else the interpolated one, as facets of a round surface ask for.
 const SMOOTH: f64 = 0.8;
-
 /// A ball shrinks to a fraction each time; nearly all end after fewer than ten.
 const ROUNDS: usize = 40;
 
 /// For each vertex the distance to the nearest medial point, per extent of the mesh.
 pub(super) struct FeatureSize {
-    /// The nearest of all.
     pub(super) all: Vec<f64>,
     /// The nearest of those between two sheets, of which the other ones are the folds of one.
     pub(super) between_sheets: Vec<f64>,
 }
 
-/// Finds it.
-///
 /// Samples are the vertices, and points inside facets that are larger than the spacing of [`SAMPLES`] points.
 pub(super) fn local(net: &Net, token: &Token) -> Result<FeatureSize, Stopped> {
     let Samples { points, normals: sample_normals, spacing, first_inner } = samples(net);
@@ -85,7 +73,6 @@ pub(super) fn local(net: &Net, token: &Token) -> Result<FeatureSize, Stopped> {
     Ok(FeatureSize { all, between_sheets })
 }
 
-/// Of each vertex from the nearest of some centres.
 fn distances(net: &Net, centres: &[DVec3], token: &Token) -> Result<Vec<f64>, Stopped> {
     if centres.is_empty() {
         return Ok(vec![FAR; net.vertices()]);
@@ -119,8 +106,7 @@ fn thinned(balls: Vec<Ball>) -> Vec<DVec3> {
     all.into_iter().map(|entry| entry.1).collect()
 }
 
-/// The largest ball beside sample `i` in direction `n`, that is along its normal or against it, that holds no other sample
-/// but of its own sheet, if it touches one.
+/// The largest ball at sample `i` on side `n` (plus or minus its normal) without samples of others, if it touches one.
 fn ball(index: &SeedIndex, points: &[DVec3], normals: &[DVec3], i: usize, n: DVec3) -> Option<Ball> {
     let p = points[i];
     if n == DVec3::ZERO {
@@ -153,7 +139,6 @@ fn ball(index: &SeedIndex, points: &[DVec3], normals: &[DVec3], i: usize, n: DVe
 struct Samples {
     points: Vec<DVec3>,
     normals: Vec<DVec3>,
-    /// Distance to the neighbours.
     spacing: Vec<f64>,
     /// Vertices come before this one, points inside facets from here.
     first_inner: usize,

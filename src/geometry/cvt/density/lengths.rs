@@ -1,8 +1,7 @@
 //! Edge lengths that vary: from a source, within bounds; and how many points they need.
 //!
 //! Purpose: [`of_curvature`] has lengths up to a factor; [`bounded`] applies least lengths, gradation and ratio, and finds
-//! the factor that gives the wanted number of points. [`Outline`] keeps what the count of one length depends on: area, length of
-//! the boundary, χ.
+//! the factor for a number of points. [`Outline`] has what the count for one length needs: area, length of the boundary, χ.
 //! Invariant: no length is zero. The two directions of an outline are each other's inverse; no power of a length overflows. The
 //! same bits with any number of threads. Must not know: weights, facets.
 
@@ -51,7 +50,6 @@ pub(super) fn adapt(field: &mut SizeField, median: f64, options: &DensityOptions
 /// size tends to nothing. With this bound the mean distance from the surface is 7 and 16 % less by feature size (bunny with
 /// 10,000 points and nefertiti with 50,000). Sheets that are close together count whatever they are made of.
 pub(super) struct Least {
-    /// Least length at each vertex.
     pub(super) edge: Vec<f64>,
     /// Lengths between close sheets. They are scaled as the field is, and may be shorter than `edge`.
     pub(super) sheets: Option<SizeField>,
@@ -59,7 +57,7 @@ pub(super) struct Least {
 
 impl Least {
     fn at(&self, v: usize, factor: f64) -> f64 {
-        self.sheets.as_ref().map_or(self.edge[v], |sheets| self.edge[v].min(factor * sheets.sizes()[v]))
+        self.sheets.as_ref().map_or(self.edge[v], |sheets| self.edge[v].min(factor * sheets.sizes[v]))
     }
 }
 
@@ -72,17 +70,13 @@ pub(super) fn resolved(net: &Net, points: f64) -> Vec<f64> {
     net.resolution().into_iter().map(|edge| (edge * net.outline.extent).min(most)).collect()
 }
 
-/// Lengths that go up and down from vertex to vertex are noise if they change by more than this per distance. Such may be left with
-/// a larger [`DensityOptions::gradation`] alone.
+/// Lengths up and down from vertex to vertex are noise if they change by more per distance, as a large gradation allows.
 const STEEPEST: f64 = 0.5;
-/// A surface has noise if it is more than this share of the area: of lengths that are drawn by themselves at each vertex it is a
-/// quarter.
+/// A surface has noise if it is more than this share of the area: lengths drawn alone at each vertex have a quarter.
 const NOISE: f64 = 0.02;
-/// Smoothing of noisy lengths ends when the lengths of no more than this share of the area are steeper than
-/// [`STEEPEST_LEFT`].
+/// Smoothing of noisy lengths ends when those of no more than this share of the area are steeper than [`STEEPEST_LEFT`].
 const NOISE_LEFT: f64 = 0.005;
-/// Steepest change of length that smoothing may leave. On a torus of 6,000 facets with lengths of 100 : 1, the limit makes
-/// 1,000 points take a tenth of the time.
+/// Steepest change that smoothing may leave. On a torus with lengths of 100 : 1, it saves nine tenths of the time.
 const STEEPEST_LEFT: f64 = 0.3;
 /// Smoothing rounds, at most. The rest is measured after 1, 2, 4, ... rounds.
 const SMOOTHING_ROUNDS: usize = 64;
@@ -173,7 +167,6 @@ pub struct Outline {
     pub(super) area: f64,
     /// Length of all boundary edges, in units of `extent`.
     pub(super) boundary: f64,
-    /// Euler characteristic.
     pub(super) euler: f64,
 }
 
@@ -185,7 +178,6 @@ impl Outline {
         Self::of(mesh, &adjacency, token)
     }
 
-    /// Measures `mesh`, whose edges are known already.
     pub(super) fn of(mesh: &TriMesh, adjacency: &Adjacency, token: &Token) -> Result<Self, Stopped> {
         let (low, high) = mesh.bounds();
         let extent = (high - low).max_element();
@@ -229,7 +221,6 @@ impl Outline {
     }
 }
 
-/// Ends of the boundary edges.
 fn boundary_edges<'a>(mesh: &'a TriMesh, adjacency: &'a Adjacency) -> impl Iterator<Item = [DVec3; 2]> + 'a {
     let halves = (0..3 * mesh.facets().len()).filter(|&half| adjacency.kind(half) == EdgeKind::Boundary);
     halves.map(|half| {

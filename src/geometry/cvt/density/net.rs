@@ -1,7 +1,6 @@
 //! A surface as the density sees it: welded vertices, the edges between them, areas, normals.
 //!
-//! Purpose: [`Net`] is built once and read by curvature, feature size and gradation. Normals are weighted by angle, and the same
-//! smoothed along the surface.
+//! Purpose: [`Net`] is built once, for curvature, feature size and gradation. Normals are weighted by angle, or smoothed.
 //! Invariant: positions are relative to the longest side of the bounding box, so that no units overflow; a class of coincident
 //! vertices is known by its lowest vertex; order depends on the mesh alone. Normals have unit length, or zero where the facets of
 //! a vertex cancel or have no area. The same bits with any number of threads.
@@ -173,17 +172,11 @@ pub(super) fn facet_normal([a, b, c]: [DVec3; 3]) -> DVec3 {
     (b - a).normalize_or_zero().cross((c - a).normalize_or_zero()).normalize_or_zero()
 }
 
-/// `normals` after `steps` rounds in which each becomes the mean over its vertex and those across an edge,
-/// weighted by their areas. A radius of about √steps mesh edges.
+/// [`vertex_normals`] after `steps` rounds of means over each vertex and its neighbours by area. A radius of √steps edges.
 ///
-/// Noise of a scan turns normals to and fro and averages out; on spheres, cylinders and planes the mean is the
-/// normal itself.
-pub(super) fn smoothed_normals(
-    net: &Net,
-    mut normals: Vec<DVec3>,
-    steps: usize,
-    token: &Token,
-) -> Result<Vec<DVec3>, Stopped> {
+/// Noise of a scan turns normals either way and averages out; on spheres, cylinders and planes the mean is the normal.
+pub(super) fn smoothed_normals(net: &Net, steps: usize, token: &Token) -> Result<Vec<DVec3>, Stopped> {
+    let mut normals = vertex_normals(net);
     for _ in 0..steps {
         token.check()?;
         normals = (0..normals.len())

@@ -46,8 +46,8 @@ pub struct DensityOptions {
     /// Target edge length, caller's units; read for [`Count::Implied`] unless lengths per vertex are given. With
     /// curvature or feature size, the points are as many as edges of this length everywhere would need.
     pub edge_length: Option<f64>,
-    /// 0 makes lengths equal, 1 (the default) takes them as the source says; between, h is the median times
-    /// (h / median) to this power. Not read for weights.
+    /// 0 makes lengths equal, 1 (the default) takes the source's; between, they are the median times (h / median) to this
+    /// power. Not read for weights.
     pub adaptivity: f64,
     /// The most that a length may grow per distance along the mesh's edges, above 0; infinite for no bound.
     /// 0.3 by default: from one ring of triangles to the next, lengths grow by about a quarter. Where lengths jump
@@ -100,18 +100,13 @@ impl DensityOptions {
     }
 
     /// Whether every number is in its range; lengths and weights per vertex are checked later.
-    ///
-    /// # Errors
-    /// `BadOption`.
     pub fn check(&self) -> Result<(), DensityError> {
         let bad = |name, value, range| Err(DensityError::BadOption { name, value, range });
         match *self {
             Self { edge_length: Some(h), .. } if !(h.is_finite() && h > 0.0) => {
                 bad("edge length", h, "finite and above 0")
             }
-            Self { adaptivity, .. } if !(0.0..=1.0).contains(&adaptivity) => {
-                bad("adaptivity", adaptivity, "from 0 to 1")
-            }
+            Self { adaptivity: a, .. } if !(0.0..=1.0).contains(&a) => bad("adaptivity", a, "from 0 to 1"),
             Self { gradation, .. } if gradation.is_nan() || gradation <= 0.0 => bad("gradation", gradation, "above 0"),
             Self { clamp, .. } if clamp.is_nan() || clamp < 1.0 => bad("clamp", clamp, "at least 1"),
             Self { ratio, .. } if !(1.0..=1e4).contains(&ratio) => bad("ratio", ratio, "from 1 to 10000"),

@@ -20,34 +20,26 @@ use crate::token::{Pace, Stopped, Token};
 /// linear h, 7 % in edge length, and less elsewhere. With 1.6 nefertiti by curvature has a twentieth more facets instead of
 /// a fifth, and lengths come out as well, but its mean quality falls from .870 to .866 and rocker-arm's least from .61 to .51.
 const STEP: f64 = 1.4;
-
 /// An edge shorter than this many target lengths is not halved: within a cell only the mean density counts.
 const SHORT: f64 = 0.5;
-
-/// An edge longer than this many target lengths is halved: nefertiti by curvature has 6 % more facets by it and takes a
-/// seventh less time.
+/// A longer edge, in target lengths, is halved: nefertiti by curvature has 6 % more facets and takes a seventh less time.
 const LONG: f64 = 3.0;
-
 /// In a uniform density they are where facets with such an edge are more than this share of the area: a Lloyd step of a cube of
 /// 12 facets with 10,000 points then takes an eighth. Where they are few there is little to be had: steps of nefertiti with
 /// 50,000 points take 14 ms instead of 18, but what comes after them has more facets to look at, and the whole takes 2.35 s instead of
 /// 2.54. Results are as near to the input either way (.088 and .086 % of the diagonal, over 24 seeds).
 const MOSTLY: f64 = 0.5;
-
 /// Each round halves the edges that need it; a ratio of a thousand is spent after a dozen.
 const ROUNDS: usize = 40;
 /// Halvings of one edge, one within the other.
 const DEPTH: usize = 60;
 
+/// A finer mesh and a value a vertex, if any facet was divided.
+type Finer = Result<Option<(TriMesh, Vec<f64>)>, Stopped>;
+
 /// Splits facets of `mesh` in which `sizes` (caller's units, one a vertex) change too fast for weights that are
 /// linear in a facet, or that are long beside them; nothing if there is none. Stops before there are more than `most` facets.
-pub(super) fn refine(
-    mesh: &TriMesh,
-    net: &Net,
-    sizes: &[f64],
-    most: usize,
-    token: &Token,
-) -> Result<Option<(TriMesh, Vec<f64>)>, Stopped> {
+pub(super) fn refine(mesh: &TriMesh, net: &Net, sizes: &[f64], most: usize, token: &Token) -> Finer {
     let mut draft = Draft::new(mesh, net.low, net.outline.extent, sizes, token);
     // What is wanted for the sake of time comes last, so that it takes nothing from what the density needs.
     let steep = draft.split_all(Draft::is_steep, most)?;
@@ -57,18 +49,11 @@ pub(super) fn refine(
 
 /// Splits facets of `mesh` that are long beside `sizes` and nothing else; `values`, one a vertex if there are any, stay
 /// linear. Nothing unless these are most of the area, or if facets lie on one another, and as [`refine`] otherwise.
-pub(super) fn shorten(
-    mesh: &TriMesh,
-    sizes: &[f64],
-    values: &[f64],
-    most: usize,
-    token: &Token,
-) -> Result<Option<(TriMesh, Vec<f64>)>, Stopped> {
+pub(super) fn shorten(mesh: &TriMesh, sizes: &[f64], values: &[f64], most: usize, token: &Token) -> Finer {
     let (low, high) = mesh.bounds();
     let mut draft = Draft::new(mesh, low, (high - low).max_element(), sizes, token);
     draft.values = values.to_vec();
-    // Facets that lie on one another have their edges in common and no others, but would have the edges between their parts
-    // too: two sides of a closed surface would become one.
+    // Facets on one another would have the edges between their parts in common too: two sides would become one.
     if draft.is_mostly_long(mesh) && !duplicates::any(mesh) && draft.split_long(most)? {
         return Ok(draft.mesh().map(|mesh| (mesh, draft.values)));
     }
@@ -110,8 +95,7 @@ impl Draft {
         TriMesh::new(std::mem::take(&mut self.positions), std::mem::take(&mut self.facets)).ok()
     }
 
-    /// Halves edges for which `is_wanted` says so until there is none or there would be more than `most` facets. Returns
-    /// whether there were any.
+    /// Halves edges that `is_wanted` names until none is left or facets would be over `most`. Returns whether any was.
     fn split_all(&mut self, is_wanted: impl Fn(&Self, usize, usize) -> bool, most: usize) -> Result<bool, Stopped> {
         for round in 0..ROUNDS {
             self.token.check()?;
@@ -124,7 +108,7 @@ impl Draft {
         Ok(true)
     }
 
-    /// Edges for which `is_wanted` says so, in order, each once.
+    /// In order, each once.
     fn halved(&self, is_wanted: impl Fn(&Self, usize, usize) -> bool) -> Result<Vec<[u32; 2]>, Stopped> {
         let mut found = Vec::new();
         for (f, v) in self.facets.iter().enumerate() {
@@ -197,8 +181,7 @@ impl Draft {
         self.positions.len() as u32 - 1
     }
 
-    /// Halves edges until none is long. Returns whether there were any; nothing is changed if there would be more than `most`
-    /// facets.
+    /// Halves edges until none is long. Returns whether any was; nothing changes if there would be more than `most` facets.
     fn split_long(&mut self, most: usize) -> Result<bool, Stopped> {
         let vertices = self.positions.len();
         // Each new vertex is a corner of a facet that is new too. With more vertices than facets are allowed the division

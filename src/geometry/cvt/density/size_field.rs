@@ -15,12 +15,11 @@ use crate::token::{Stopped, Token};
 /// Target edge length at each vertex of a mesh, caller's units.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct SizeField {
-    sizes: Vec<f64>,
+    pub(super) sizes: Vec<f64>,
 }
 
 impl SizeField {
-    /// Takes one length per vertex of the mesh that `net` was made of. Coincident vertices get the
-    /// smallest one of theirs; a vertex that no facet uses gets the median.
+    /// Takes one length per vertex. Coincident ones get the smallest of theirs; one that no facet uses gets the median.
     pub(crate) fn new(net: &Net, sizes: Vec<f64>) -> Result<Self, DensityError> {
         let vertices = net.vertices();
         if sizes.len() != vertices {
@@ -39,17 +38,6 @@ impl SizeField {
         Ok(field)
     }
 
-    /// The lengths, one a vertex.
-    pub(crate) fn sizes(&self) -> &[f64] {
-        &self.sizes
-    }
-
-    /// The lengths, for a caller that goes on with them.
-    pub(crate) fn into_sizes(self) -> Vec<f64> {
-        self.sizes
-    }
-
-    /// The length that half of the area has at most.
     pub(crate) fn median(&self, net: &Net) -> f64 {
         net.median(&self.sizes)
     }
@@ -144,10 +132,7 @@ impl SizeField {
         }
         Ok(before.iter().zip(&self.sizes).filter(|(before, after)| after < before).count())
     }
-}
 
-/// Noise.
-impl SizeField {
     /// The share of the area whose lengths are noise: vertices of a length below or above those of all neighbours that
     /// changes, in the mean of their edges, by more than `slope` per distance. No triangles have such edges.
     pub(super) fn noise(&self, net: &Net, slope: f64) -> f64 {
@@ -192,12 +177,8 @@ fn entry(size: f64, vertex: usize) -> Reverse<(u64, u32)> {
 /// Mean of 1/h over a segment on which h is linear: ln(b/a)/(b - a).
 fn mean_inverse(a: f64, b: f64) -> f64 {
     let (a, b) = (a.min(b), a.max(b));
-    log_ratio((b - a) / a) / a
-}
-
-/// `ln(1 + x) / x`, and 1 at 0.
-fn log_ratio(x: f64) -> f64 {
-    if x > 0.0 { x.ln_1p() / x } else { 1.0 }
+    let x = (b - a) / a;
+    (if x > 0.0 { x.ln_1p() / x } else { 1.0 }) / a
 }
 
 /// Mean of 1/h² over a triangle on which h is linear: twice the second divided difference of -ln h (Hermite and
@@ -268,7 +249,7 @@ mod tests {
             let mut field = SizeField::new(&net, given.clone()).unwrap();
             let lowered = field.grade(&net, 0.3, &Token::default()).unwrap();
             assert!(lowered > 0 || shape == Shape::Square, "{shape}");
-            let h = field.sizes();
+            let h = &field.sizes;
             for v in 0..h.len() {
                 assert!(h[v] <= given[v]);
                 let mut reason = h[v] == given[v];
@@ -319,8 +300,8 @@ mod tests {
         let mesh = TriMesh::new(square.to_vec(), vec![[0, 1, 2], [3, 5, 4]]).unwrap();
         let net = Net::new(&mesh, &Token::default()).unwrap();
         let field = SizeField::new(&net, vec![1.0, 2.0, 3.0, 4.0, 0.5, 6.0, 1e-9]).unwrap();
-        assert_eq!(field.sizes()[..6], [1.0, 2.0, 0.5, 2.0, 0.5, 6.0]);
-        assert_eq!(field.sizes()[6], field.median(&net), "no facet uses it");
+        assert_eq!(field.sizes[..6], [1.0, 2.0, 0.5, 2.0, 0.5, 6.0]);
+        assert_eq!(field.sizes[6], field.median(&net), "no facet uses it");
         for bad in [0.0, -1.0, f64::NAN, f64::INFINITY] {
             let mut sizes = vec![1.0; 7];
             sizes[3] = bad;

@@ -26,11 +26,9 @@ use crate::remesh::constants::{LONG_SEAM_REACH, MAX_SEAM_FACETS, MOST_STRETCH, S
 /// Where a corner of the result takes its value.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Source {
-    /// The input's facet.
     pub(super) facet: u32,
     /// Of its point that is nearest to the corner.
     pub(super) barycentric: [f64; 3],
-    /// The result's vertex.
     vertex: u32,
     /// The input's facet where the walk began.
     origin: u32,
@@ -257,7 +255,6 @@ struct Reached {
     squared: f64,
     /// Whether it is as near as any.
     reached: bool,
-    /// Whether a seam was in the way.
     blocked: bool,
 }
 

@@ -3,8 +3,7 @@
 //! Purpose: the chords of a curve are chosen to stay close to it. Later moves of their ends, for a smaller mean distance or a
 //! better facet, must not undo that. [`CurveEnvelope`] knows the points of the curve beside each of its vertices, and how far
 //! the edges there may be from them. It measures how far they are with a vertex at some place.
-//! Invariant: a chord that was farther than the limit may stay as far as it was. A corner moves on a boundary alone. Where a
-//! curve is straight, its edges stay on it.
+//! Invariant: a chord beyond the limit may stay as far. A corner moves on a boundary alone. Edges of a straight curve stay.
 //! Must not know: why else vertices move.
 
 use glam::DVec3;
@@ -13,7 +12,6 @@ use crate::mesh::closest_point::distance_to_segment as distance;
 use crate::mesh::csr::Csr;
 use crate::remesh::constants::{STRAIGHT_EDGES, STRAIGHTNESS};
 
-/// A point of an input curve.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct CurveSample {
     /// Unit frame.
@@ -29,7 +27,6 @@ pub(crate) struct CurveSample {
 /// An edge of a curve, seen from one of its ends.
 #[derive(Clone, Copy)]
 struct Chord {
-    /// The other end.
     other: u32,
     /// The curve's points between the ends: where they begin and end in the envelope's points.
     points: [u32; 2],
@@ -46,7 +43,7 @@ pub(crate) struct CurveEnvelope {
     /// By vertex.
     chords: Csr<Chord>,
     /// Where the vertices were at first.
-    start: Vec<DVec3>,
+    pub(crate) start: Vec<DVec3>,
 }
 
 impl CurveEnvelope {
@@ -75,7 +72,7 @@ impl CurveEnvelope {
     /// Finds where curves are straight, and lowers the limits there.
     fn hold_straight(&mut self, fixed: &[bool]) {
         let own = &*self;
-        let of = |v: u32| own.chords(v).iter().map(move |chord| (v, own.is_straight(v, chord, fixed)));
+        let of = |v: u32| own.chords.of(v).iter().map(move |chord| (v, own.is_straight(v, chord, fixed)));
         let straight: Vec<(u32, bool)> = (0..self.start.len() as u32).flat_map(of).collect();
         for (chord, (v, straight)) in self.chords.all_mut().iter_mut().zip(straight) {
             chord.straight = straight;
@@ -96,7 +93,7 @@ impl CurveEnvelope {
         // As far as the curve goes on without a corner.
         let goes_on = |mut from: u32, mut to: u32| {
             for _ in 0..STRAIGHT_EDGES {
-                let next = match self.chords(to) {
+                let next = match self.chords.of(to) {
                     _ if fixed[to as usize] => return true,
                     [a, b] if a.other == from => b,
                     [a, b] if b.other == from => a,
@@ -112,26 +109,18 @@ impl CurveEnvelope {
         holds(v, chord) && goes_on(v, chord.other) && goes_on(chord.other, v)
     }
 
-    fn chords(&self, v: u32) -> &[Chord] {
-        self.chords.of(v)
-    }
-
     /// The curve's points between the ends of a chord.
     fn between(&self, chord: &Chord) -> &[DVec3] {
         &self.points[chord.points[0] as usize..chord.points[1] as usize]
     }
 
     pub(crate) fn vertices(&self) -> Vec<u32> {
-        (0..self.start.len() as u32).filter(|&v| !self.chords(v).is_empty()).collect()
-    }
-
-    pub(crate) fn start(&self, v: u32) -> DVec3 {
-        self.start[v as usize]
+        (0..self.start.len() as u32).filter(|&v| !self.chords.of(v).is_empty()).collect()
     }
 
     /// The shortest edge of a curve at a vertex.
     pub(crate) fn shortest_edge(&self, positions: &[DVec3], v: u32) -> f64 {
-        let lengths = self.chords(v).iter().map(|s| positions[v as usize].distance(positions[s.other as usize]));
+        let lengths = self.chords.of(v).iter().map(|s| positions[v as usize].distance(positions[s.other as usize]));
         lengths.fold(f64::INFINITY, f64::min)
     }
 
@@ -152,12 +141,12 @@ impl CurveEnvelope {
             farthest.max(own).max(other.min(positions[chord.other as usize].distance(self.start[chord.other as usize])))
                 / chord.limit
         };
-        self.chords(v).iter().map(of).fold(0.0, f64::max)
+        self.chords.of(v).iter().map(of).fold(0.0, f64::max)
     }
 
     /// How far the edges of vertex `v` and the curve are apart with it at `p`, in both directions, as a multiple of the goal.
     pub(crate) fn excess(&self, positions: &[DVec3], v: u32, p: DVec3) -> f64 {
-        let (chords, start) = (self.chords(v), self.start[v as usize]);
+        let (chords, start) = (self.chords.of(v), self.start[v as usize]);
         let goal = chords.iter().map(|chord| chord.goal).fold(f64::INFINITY, f64::min);
         // The vertex has to be near the curve, and its first place near one of the edges.
         let cut = |chord: &Chord| distance(start, [p, positions[chord.other as usize]]) / goal;
@@ -170,7 +159,7 @@ impl CurveEnvelope {
         let at = |u: u32| if u == v { p } else { positions[u as usize] };
         // A sharp bend of the curve may be nearer to the next edge than to its own.
         let near = |q: DVec3, other: u32| {
-            let chords = |u: u32| self.chords(u).iter().map(move |s| distance(q, [at(u), at(s.other)]));
+            let chords = |u: u32| self.chords.of(u).iter().map(move |s| distance(q, [at(u), at(s.other)]));
             chords(v).chain(chords(other)).fold(f64::INFINITY, f64::min)
         };
         let edges = chords.iter().map(|chord| {
@@ -184,7 +173,7 @@ impl CurveEnvelope {
 
     /// Whether vertex `v` may go to `p`: its edges stay within their limits, or come nearer to them.
     pub(crate) fn admits(&self, positions: &[DVec3], v: u32, p: DVec3) -> bool {
-        if self.chords(v).is_empty() {
+        if self.chords.of(v).is_empty() {
             return true;
         }
         let then = self.violation(positions, v, p);

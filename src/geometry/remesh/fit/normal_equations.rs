@@ -1,9 +1,8 @@
 //! The normal equations of the fit.
 //!
-//! Purpose: for a point s of the input with normal n and nearest facet point Σ λ_i x_i the residual is
-//! n·(Σ λ_i x_i - s), as in the point-to-plane registration of Chen and Medioni (1992). For a point of a
-//! curve it is the part of Σ λ_i x_i - s across the edge. The moves solve a sparse system, a row of symmetric 3 x 3
-//! blocks a vertex, by conjugate gradients with a block diagonal preconditioner.
+//! Purpose: for a point s of the input with normal n and nearest facet point Σ λ_i x_i the residual is n·(Σ λ_i x_i - s),
+//! as in the point-to-plane registration of Chen and Medioni (1992). For a curve it is the part of Σ λ_i x_i - s across the
+//! edge. The moves solve a sparse system, a row of symmetric 3 x 3 blocks a vertex, by preconditioned conjugate gradients.
 //! Invariant: sums have a fixed order: samples by vertex, facets of a one-ring ascending, vertices in runs. So the
 //! moves have the same bits whatever the number of threads. Must not know: whether a move is allowed.
 
@@ -11,12 +10,8 @@ use glam::{DMat3, DVec3};
 use rayon::prelude::*;
 
 use super::Target;
-use crate::remesh::constants::{
-    BLOCKS_PER_ROW, CURVE_WEIGHT, GRADIENT_STEPS, NORMAL_DAMPING, RESIDUAL_SHARE, SAMPLES_PER_CHECK, STIFFNESS,
-    TANGENT_DAMPING, VERTICES_PER_RUN,
-};
-use crate::remesh::distance::RingQuery;
-use crate::remesh::distance::SurfaceSample;
+use crate::remesh::constants::*;
+use crate::remesh::distance::{RingQuery, SurfaceSample};
 use crate::remesh::features::envelope::CurveSample;
 use crate::remesh::manifold::LocalMesh;
 use crate::token::Token;
@@ -99,7 +94,6 @@ impl Share {
 /// Share of a point of a curve in the equations of one end of its edge.
 struct CurveShare {
     vertex: u32,
-    /// The other end.
     other: u32,
     own: Symmetric,
     off: Symmetric,
@@ -128,7 +122,6 @@ impl CurveShare {
     }
 }
 
-/// Nearest facets of the samples of the vertices.
 struct NearestFacets {
     /// In the order of the samples.
     facet: Vec<u32>,
@@ -191,7 +184,6 @@ struct Rows {
     ends: Vec<u32>,
 }
 
-/// What the rows are made of.
 struct Parts<'a> {
     mesh: &'a LocalMesh,
     /// Where vertices were before the fit.
@@ -206,10 +198,6 @@ struct Parts<'a> {
 impl Parts<'_> {
     fn moved(&self, v: u32) -> DVec3 {
         self.mesh.positions[v as usize] - self.start[v as usize]
-    }
-
-    fn unknown(&self, v: u32) -> u32 {
-        self.unknown[v as usize]
     }
 
     fn rows(&self, vertices: &[u32]) -> Rows {
@@ -250,14 +238,14 @@ impl Parts<'_> {
                 right += share.right[i] - k * (3.0 * moved[i] - sum);
                 area += share.area[i];
                 normal += share.normal;
-                (0..3).filter(|&j| j != i).for_each(|j| couple(self.unknown(t[j]), share.block(i, j), k));
+                (0..3).filter(|&j| j != i).for_each(|j| couple(self.unknown[t[j] as usize], share.block(i, j), k));
             }
         }
         let curves = self.curves.partition_point(|c| c.vertex < v);
         for curve in self.curves[curves..].iter().take_while(|c| c.vertex == v) {
             own.add(1.0, &curve.own);
             right += curve.right;
-            couple(self.unknown(curve.other), &curve.off, 0.0);
+            couple(self.unknown[curve.other as usize], &curve.off, 0.0);
         }
         let mut extra = Symmetric::default();
         extra.widen(TANGENT_DAMPING * area);
@@ -286,8 +274,7 @@ impl NormalEquations {
         let found = NearestFacets::new(mesh, target, token);
         let facets = (0..mesh.facets().len() as u32).into_par_iter().with_min_len(VERTICES_PER_RUN);
         let shares = facets.map(|f| found.share(mesh, target, f)).collect();
-        let mut curves: Vec<CurveShare> =
-            target.curves.iter().flat_map(|s| CurveShare::both(&mesh.positions, s)).collect();
+        let mut curves: Vec<_> = target.curves.iter().flat_map(|s| CurveShare::both(&mesh.positions, s)).collect();
         curves.sort_by_key(|c| c.vertex);
         let unknowns: Vec<u32> = (0..mesh.positions.len() as u32).filter(|&v| !target.fixed[v as usize]).collect();
         let mut unknown = vec![NONE; mesh.positions.len()];
@@ -297,14 +284,8 @@ impl NormalEquations {
         Self { vertices: mesh.positions.len(), unknowns, rows }
     }
 
+    /// The moves, by conjugate gradients.
     pub(super) fn solve(&self, token: &Token) -> Vec<DVec3> {
-        let mut moves = vec![DVec3::ZERO; self.vertices];
-        let x = self.conjugate_gradients(token);
-        self.unknowns.iter().zip(x).for_each(|(&v, x)| moves[v as usize] = x);
-        moves
-    }
-
-    fn conjugate_gradients(&self, token: &Token) -> Vec<DVec3> {
         let n = self.unknowns.len();
         let (mut x, mut q) = (vec![DVec3::ZERO; n], vec![DVec3::ZERO; n]);
         let mut r: Vec<DVec3> = self.rows.iter().flat_map(|rows| rows.right.iter().copied()).collect();
@@ -325,7 +306,9 @@ impl NormalEquations {
             rz = next;
             p.iter_mut().zip(&q).for_each(|(p, &z)| *p = z + beta * *p);
         }
-        x
+        let mut moves = vec![DVec3::ZERO; self.vertices];
+        self.unknowns.iter().zip(x).for_each(|(&v, x)| moves[v as usize] = x);
+        moves
     }
 
     /// Computes `q = A p`. Returns `p·q`.
@@ -346,8 +329,7 @@ impl NormalEquations {
         products.iter().sum()
     }
 
-    /// Moves `x` and `r` one step along `p`. On entry `q` holds `A p`; on return it holds `z`, the residual divided by the
-    /// diagonal. Returns `r·z`.
+    /// Moves `x` and `r` one step along `p`. `q` has `A p`, then `z`, the residual divided by the diagonal. Returns `r·z`.
     fn advance(&self, step: f64, p: &[DVec3], q: &mut [DVec3], x: &mut [DVec3], r: &mut [DVec3]) -> f64 {
         let runs = self.rows.par_iter().zip(q.par_chunks_mut(VERTICES_PER_RUN)).zip(x.par_chunks_mut(VERTICES_PER_RUN));
         let runs = runs.zip(r.par_chunks_mut(VERTICES_PER_RUN)).zip(p.par_chunks(VERTICES_PER_RUN)).map(

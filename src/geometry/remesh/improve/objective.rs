@@ -11,10 +11,7 @@ use super::patch::Patch;
 use crate::mesh::closest_point::closest_on_facet;
 use crate::mesh::facet_set::least_distance;
 use crate::mesh::measure::facet_quality;
-use crate::remesh::constants::{
-    BOUND_ROUNDING, FREE_SHARE, KNOWN_SHARE, MEASURED_COSINE, MEASURED_SCORE, OWN_WEIGHT, QUALITY_WEIGHT,
-    RADIUS_ROUNDING, SCORE_SCALE, SQUARE_ROUNDING, UNMEASURED_ANGLE, UNMEASURED_SCORE,
-};
+use crate::remesh::constants::*;
 use crate::remesh::manifold::LocalMesh;
 use crate::remesh::triangle::Wanted;
 
@@ -87,7 +84,6 @@ pub(super) struct VertexObjective<'a> {
     nearest: Vec<u32>,
     /// The input's facet that was nearest to the vertex last.
     hint: u32,
-    /// By facet around the vertex.
     ring: Vec<RingFacet>,
     shape: ShapeCost,
     /// Corners of the facets with the vertex at the place that is measured.
@@ -103,7 +99,6 @@ struct DependentPoint {
     hint: usize,
 }
 
-/// What is known of a facet around the vertex.
 struct RingFacet {
     /// Which corner the vertex is.
     corner: usize,

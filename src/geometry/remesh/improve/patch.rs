@@ -1,27 +1,22 @@
 //! A patch: a small part of a result, to be changed on its own.
 //!
-//! Purpose: [`Patch`] is a vertex with its one-ring and the one-rings of its neighbours, and the input there. It measures how
-//! far the two are apart.
-//! Invariant: facets outside stay as they are, and nothing changes in the result before the patch is put back. The same bits
-//! whatever the number of threads.
+//! Purpose: [`Patch`] is a vertex with its one-ring, those of its neighbours, and the input there. It has their distance.
+//! Invariant: facets outside stay, and the result is as it was until the patch is put back. The same bits on any threads.
 //! Must not know: which patches there are, seeds, diagrams.
 
 use std::sync::Arc;
 
 use glam::DVec3;
 
-use super::Context;
-use super::Steps;
+use super::{Context, Steps};
 use crate::mesh::csr::ascending;
 use crate::mesh::facet_set::{FacetSet, sample_points, squared_distance};
-use crate::remesh::constants::{
-    FARTHEST_MOVE, LONG_EDGE, MAX_FACETS, MEASURED_COSINE, MIDPOINT_REACH, SHARPEST_COSINE,
-};
+use crate::remesh::constants::*;
 use crate::remesh::manifold::{Flip, LocalMesh};
 use crate::remesh::triangle::{perimeter, score, unit_normal};
 use crate::token::Token;
 
-/// See the module's head. Vertices and facets have local numbers.
+/// Vertices and facets have local numbers.
 #[derive(Clone)]
 pub(super) struct Patch {
     pub(super) mesh: LocalMesh,
@@ -33,12 +28,10 @@ pub(super) struct Patch {
     /// Vertices that have all their facets inside and may move.
     pub(super) movable: Vec<u32>,
     pub(super) steps: Steps,
-    /// The vertex around which the patch is.
     pub(super) centre: u32,
     pub(super) mean_edge: f64,
     /// Distance of the two surfaces at the beginning.
     pub(super) start_distance: PatchDistance,
-    /// Points of the input to compare with.
     pub(super) input_points: Vec<InputPoint>,
     /// Squared distance of input point `p` from facet `f` at `p * facets + f`.
     squared_distances: Vec<f64>,
@@ -47,7 +40,6 @@ pub(super) struct Patch {
     pub(super) token: Token,
 }
 
-/// A point of the input, and what is known of it.
 #[derive(Clone, Copy)]
 pub(super) struct InputPoint {
     pub(super) position: DVec3,
@@ -57,12 +49,10 @@ pub(super) struct InputPoint {
     pub(super) outside_squared: f64,
 }
 
-/// How far a patch is from the input.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct PatchDistance {
     /// In and around the cell of its centre.
     pub(super) centre: f64,
-    /// Elsewhere.
     pub(super) rest: f64,
     /// The input point of the centre's cell that is farthest from the patch, if nothing there is farther.
     pub(super) farthest_point: Option<DVec3>,
@@ -111,14 +101,13 @@ impl Patch {
         Some(patch)
     }
 
-    /// Takes in the input of the patch's cells.
     fn take_input(&mut self, context: &Context<'_>) {
         let reference = context.reference;
-        let facets = ascending(self.vertices.iter().flat_map(|&v| reference.facets(v)).copied());
+        let facets = ascending(self.vertices.iter().flat_map(|&v| reference.facets.of(v)).copied());
         self.input_facets = Arc::new(FacetSet::new(facets.iter().map(|&f| reference.corners(f))));
         let mut points: Vec<(DVec3, u32)> = Vec::new();
         for (&v, owner) in self.vertices.iter().zip(0..) {
-            points.extend(reference.vertices(v).iter().map(|&p| (p, owner)));
+            points.extend(reference.vertices.of(v).iter().map(|&p| (p, owner)));
         }
         self.add_edge_midpoints(&mut points);
         for (position, owner) in points {
@@ -175,7 +164,6 @@ impl Patch {
         &self.squared_distances[point * facets..(point + 1) * facets]
     }
 
-    /// The least score of its facets.
     pub(super) fn worst_score(&self) -> f64 {
         (0..self.facet_ids.len() as u32).map(|f| score(self.mesh.corners(f))).fold(f64::INFINITY, f64::min)
     }
@@ -233,15 +221,11 @@ impl Patch {
         (0..).zip(&self.vertices).filter(|(k, _)| self.mesh.is_inside(*k)).map(|(_, &v)| v)
     }
 
-    /// Edges of the centre's facets, each once: facet and side of it.
-    pub(super) fn edges_around(&self) -> impl Iterator<Item = (u32, usize)> + '_ {
-        let all = self.mesh.ring(self.centre).iter().flat_map(|&f| (0..3).map(move |side| (f, side)));
-        all.filter(|&(f, side)| self.mesh.facets()[f as usize][side] != self.centre)
-    }
-
-    /// Flips of these edges that are allowed with such valences.
+    /// Flips of the edges of the centre's facets, each once, that are allowed with such valences.
     pub(super) fn flips(&self, valences: [usize; 2]) -> Vec<Flip> {
-        self.edges_around().filter_map(|(f, side)| self.mesh.flip(f, side, valences)).collect()
+        let all = self.mesh.ring(self.centre).iter().flat_map(|&f| (0..3).map(move |side| (f, side)));
+        let edges = all.filter(|&(f, side)| self.mesh.facets()[f as usize][side] != self.centre);
+        edges.filter_map(|(f, side)| self.mesh.flip(f, side, valences)).collect()
     }
 
     pub(super) fn flip(&mut self, flip: &Flip) {
@@ -256,16 +240,15 @@ impl Patch {
         }
     }
 
-    /// Puts the movable vertex that is nearest to `p` there, whatever becomes of the shapes. Returns whether it went, and no
-    /// facet turned over.
+    /// Puts the movable vertex nearest to `p` there, whatever the shapes. Returns whether it did: no facet turns over.
     pub(super) fn jump(&mut self, p: DVec3) -> bool {
         let squared = |v: u32| self.mesh.positions[v as usize].distance_squared(p);
         let nearest = self.movable.iter().copied().min_by(|&a, &b| squared(a).total_cmp(&squared(b)).then(a.cmp(&b)));
         let Some(v) = nearest.filter(|&v| squared(v).sqrt() < FARTHEST_MOVE * self.mean_edge) else { return false };
-        let went = self.mesh.relocate(v, p, MEASURED_COSINE);
-        if went {
+        let turns = self.mesh.turns(v, p, MEASURED_COSINE);
+        if !turns {
             self.put(v, p);
         }
-        went
+        !turns
     }
 }

@@ -11,17 +11,11 @@ use std::collections::{HashMap, HashSet};
 
 use rayon::prelude::*;
 
-use super::MeshEditor;
 use super::patch::Patch;
 use super::trial::{Goal, Measure, Trial, best};
-use super::{Context, distance_at};
-use super::{Place, Queue};
+use super::{Context, MeshEditor, Place, Queue, distance_at};
 use crate::mesh::facet_set::squared_distance;
-use crate::remesh::constants::{
-    CURVE_SCORE, ESTIMATE_SHARE, FAILED_SHARE, FAR_LOOK_AHEAD, FREE_DISTANCE, GAIN, LEAST_SCORE, LOOK_AHEAD,
-    MAX_FAILURES, MAX_FLIPS, MAX_IMPROVED, MAX_IMPROVED_SHARE, MAX_IRREGULAR, MAX_MEASURED, MEASURED_SCORE, NEAR_SHARE,
-    PATCHES_AT_ONCE, QUEUE_ROUNDS, RECOVERY_SCORE, RECOVERY_VALENCES, STALE_SHARE, VALENCES,
-};
+use crate::remesh::constants::*;
 use crate::remesh::manifold::Flip;
 
 /// What is wrong at a place. The later ones come first.
@@ -33,32 +27,19 @@ enum Defect {
     Irregular,
 }
 
-/// What an attempt at a place came to.
 enum Outcome {
-    /// There is nothing to do.
     Fine,
     /// It is less bad than it was; so much.
     Less(f64),
-    /// A better patch.
     Better(Box<Patch>),
     /// There is none. How bad the place is.
     Failed(f64),
 }
 
-/// Improves places as long as that helps. `estimates` are the distances from the input around each vertex, about. Returns how
-/// many were improved.
+/// Improves places while that helps. `estimates` are about the distances around each vertex. Returns how many it improved.
 pub(crate) fn improve(editor: &mut MeshEditor<'_>, estimates: &[f64]) -> usize {
     let share = (MAX_IMPROVED_SHARE * estimates.len() as f64) as usize;
-    let mut run = Run {
-        queue: Queue::new(),
-        known: HashMap::new(),
-        exhausted: HashMap::new(),
-        failed: Vec::new(),
-        far_left: MAX_IMPROVED + share,
-        failures_left: MAX_FAILURES,
-        improved: 0,
-        ahead: HashMap::new(),
-    };
+    let mut run = Run { far_left: MAX_IMPROVED + share, failures_left: MAX_FAILURES, ..Run::default() };
     run.push_far(first_far(&editor.context(), estimates), 0);
     for _ in 0..QUEUE_ROUNDS {
         let before = run.improved;
@@ -76,10 +57,9 @@ pub(crate) fn recover_edge(editor: &mut MeshEditor<'_>, ends: [u32; 2]) -> bool 
     let Some(patch) = Patch::around(&editor.context(), ends[0]) else { return false };
     let Ok(to) = patch.vertices.binary_search(&ends[1]) else { return false };
     let joins = |patch: &Patch, before: &[_]| {
-        let join = patch.flips(RECOVERY_VALENCES).into_iter();
-        let join =
-            join.filter(|flip| flip.corners[0].contains(&patch.centre) && flip.corners[0].contains(&(to as u32)));
-        join.map(|flip| Trial::Flip([before, &[flip]].concat())).collect::<Vec<Trial>>()
+        let joins = |flip: &Flip| [patch.centre, to as u32].iter().all(|end| flip.corners[0].contains(end));
+        let flips = patch.flips(RECOVERY_VALENCES).into_iter().filter(joins);
+        flips.map(|flip| Trial::Flip([before, &[flip]].concat())).collect::<Vec<Trial>>()
     };
     let mut trials = joins(&patch, &[]);
     for flip in patch.flips(RECOVERY_VALENCES) {
@@ -89,7 +69,7 @@ pub(crate) fn recover_edge(editor: &mut MeshEditor<'_>, ends: [u32; 2]) -> bool 
     }
     let Some(better) = best_allowed(&patch, &trials, patch.worst_score().min(RECOVERY_SCORE)) else { return false };
     editor.put_back(&better);
-    editor.keep(ends);
+    editor.mesh.keep(ends);
     true
 }
 
@@ -101,6 +81,7 @@ fn best_allowed(patch: &Patch, trials: &[Trial], score: f64) -> Option<Patch> {
 }
 
 /// The queue, and what is left of the budgets.
+#[derive(Default)]
 struct Run {
     queue: Queue<Defect>,
     /// What is known of far places: their distance, and how many edits there were when it was measured.
@@ -203,17 +184,14 @@ impl Run {
         let is_far = place.kind == Defect::Far;
         match outcome {
             Outcome::Fine => {}
-            Outcome::Less(badness) => {
-                self.push_far(vec![Place::new(place.kind, place.vertex(), badness)], editor.edits)
-            }
+            Outcome::Less(now) => self.push_far(vec![Place::new(place.kind, place.vertex(), now)], editor.edits),
             Outcome::Better(patch) => {
                 editor.put_back(&patch);
                 self.improved += 1;
                 self.far_left = self.far_left.saturating_sub(usize::from(is_far));
                 // Often a place that failed is improved from a neighbouring vertex.
                 self.failed.retain(|failed| is_exhausted(&self.exhausted, editor, failed));
-                let places = far(&editor.context(), patch.inner().collect());
-                self.push_far(places, editor.edits);
+                self.push_far(far(&editor.context(), patch.inner().collect()), editor.edits);
             }
             Outcome::Failed(badness) => {
                 self.exhausted.insert((place.kind, place.vertex()), editor.edits);
@@ -248,7 +226,6 @@ fn attempt_irregular(patch: &Patch, before: f64) -> Outcome {
     }
 }
 
-/// Tries to bring the result nearer to the input.
 fn attempt_far(patch: &Patch, before: f64) -> Outcome {
     let now = patch.start_distance;
     let distance = now.centre;

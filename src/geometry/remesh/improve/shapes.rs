@@ -5,10 +5,9 @@
 //! where its facets cost least; where no place is better, an edge of a poor facet is flipped. Independent vertices are looked at
 //! at the same time. [`restore`] takes vertices that went too far from their curves back towards where they were. [`tighten`]
 //! moves ends of edges that are too far from their curves even so.
-//! Invariant: moves are short beside an edge. A vertex moves in the tangent plane; a vertex of a curve along the curve, within a
-//! small tolerance across it; the end of a curve within that tolerance; a corner not at all. [`restore`] and [`tighten`] move only
-//! vertices of curves, each to where its edges are nearer to the curves. No facet turns over. The same bits whatever the number of
-//! threads.
+//! Invariant: moves are short beside an edge. A vertex moves in the tangent plane; a vertex of a curve along the curve,
+//! within a small tolerance across it; an end within that; a corner not at all. [`restore`] and [`tighten`] move only
+//! vertices of curves, to where edges are nearer. No facet turns over. The same bits whatever the number of threads.
 //! Must not know: seeds, diagrams, files.
 
 use glam::DVec3;
@@ -17,13 +16,7 @@ use rayon::prelude::*;
 use super::objective::ShapeCost;
 use super::{Place, Queue, Steps, cheapest, places_around};
 use crate::mesh::csr::ascending;
-use crate::mesh::measure::facet_quality;
-use crate::remesh::constants::{
-    BACKTRACKING, DIRECTIONS, FARTHEST_ACROSS, FARTHEST_OF_CORNER, FARTHEST_OF_END, FARTHEST_TANGENTIAL,
-    FARTHEST_TIGHTENED, FIRST_STEP, FIRST_TIGHTENING_STEP, LEAST_GAIN, LEAST_GAIN_OF_PASS, LEAST_SCORE,
-    MOVES_PER_VERTEX, POOR_ANGLE, POOR_SCORE, RESTORING_PASSES, SHAPES_AT_ONCE, SHAPES_PER_TASK, TIGHTENING_PASSES,
-    UNMEASURED_COSINE,
-};
+use crate::remesh::constants::*;
 use crate::remesh::features::envelope::CurveEnvelope;
 use crate::remesh::manifold::{Flip, LocalMesh};
 use crate::remesh::triangle::{Wanted, perimeter, score};
@@ -37,7 +30,6 @@ pub(crate) enum Mobility {
     Along(DVec3),
     /// Within a small tolerance: the end of a curve.
     End,
-    /// Not at all.
     Fixed,
 }
 
@@ -53,17 +45,12 @@ pub(crate) struct MotionBounds<'a> {
 pub(crate) fn improve_shapes(mesh: &mut LocalMesh, bounds: MotionBounds<'_>, token: &Token) {
     mesh.mark();
     let wanted = Wanted::new(POOR_SCORE, POOR_ANGLE);
-    let lack = |f: u32| {
-        let corners = mesh.corners(f);
-        wanted.lack(corners, facet_quality(corners))
-    };
-    let facets = (0..mesh.facets().len() as u32).into_par_iter();
-    let poor: Vec<u32> = facets.filter(|&f| lack(f) > 0.0).flat_map_iter(|f| mesh.facets()[f as usize]).collect();
+    let poor = (0..mesh.facets().len() as u32).into_par_iter().filter(|&f| wanted.is_lacking(mesh.corners(f)));
+    let poor: Vec<u32> = poor.flat_map_iter(|f| mesh.facets()[f as usize]).collect();
     // Their neighbours make room.
     let vertices = mesh.corners_around(&poor);
     let mut is_due = vec![false; mesh.positions.len()];
     vertices.iter().for_each(|&v| is_due[v as usize] = true);
-    let vertices = || vertices.iter().copied();
     let count = mesh.positions.len();
     let mut shapes = Shapes {
         start: mesh.positions.clone(),
@@ -77,8 +64,8 @@ pub(crate) fn improve_shapes(mesh: &mut LocalMesh, bounds: MotionBounds<'_>, tok
         claims: vec![0; count],
         rounds: 0,
     };
-    shapes.push(vertices().collect());
-    let mut left = MOVES_PER_VERTEX * vertices().len();
+    let mut left = MOVES_PER_VERTEX * vertices.len();
+    shapes.push(vertices);
     loop {
         let batch = shapes.next_batch(left);
         if batch.is_empty() || token.is_stopped() {
@@ -112,9 +99,8 @@ struct Shapes<'a> {
 impl Shapes<'_> {
     fn push(&mut self, mut vertices: Vec<u32>) {
         vertices.retain(|&v| self.bounds.mobility[v as usize] != Mobility::Fixed);
-        let cost_of = |&v: &u32| {
-            self.cost.around(self.mesh, v, self.mesh.positions[v as usize], f64::INFINITY, f64::NEG_INFINITY)
-        };
+        let at = |v: u32| self.mesh.positions[v as usize];
+        let cost_of = |&v: &u32| self.cost.around(self.mesh, v, at(v), f64::INFINITY, f64::NEG_INFINITY);
         let costs: Vec<f64> = vertices.par_iter().with_min_len(SHAPES_PER_TASK).map(cost_of).collect();
         vertices.into_iter().zip(costs).for_each(|(v, cost)| self.push_one(v, cost));
     }
@@ -124,8 +110,7 @@ impl Shapes<'_> {
         self.queue.push(Place::new((), v, cost));
     }
 
-    /// The costliest vertices, `most` at most, no two of them with a neighbour in common: what one does leaves the costs of the
-    /// others.
+    /// The costliest vertices, `most` at most, no two with a neighbour in common: none changes the costs of the others.
     fn next_batch(&mut self, most: usize) -> Vec<Place<()>> {
         self.rounds += 1;
         let (mut batch, mut waiting) = (Vec::new(), Vec::new());
@@ -202,15 +187,13 @@ impl Shapes<'_> {
     /// The flip of an edge of a poor facet around `v` that gains most.
     fn better_flip(&self, v: u32) -> Option<Flip> {
         let mesh = &*self.mesh;
-        let is_poor = |f: &&u32| {
-            let corners = mesh.corners(**f);
-            self.wanted.lack(corners, facet_quality(corners)) > 0.0
-        };
+        let is_poor = |f: &&u32| self.wanted.is_lacking(mesh.corners(**f));
         let gain = |flip: &Flip| {
             let before: f64 = flip.facets.iter().map(|&f| self.cost.of(mesh.corners(f))).sum();
             before - flip.corners.iter().map(|&t| self.cost.of(mesh.places(t))).sum::<f64>()
         };
-        let flips = mesh.ring(v).iter().filter(is_poor).flat_map(|&f| mesh.flips_of(f));
+        let sides = mesh.ring(v).iter().filter(is_poor).flat_map(|&f| (0..3).map(move |side| (f, side)));
+        let flips = sides.filter_map(|(f, side)| mesh.flip(f, side, VALENCES));
         let best = flips.map(|flip| (gain(&flip), flip)).reduce(|a, b| if b.0 > a.0 { b } else { a });
         best.filter(|(gain, _)| *gain > LEAST_GAIN_OF_PASS).map(|(_, flip)| flip)
     }
@@ -230,7 +213,7 @@ pub(crate) fn restore(mesh: &mut LocalMesh, envelope: &CurveEnvelope, token: &To
             // What is within the limit costs the same: the first such place is taken.
             let violation = |p| envelope.violation(&mesh.positions, v, p).max(1.0);
             let cost = |p, _| if mesh.turns(v, p, UNMEASURED_COSINE) { f64::INFINITY } else { violation(p) };
-            let back = BACKTRACKING.into_iter().map(|t| here.lerp(envelope.start(v), t));
+            let back = BACKTRACKING.into_iter().map(|t| here.lerp(envelope.start[v as usize], t));
             let (_, to) = cheapest((violation(here), here), LEAST_GAIN, back, cost);
             moved |= to != here;
             mesh.positions[v as usize] = to;
@@ -241,9 +224,8 @@ pub(crate) fn restore(mesh: &mut LocalMesh, envelope: &CurveEnvelope, token: &To
     }
 }
 
-/// Moves vertices whose edges are farther from their curves than the goal a little, to where they are nearer. Corners, which
-/// are `fixed`, move less, and only on boundaries, whose teeth may be narrower than an edge is long. Returns the corners that
-/// moved.
+/// Moves vertices whose edges are farther from curves than the goal a little nearer. Corners, which are `fixed`, move less,
+/// and only on boundaries, whose teeth may be narrower than an edge is long. Returns the corners that moved.
 pub(crate) fn tighten(mesh: &mut LocalMesh, envelope: &CurveEnvelope, fixed: &[bool], token: &Token) -> Vec<u32> {
     let excess = |mesh: &LocalMesh, v: u32| envelope.excess(&mesh.positions, v, mesh.positions[v as usize]);
     let may_move = |mesh: &LocalMesh, v: u32| !fixed[v as usize] || mesh.is_on_boundary(v);

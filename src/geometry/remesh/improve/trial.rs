@@ -11,16 +11,12 @@ use rayon::prelude::*;
 use super::objective::VertexObjective;
 use super::patch::{Patch, PatchDistance};
 use super::{cheapest, places_around};
-use crate::remesh::constants::{
-    FARTHEST_MOVE, FINALISTS, FIRST_PASSES, FIRST_STEP, FURTHER_PASSES, HOPELESS_SHARE, LAST_PASSES, LEAST_GAIN,
-    PROMISING_TRIALS, TRIAL_SCORE_SCALE,
-};
+use crate::remesh::constants::*;
 use crate::remesh::manifold::Flip;
 
 /// What is done to a patch before its vertices are relocated.
 #[derive(Clone, Debug)]
 pub(super) enum Trial {
-    /// Nothing.
     Relocate,
     /// A vertex goes to the input point that is farthest off.
     Jump(DVec3),
@@ -41,7 +37,8 @@ pub(super) struct Goal {
 }
 
 impl Goal {
-    fn is_reached(&self, patch: &Patch, distance: PatchDistance) -> bool {
+    fn is_reached(&self, patch: &Patch) -> bool {
+        let distance = patch.distance();
         distance.centre <= self.centre
             && distance.rest <= self.rest
             && patch.worst_score() >= self.score
@@ -59,13 +56,6 @@ pub(super) struct Measure {
     pub(super) score: f64,
 }
 
-impl Measure {
-    fn of(&self, patch: &Patch, distance: PatchDistance) -> f64 {
-        let lack = (self.score - patch.worst_score()).max(0.0) / TRIAL_SCORE_SCALE;
-        lack + (distance.largest() / self.distance).max(self.floor)
-    }
-}
-
 /// A changed patch, and its measure. Lower is better.
 struct Tried {
     measure: f64,
@@ -73,15 +63,7 @@ struct Tried {
     patch: Patch,
 }
 
-impl Tried {
-    fn new(patch: Patch, measure: Measure) -> Self {
-        let distance = patch.distance();
-        Self { measure: measure.of(&patch, distance), distance, patch }
-    }
-}
-
-/// Relocates the vertices of a patch, the centre first, in at most `passes` passes. `worst` is the distance that costs as much
-/// as a bad shape.
+/// Relocates the vertices of a patch, the centre first, in at most `passes` passes. `worst` is the distance that costs 1.
 fn relax(patch: &mut Patch, worst: f64, passes: usize) {
     for _ in 0..passes {
         let mut tried = false;
@@ -105,7 +87,6 @@ fn relax(patch: &mut Patch, worst: f64, passes: usize) {
     }
 }
 
-/// Where a vertex costs least after one step.
 fn better_place(patch: &Patch, v: u32, worst: f64, step: f64) -> DVec3 {
     let mut objective = VertexObjective::new(patch, v, worst, step);
     let (here, start) = (patch.mesh.positions[v as usize], patch.start[v as usize]);
@@ -119,20 +100,11 @@ fn better_place(patch: &Patch, v: u32, worst: f64, step: f64) -> DVec3 {
 fn begin(patch: &Patch, trial: &Trial) -> Option<Patch> {
     let mut patch = patch.clone();
     match trial {
-        Trial::Relocate => {}
-        Trial::Jump(to) => {
-            if !patch.jump(*to) {
-                return None;
-            }
-        }
+        Trial::Jump(to) if !patch.jump(*to) => return None,
+        Trial::Relocate | Trial::Jump(_) => {}
         Trial::Flip(flips) => flips.iter().for_each(|flip| patch.flip(flip)),
     }
     Some(patch)
-}
-
-fn finish(Tried { mut patch, .. }: Tried, goal: &Goal, measure: Measure) -> Option<Patch> {
-    relax(&mut patch, measure.distance, LAST_PASSES);
-    goal.is_reached(&patch, patch.distance()).then_some(patch)
 }
 
 /// What the most promising trial makes of a patch that reaches the goal. `None` if none does.
@@ -141,7 +113,9 @@ pub(super) fn best(patch: &Patch, trials: &[Trial], goal: &Goal, measure: Measur
     let relaxed = |patches: Vec<Patch>, passes: usize| {
         let relaxed = |mut patch: Patch| {
             relax(&mut patch, measure.distance, passes);
-            Tried::new(patch, measure)
+            let distance = patch.distance();
+            let lack = (measure.score - patch.worst_score()).max(0.0) / TRIAL_SCORE_SCALE;
+            Tried { measure: lack + (distance.largest() / measure.distance).max(measure.floor), distance, patch }
         };
         let mut tried: Vec<Tried> = patches.into_par_iter().with_max_len(1).map(relaxed).collect();
         tried.sort_by(|a, b| a.measure.total_cmp(&b.measure));
@@ -153,5 +127,8 @@ pub(super) fn best(patch: &Patch, trials: &[Trial], goal: &Goal, measure: Measur
     let hopeless = HOPELESS_SHARE.max(goal.rest / measure.distance);
     let is_hopeful = |tried: &Tried| tried.distance.largest() <= hopeless * measure.distance;
     let mut finalists = tried.into_iter().filter(is_hopeful).take(FINALISTS);
-    finalists.find_map(|tried| finish(tried, goal, measure))
+    finalists.find_map(|Tried { mut patch, .. }| {
+        relax(&mut patch, measure.distance, LAST_PASSES);
+        goal.is_reached(&patch).then_some(patch)
+    })
 }

@@ -14,8 +14,7 @@ use crate::mesh::measure::least_angle;
 use crate::remesh::constants::{EAR_PASSES, LEAST_EAR_ANGLE, LEAST_EAR_COSINE};
 use crate::remesh::triangle::unit_normal;
 
-/// Adds an ear for each pair of `wanted` boundary vertices between which the boundary goes by way of one other vertex that
-/// `may_be_inside`. Returns how many were added.
+/// Adds an ear for each `wanted` pair that the boundary joins by one other vertex that `may_be_inside`. Returns how many.
 pub(crate) fn fill(
     positions: &[DVec3],
     facets: &mut Vec<[u32; 3]>,

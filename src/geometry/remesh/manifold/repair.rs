@@ -21,17 +21,13 @@ use crate::token::{Stopped, Token};
 
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Repaired {
-    /// For each result vertex, the input vertex it stands for (several for a split vertex, and for one that was put into an
-    /// edge along which two sheets touched).
+    /// For each result vertex, the input vertex it stands for: several for a split one, and one where sheets touched.
     pub source: Vec<u32>,
-    /// The position of each result vertex: that of its source, except that no two coincide, so that welding equal positions
-    /// joins none. Copies of a split vertex except that with the largest fan move towards the centroids of their facets
-    /// ([`STEP_BACK`]). Vertices that still coincide, on the two sides of a surface without thickness, move along their normals
-    /// ([`SIDE_STEP`]).
+    /// The position of each result vertex: that of its source, but no two coincide, so that welding joins none. Copies of a
+    /// split vertex except that with the largest fan move towards the centroids of their facets ([`STEP_BACK`]). Vertices
+    /// that still coincide, on the two sides of a surface without thickness, move along their normals ([`SIDE_STEP`]).
     pub positions: Vec<DVec3>,
-    /// Facets over the result's vertices.
     pub facets: Vec<[u32; 3]>,
-    /// What was done.
     pub figures: RepairFigures,
 }
 
@@ -106,10 +102,9 @@ fn separate_sheets(places: &mut Vec<DVec3>, source: &mut Vec<u32>, facets: &mut 
     !separated.is_empty()
 }
 
-/// Facets with three different corners, each set of corners at most once. Two facets with the same
-/// corners and opposite orientation cancel, as boundaries do: they are a pocket around a cell
-/// component that touches two cells only, or a fold of the surface smaller than its cells, and the
-/// surface closes without them. What is left over of three facets is one.
+/// Facets with three different corners, each set of corners at most once. Two facets with the same corners and opposite
+/// orientation cancel, as boundaries do: they are a pocket around a cell component that touches two cells only, or a fold
+/// of the surface smaller than its cells, and the surface closes without them. What is left over of three facets is one.
 fn simple_facets(triangles: &[[u32; 3]], figures: &mut RepairFigures) -> Vec<[u32; 3]> {
     // Corners in order, facet, whether they are in even order in it.
     let mut sorted: Vec<([u32; 3], u32, bool)> = Vec::with_capacity(triangles.len());
@@ -137,10 +132,6 @@ fn simple_facets(triangles: &[[u32; 3]], figures: &mut RepairFigures) -> Vec<[u3
     kept.into_iter().map(|f| triangles[f as usize]).collect()
 }
 
-fn half_edges(t: [u32; 3]) -> [(u32, u32); 3] {
-    [(t[0], t[1]), (t[1], t[2]), (t[2], t[0])]
-}
-
 /// Facets that have a directed edge in common with another, ascending.
 fn conflicting(vertices: usize, facets: &[[u32; 3]]) -> Vec<usize> {
     let mut conflicts = vec![false; facets.len()];
@@ -156,8 +147,7 @@ fn conflicting(vertices: usize, facets: &[[u32; 3]]) -> Vec<usize> {
     (0..facets.len()).filter(|&f| conflicts[f]).collect()
 }
 
-/// Keeps facets so that every directed edge is used once. Those that share none of theirs stay; the `conflicting` ones
-/// are taken by falling quality as long as their edges are free.
+/// Keeps facets so that every directed edge is used once. Of the `conflicting`, by falling quality, those with free edges.
 fn oriented(
     positions: &[DVec3],
     facets: Vec<[u32; 3]>,
@@ -172,7 +162,8 @@ fn oriented(
     let mut keep = vec![true; facets.len()];
     let mut used = HashSet::new();
     for f in conflicting {
-        let halves = half_edges(facets[f]);
+        let [a, b, c] = facets[f];
+        let halves = [(a, b), (b, c), (c, a)];
         if halves.iter().any(|h| used.contains(h)) {
             keep[f] = false;
             figures.non_manifold_facets += 1;
@@ -189,8 +180,7 @@ fn shape([a, b, c]: [DVec3; 3]) -> f64 {
     if squares > 0.0 { (b - a).cross(c - a).length() / squares } else { 0.0 }
 }
 
-/// Gives every fan of facets around a vertex a vertex of its own, and drops unused vertices.
-/// `source` is what each of `positions` stands for.
+/// Gives every fan of facets a vertex of its own, and drops unused ones. `source` is what each of `positions` stands for.
 fn split_fans(positions: &[DVec3], source: &[u32], facets: Vec<[u32; 3]>, mut figures: RepairFigures) -> Repaired {
     let mut fan = DisjointSets::new(facets.len() * 3);
     EdgeGroups::new(positions.len(), facets.iter().copied().enumerate()).for_each(|_, halves| {
@@ -248,8 +238,7 @@ fn step_back(placed: &mut [DVec3], source: &[u32], facets: &[[u32; 3]]) {
 /// Moves vertices that are in one place along their normals.
 fn separate_sides(placed: &mut [DVec3], facets: &[[u32; 3]]) {
     let together = coincident::find(placed).into_iter().flat_map(|(later, earliest)| [later, earliest]);
-    let mut normal: BTreeMap<usize, (DVec3, f64)> =
-        together.map(|v| (v as usize, (DVec3::ZERO, f64::INFINITY))).collect();
+    let mut normal: BTreeMap<usize, _> = together.map(|v| (v as usize, (DVec3::ZERO, f64::INFINITY))).collect();
     if normal.is_empty() {
         return;
     }
@@ -324,7 +313,7 @@ mod tests {
         let out = repair(&places, &[above, below].concat(), &Token::default()).unwrap();
         assert_eq!(out.facets.len(), 10);
         assert_eq!(out.figures.non_manifold_facets, 0);
-        let mut halves: Vec<(u32, u32)> = out.facets.iter().flat_map(|&t| half_edges(t)).collect();
+        let mut halves: Vec<(u32, u32)> = out.facets.iter().flat_map(|&[a, b, c]| [(a, b), (b, c), (c, a)]).collect();
         halves.sort_unstable();
         assert!(halves.windows(2).all(|w| w[0] != w[1]));
         assert!(halves.iter().all(|&(a, b)| halves.binary_search(&(b, a)).is_ok()), "closed");

@@ -1,10 +1,8 @@
 //! The triangulation of a diagram: a draft, and the result of the best one.
 //!
-//! Purpose: [`Extraction::draft`] makes a triangulation of the dual of the last seeds: repairs it, places its vertices and fits
-//! it to the input. [`Extraction::finish`] recovers lost edges of curves, improves the places that need it, and gives the result
-//! in the caller's coordinates.
-//! Invariant: the draft is oriented as the input; vertices of corners are where the input has them and stay. No place of the input
-//! ends up farther away than in the draft.
+//! Purpose: [`Extraction::draft`] makes a triangulation of the dual of the last seeds: repairs it, places its vertices and
+//! fits them. [`Extraction::finish`] recovers lost edges of curves, and improves what needs it.
+//! Invariant: the draft is oriented as the input; corners stay where the input has them. No place ends up farther away.
 //! Must not know: iterations, options but those of its own.
 
 use std::collections::HashSet;
@@ -24,15 +22,13 @@ use crate::remesh::features::envelope::CurveEnvelope;
 use crate::remesh::fit::{self, Target};
 use crate::remesh::improve::MeshEditor;
 use crate::remesh::improve::places::{improve, recover_edge};
-use crate::remesh::improve::shapes::{Mobility, MotionBounds, improve_shapes};
-use crate::remesh::improve::shapes::{restore, tighten};
+use crate::remesh::improve::shapes::{Mobility, MotionBounds, improve_shapes, restore, tighten};
 use crate::remesh::manifold::{LocalMesh, boundary_ears, repair};
 use crate::remesh::report::RepairFigures;
 use crate::remesh::{Placement, RemeshError};
 use crate::rvd::{Surface, dual};
 use crate::token::Token;
 
-/// What a result is made from.
 pub(super) struct Extraction<'a> {
     pub(super) divided: &'a TriMesh,
     pub(super) surface: &'a Surface,
@@ -48,7 +44,6 @@ pub(super) struct Extraction<'a> {
     pub(super) token: &'a Token,
 }
 
-/// A triangulation that may still change.
 pub(super) struct Draft<'a> {
     /// Caller's coordinates.
     pub(super) positions: Vec<DVec3>,
@@ -58,9 +53,7 @@ pub(super) struct Draft<'a> {
     pub(super) curve_edges: Vec<Option<[u32; 2]>>,
     pub(super) repair: RepairFigures,
     pub(super) fitted: Option<Fitted<'a>>,
-    /// What it lacks of the input.
     pub(super) missed: Missed,
-    /// Number of seeds.
     pub(super) seeds: usize,
 }
 
@@ -78,8 +71,7 @@ pub(super) struct Fitted<'a> {
 /// What a draft lacks of the input.
 #[derive(Clone, Default)]
 pub(super) struct Missed {
-    /// Places that it is far from, each with the nearest seed, by falling deviation; unit frame. Empty if the vertices were not
-    /// fitted.
+    /// Places that it is far from, with the nearest seed, by falling deviation; unit frame. Empty if it was not fitted.
     pub(super) places: Vec<(u32, DVec3)>,
     /// Hausdorff distance, unit frame; 0 if the vertices were not fitted.
     pub(super) deviation: f64,
@@ -87,13 +79,6 @@ pub(super) struct Missed {
     pub(super) seeds_without_vertex: Vec<u32>,
     /// Where as many seeds are of use: midpoints of long edges, unit frame.
     pub(super) long_edge_midpoints: Vec<DVec3>,
-}
-
-impl Draft<'_> {
-    /// Edges of curves, lower end first.
-    fn curves(&self) -> HashSet<[u32; 2]> {
-        self.curve_edges.iter().flatten().map(|&e| undirected(e)).collect()
-    }
 }
 
 impl<'a> Extraction<'a> {
@@ -136,7 +121,7 @@ impl<'a> Extraction<'a> {
     }
 
     /// Improves the worst facets; where `hold_curves`, without the vertices of curves.
-    pub(super) fn improve_shapes(
+    fn improve_shapes(
         &self,
         mesh: &mut LocalMesh,
         draft: &Draft<'_>,
@@ -167,8 +152,7 @@ impl<'a> Extraction<'a> {
         dual.components.iter().map(place).collect()
     }
 
-    /// Moves the draft's vertices to where its facets are nearest to the input ([`fit`]). Corners of curves stay.
-    /// `component` is that of the dual for each vertex.
+    /// Moves the draft's vertices to where facets are nearest to the input. Corners stay. `component` is by vertex.
     fn fit(&self, draft: &mut Draft<'a>, component: &[u32], dual: &dual::Dual) {
         let mut vertex = vec![u32::MAX; dual.components.len()];
         component.iter().enumerate().rev().for_each(|(v, &c)| vertex[c as usize] = v as u32);
@@ -182,7 +166,8 @@ impl<'a> Extraction<'a> {
         let facets = std::mem::take(&mut draft.facets);
         // Most poor facets are improved where the fit brings their vertices back to the surface. Curves have not settled yet.
         let improved = || {
-            let mut mesh = LocalMesh::new(unit, facets, draft.curves());
+            let kept: HashSet<[u32; 2]> = draft.curve_edges.iter().flatten().map(|&e| undirected(e)).collect();
+            let mut mesh = LocalMesh::new(unit, facets, kept);
             self.improve_shapes(&mut mesh, draft, &fixed, &envelope, true);
             mesh
         };
@@ -197,22 +182,16 @@ impl<'a> Extraction<'a> {
         let HausdorffEstimate { missed, largest, by_vertex } =
             HausdorffEstimate::of(&mesh, &target.input, self.tolerance, self.token);
         let places = missed.into_iter().map(|(v, place)| (draft.vertex_seed[v as usize], place)).collect();
-        let lost = self.seeds_without_vertex(draft);
-        let midpoints = long_edge_midpoints(&mesh.positions, mesh.facets(), &target.fixed, lost.len());
-        draft.missed =
-            Missed { places, deviation: largest, seeds_without_vertex: lost, long_edge_midpoints: midpoints };
+        let mut there = vec![false; draft.seeds];
+        draft.vertex_seed.iter().for_each(|&s| there[s as usize] = true);
+        let lost: Vec<_> =
+            (self.curves.seeds.len() as u32..draft.seeds as u32).filter(|&s| !there[s as usize]).collect();
+        let long_edge_midpoints = long_edge_midpoints(&mesh.positions, mesh.facets(), &target.fixed, lost.len());
+        draft.missed = Missed { places, deviation: largest, seeds_without_vertex: lost, long_edge_midpoints };
         draft.fitted = Some(Fitted { mesh, target, envelope, reference, distances: by_vertex });
     }
 
-    /// See [`Missed::seeds_without_vertex`].
-    fn seeds_without_vertex(&self, draft: &Draft<'_>) -> Vec<u32> {
-        let mut there = vec![false; draft.seeds];
-        draft.vertex_seed.iter().for_each(|&s| there[s as usize] = true);
-        (self.curves.seeds.len() as u32..draft.seeds as u32).filter(|&s| !there[s as usize]).collect()
-    }
-
-    /// The input by vertex of the draft: one sample for each piece, and the input's vertices and facets. `vertex` is that of the
-    /// draft for each component of the dual.
+    /// The input by vertex of the draft: a sample a piece, vertices and facets. `vertex` is by component of the dual.
     fn input(&self, vertex: &[u32], dual: &dual::Dual, vertices: usize) -> (InputSamples, Reference<'a>) {
         let surface = self.surface;
         let of = |p: &dual::Piece| if p.area > 0.0 { vertex[p.component as usize] } else { u32::MAX };
@@ -232,59 +211,10 @@ impl<'a> Extraction<'a> {
         }
         let input_vertices = Csr::group(vertices, &owner_of, |v| surface.positions()[v]);
         let facets = Csr::group(vertices, &owners, |k| dual.pieces[k].facet);
-        let reference = Reference::new(surface, facets, input_vertices.clone());
+        let reference = Reference { surface, facets, vertices: input_vertices.clone() };
         (InputSamples { samples: Csr::group(vertices, &owners, sample), vertices: input_vertices }, reference)
     }
-}
 
-/// The midpoints of the longest edges with free ends, `count` of them. No two edges have an end in common.
-fn long_edge_midpoints(positions: &[DVec3], facets: &[[u32; 3]], fixed: &[bool], count: usize) -> Vec<DVec3> {
-    if count == 0 {
-        return Vec::new();
-    }
-    let at = |v: u32| positions[v as usize];
-    let edges = facets.iter().flat_map(|&[a, b, c]| [[a, b], [b, c], [c, a]]).filter(|[a, b]| a < b);
-    let mut edges: Vec<(f64, [u32; 2])> = edges.map(|e| (at(e[0]).distance_squared(at(e[1])), e)).collect();
-    edges.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
-    let mut taken = fixed.to_vec();
-    let free = |e: &[u32; 2]| !e.iter().any(|&v| std::mem::replace(&mut taken[v as usize], true));
-    edges.into_iter().map(|(_, e)| e).filter(free).map(|[a, b]| at(a).midpoint(at(b))).take(count).collect()
-}
-
-/// How each vertex may move: vertices with two edges of curves along these, other ends of such edges hardly at all.
-pub(super) fn mobility(positions: &[DVec3], curve_edges: &[Option<[u32; 2]>], fixed: &[bool]) -> Vec<Mobility> {
-    let mut ends: Vec<(u32, u32)> = curve_edges.iter().flatten().flat_map(|&[a, b]| [(a, b), (b, a)]).collect();
-    ends.sort_unstable();
-    let of = |v: usize| match fixed[v] {
-        true => Mobility::Fixed,
-        false => Mobility::Free,
-    };
-    let mut mobility: Vec<Mobility> = (0..positions.len()).map(of).collect();
-    for group in ends.chunk_by(|a, b| a.0 == b.0) {
-        let own = &mut mobility[group[0].0 as usize];
-        if *own == Mobility::Free {
-            *own = match group {
-                [(_, a), (_, b)] => (positions[*b as usize] - positions[*a as usize])
-                    .try_normalize()
-                    .map_or(Mobility::End, Mobility::Along),
-                _ => Mobility::End,
-            };
-        }
-    }
-    mobility
-}
-
-pub(super) struct Built {
-    pub(super) mesh: TriMesh,
-    pub(super) vertex_seed: Vec<u32>,
-    /// For each segment of the curves the result's edge, if it is there.
-    pub(super) curve_edges: Vec<Option<[u32; 2]>>,
-    pub(super) repair: RepairFigures,
-    /// Places of the input that it is still far from.
-    pub(super) missed: usize,
-}
-
-impl<'a> Extraction<'a> {
     /// The draft improved locally, in the caller's coordinates.
     pub(super) fn finish(&self, mut draft: Draft<'a>) -> Result<Built, RemeshError> {
         let mut missed = 0;
@@ -314,8 +244,7 @@ impl<'a> Extraction<'a> {
                 self.find_curves(draft, &mut fitted.mesh);
                 self.improve_shapes(&mut fitted.mesh, draft, &fitted.target.fixed, &fitted.envelope, false);
                 let input = &fitted.target.input;
-                let estimate = HausdorffEstimate::of(&fitted.mesh, input, self.tolerance, self.token);
-                fitted.distances = estimate.by_vertex;
+                fitted.distances = HausdorffEstimate::of(&fitted.mesh, input, self.tolerance, self.token).by_vertex;
             }
         }
         let Fitted { mesh, target, reference, distances, .. } = fitted;
@@ -335,4 +264,47 @@ impl<'a> Extraction<'a> {
         draft.curve_edges = self.curves.edges_in(mesh.facets(), &draft.vertex_seed);
         draft.curve_edges.iter().flatten().for_each(|&edge| mesh.keep(edge));
     }
+}
+
+/// The midpoints of the longest edges with free ends, `count` of them. No two edges have an end in common.
+fn long_edge_midpoints(positions: &[DVec3], facets: &[[u32; 3]], fixed: &[bool], count: usize) -> Vec<DVec3> {
+    if count == 0 {
+        return Vec::new();
+    }
+    let at = |v: u32| positions[v as usize];
+    let edges = facets.iter().flat_map(|&[a, b, c]| [[a, b], [b, c], [c, a]]).filter(|[a, b]| a < b);
+    let mut edges: Vec<(f64, [u32; 2])> = edges.map(|e| (at(e[0]).distance_squared(at(e[1])), e)).collect();
+    edges.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
+    let mut taken = fixed.to_vec();
+    let free = |e: &[u32; 2]| !e.iter().any(|&v| std::mem::replace(&mut taken[v as usize], true));
+    edges.into_iter().map(|(_, e)| e).filter(free).map(|[a, b]| at(a).midpoint(at(b))).take(count).collect()
+}
+
+/// How each vertex may move: vertices with two edges of curves along these, other ends of such edges hardly at all.
+fn mobility(positions: &[DVec3], curve_edges: &[Option<[u32; 2]>], fixed: &[bool]) -> Vec<Mobility> {
+    let mut ends: Vec<(u32, u32)> = curve_edges.iter().flatten().flat_map(|&[a, b]| [(a, b), (b, a)]).collect();
+    ends.sort_unstable();
+    let of = |&fixed: &bool| if fixed { Mobility::Fixed } else { Mobility::Free };
+    let mut mobility: Vec<Mobility> = fixed.iter().map(of).collect();
+    for group in ends.chunk_by(|a, b| a.0 == b.0) {
+        let own = &mut mobility[group[0].0 as usize];
+        if *own == Mobility::Free {
+            *own = match group {
+                [(_, a), (_, b)] => (positions[*b as usize] - positions[*a as usize])
+                    .try_normalize()
+                    .map_or(Mobility::End, Mobility::Along),
+                _ => Mobility::End,
+            };
+        }
+    }
+    mobility
+}
+
+pub(super) struct Built {
+    pub(super) mesh: TriMesh,
+    pub(super) vertex_seed: Vec<u32>,
+    pub(super) curve_edges: Vec<Option<[u32; 2]>>,
+    pub(super) repair: RepairFigures,
+    /// Places of the input that it is still far from.
+    pub(super) missed: usize,
 }

@@ -5,8 +5,7 @@
 //! has as many vertices as were asked for. Cells fail that reach around a horn or a finger, across a bridge or a strip, or
 //! hold the whole end of something slender, of which the dual would have nothing. Where all cells are disks that meet each
 //! other and the boundary once, the dual is homeomorphic to the surface (closed ball property, Edelsbrunner and Shah 1997).
-//! Invariant: the best of all rounds comes back; without failing cells there is one round. Edges become shorter only where cells
-//! fail.
+//! Invariant: the best round comes back; without failing cells there is one. Edges become shorter only where cells fail.
 //! Must not know: how a surface is made of a dual.
 
 use std::sync::Arc;
@@ -22,19 +21,15 @@ use crate::mesh::TriMesh;
 use crate::mesh::closest_point::{ClosestPoint, SurfacePoint};
 use crate::mesh::measure::{self, Topology};
 use crate::mesh::sample::spread;
-use crate::remesh::constants::{
-    COUNT_LIMIT, COUNT_SLACK, FEWEST_SEEDS, FEWEST_SEEDS_SHARE, LEAST_SLOPE, MAX_COUNT_ROUNDS, MAX_THIN_ROUNDS,
-    MAX_VAIN_ROUNDS, THIN_LONGEST, THIN_MOST_POINTS, THIN_SHORTER, VAIN_STRETCH,
-};
+use crate::remesh::constants::*;
 use crate::remesh::features::KeptCurves;
 use crate::remesh::manifold::repair::{self, Repaired};
 use crate::remesh::report::CountReason;
-use crate::remesh::{RemeshError, RemeshOptions, Seeds};
+use crate::remesh::{RemeshError, RemeshOptions, Result, Seeds};
 use crate::rvd::dual::Dual;
 use crate::rvd::{RvdError, Session, SessionOptions, Surface, dual};
 use crate::token::{Stopped, Token};
 
-/// Seeds after their steps.
 pub(super) struct Optimized<'a> {
     pub(super) plan: Plan<'a>,
     pub(super) surface: Arc<Surface>,
@@ -42,25 +37,21 @@ pub(super) struct Optimized<'a> {
     pub(super) cvt: Cvt,
     /// In double precision, for duals.
     pub(super) session: Box<dyn Session>,
-    pub(super) dual: dual::Dual,
+    pub(super) dual: Dual,
     failing: FailingCells,
     pub(super) figures: Figures,
 }
 
 impl<'a> Job<'a, '_> {
     /// Seeds optimized for `options`, or for shorter edges where cells fail.
-    pub(super) fn optimize(
-        &mut self,
-        prepared: Prepared<'a>,
-        options: &RemeshOptions,
-    ) -> Result<Optimized<'a>, RemeshError> {
+    pub(super) fn optimize(&mut self, prepared: Prepared<'a>, options: &RemeshOptions) -> Result<Optimized<'a>> {
         let optimized = self.optimize_once(prepared, options)?;
         let optimized = self.resolve_thin_parts(optimized, options)?;
         self.scale_seeds(optimized, options)
     }
 
     /// Prepares other options; `None` if their density needs too many points.
-    pub(super) fn prepare_again(&mut self, options: &RemeshOptions) -> Result<Option<Prepared<'a>>, RemeshError> {
+    pub(super) fn prepare_again(&mut self, options: &RemeshOptions) -> Result<Option<Prepared<'a>>> {
         self.enter("prepare");
         match prepare(self.separated, options, self.token) {
             Err(RemeshError::Density(_)) => Ok(None),
@@ -69,11 +60,7 @@ impl<'a> Job<'a, '_> {
     }
 
     /// Optimizes other seeds; `None` if there is no memory for them beside the best so far, which stays on the device.
-    pub(super) fn optimize_again(
-        &mut self,
-        prepared: Prepared<'a>,
-        options: &RemeshOptions,
-    ) -> Result<Option<Optimized<'a>>, RemeshError> {
+    fn optimize_again(&mut self, prepared: Prepared<'a>, options: &RemeshOptions) -> Result<Option<Optimized<'a>>> {
         match self.optimize_once(prepared, options) {
             Err(RemeshError::Rvd(RvdError::NeverFits { .. } | RvdError::OutOfMemory { .. })) => Ok(None),
             next => next.map(Some),
@@ -81,7 +68,7 @@ impl<'a> Job<'a, '_> {
     }
 
     /// Draws seeds, takes their steps, and reads their dual.
-    fn optimize_once(&mut self, prepared: Prepared<'a>, options: &RemeshOptions) -> Result<Optimized<'a>, RemeshError> {
+    fn optimize_once(&mut self, prepared: Prepared<'a>, options: &RemeshOptions) -> Result<Optimized<'a>> {
         let Prepared { plan, surface, mut curves, closest } = prepared;
         self.laps.end(|t| &mut t.prepare);
         self.token.check()?;
@@ -111,7 +98,7 @@ impl<'a> Job<'a, '_> {
         let room = max_seeds.max(cvt.len());
         let exact = SessionOptions { flat_pieces: true, ..SessionOptions::new(room) };
         let mut session = schedule.job.backend.exact_session(Arc::clone(&surface), exact)?;
-        let dual = ExactDual { surface: &surface, session: &mut *session }.dual(&mut cvt, &mut schedule)?;
+        let dual = exact_dual((&surface, &mut *session), &mut cvt, &mut schedule)?;
         let figures = schedule.figures;
         self.token.check()?;
         let failing = failing_cells(&dual, &plan.mesh, &surface, &self.topology, self.token)?;
@@ -120,12 +107,7 @@ impl<'a> Job<'a, '_> {
     }
 
     /// Optimizes again with shorter edges where cells fail, as long as that helps.
-    fn resolve_thin_parts(
-        &mut self,
-        optimized: Optimized<'a>,
-        options: &RemeshOptions,
-    ) -> Result<Optimized<'a>, RemeshError> {
-        let mut best = optimized;
+    fn resolve_thin_parts(&mut self, mut best: Optimized<'a>, options: &RemeshOptions) -> Result<Optimized<'a>> {
         best.figures.refine.closed_ball_failures = best.failing.components.len();
         if !self.keep_thin || matches!(options.seeds, Seeds::Given(_)) {
             return Ok(best);
@@ -147,8 +129,8 @@ impl<'a> Job<'a, '_> {
                 break;
             }
             let Some(mut next) = self.optimize_again(prepared, &options)? else { break };
-            (lengths, failing) =
-                (next.shorter_lengths(self.separated, self.token)?, !next.failing.components.is_empty());
+            lengths = next.shorter_lengths(self.separated, self.token)?;
+            failing = !next.failing.components.is_empty();
             if next.failing.area < best.failing.area {
                 next.take_over(&best);
                 next.figures.refine.closed_ball_rounds = round;
@@ -158,7 +140,47 @@ impl<'a> Job<'a, '_> {
                 vain += 1;
             }
         }
-        best.figures.refine.closed_ball_failures = best.failing.components.len();
+        Ok(best)
+    }
+
+    /// Seeds that result in as many vertices as were asked for, or as near to that as fewer seeds and a few rounds come.
+    fn scale_seeds(&mut self, mut best: Optimized<'a>, options: &RemeshOptions) -> Result<Optimized<'a>> {
+        let (&Seeds::Sample { seed, .. } | &Seeds::Implied { seed }) = &options.seeds else { return Ok(best) };
+        let asked = best.figures.asked;
+        let least = (FEWEST_SEEDS_SHARE * asked as f64).max(FEWEST_SEEDS).min(asked as f64);
+        // Seeds and vertices of the best.
+        let mut from = (asked as f64, best.failing.vertices as f64);
+        // Vertices per further seed, and how much farther to go than that says.
+        let (mut slope, mut stretch) = (from.1 / from.0, 1.0);
+        for round in 1..=MAX_COUNT_ROUNDS {
+            if !self.scales_seeds || is_near(best.failing.vertices, asked) {
+                break;
+            }
+            let drawn = (from.0 + stretch * (asked as f64 - from.1) / slope).clamp(least, asked as f64).round();
+            if drawn == from.0 {
+                break;
+            }
+            // Shorter edges in thin parts stay.
+            let options = match best.figures.refine.closed_ball_rounds {
+                0 => options.clone(),
+                _ => with_source(options, DensitySource::Sizes(best.plan.lengths(self.separated, self.token)?)),
+            };
+            let options = options.with_seeds(Seeds::Sample { points: drawn as usize, seed });
+            let Some(prepared) = self.prepare_again(&options)? else { break };
+            let Some(mut next) = self.optimize_again(prepared, &options)? else { break };
+            let here = (drawn, next.failing.vertices as f64);
+            if next.failing.vertices.abs_diff(asked) < best.failing.vertices.abs_diff(asked) {
+                next.take_over(&best);
+                next.figures.refine.count_rounds = round;
+                best = next;
+                let between = (here.1 - from.1) / (here.0 - from.0);
+                slope = between.clamp(LEAST_SLOPE, (here.1 / here.0).max(LEAST_SLOPE));
+                (from, stretch) = (here, 1.0);
+            } else {
+                stretch *= VAIN_STRETCH;
+                best.figures.refine.evaluations += next.figures.passes();
+            }
+        }
         Ok(best)
     }
 }
@@ -171,13 +193,8 @@ impl Optimized<'_> {
         Ok(lengths)
     }
 
-    /// Vertices that its dual has once it is repaired.
-    pub(super) fn vertices(&self) -> usize {
-        self.failing.vertices
-    }
-
     /// Takes the place of another one that was made before.
-    pub(super) fn take_over(&mut self, before: &Self) {
+    fn take_over(&mut self, before: &Self) {
         self.figures.refine.evaluations += before.figures.passes();
         self.figures.refine.closed_ball_rounds = before.figures.refine.closed_ball_rounds;
         self.figures.refine.closed_ball_failures = self.failing.components.len();
@@ -186,25 +203,17 @@ impl Optimized<'_> {
     }
 }
 
-/// What the duals are computed with.
-pub(super) struct ExactDual<'a> {
-    pub(super) surface: &'a Surface,
-    pub(super) session: &'a mut dyn Session,
-}
-
-impl ExactDual<'_> {
-    /// Puts the seeds on the surface and reads their dual.
-    pub(super) fn dual(
-        &mut self,
-        cvt: &mut Cvt,
-        schedule: &mut Schedule<'_, '_, '_>,
-    ) -> Result<dual::Dual, RemeshError> {
-        cvt.put_on_surface(schedule.job.token)?;
-        self.session.set_seeds(cvt.unit_seeds()?)?;
-        let dual = dual::extract(self.session, self.surface, cvt.len(), schedule.job.token)?;
-        schedule.figures.rvd.add_pass(&dual.stats);
-        Ok(dual)
-    }
+/// Puts the seeds on the surface and reads their dual.
+pub(super) fn exact_dual(
+    (surface, session): (&Surface, &mut dyn Session),
+    cvt: &mut Cvt,
+    schedule: &mut Schedule<'_, '_, '_>,
+) -> Result<Dual> {
+    cvt.put_on_surface(schedule.job.token)?;
+    session.set_seeds(cvt.unit_seeds()?)?;
+    let dual = dual::extract(session, surface, cvt.len(), schedule.job.token)?;
+    schedule.figures.rvd.add_pass(&dual.stats);
+    Ok(dual)
 }
 
 /// The seeds that the options name, those of curves first, caller's coordinates; and the random seed they were drawn from.
@@ -241,9 +250,8 @@ pub(super) fn failing_cells(
     let count = dual.components.len();
     let mut there = vec![false; count];
     dual.triangles.iter().flatten().for_each(|&c| there[c as usize] = true);
-    let closed_balls =
-        dual.not_disks.is_empty() && dual.multiple_boundary_arcs.is_empty() && dual.multiple_edges.is_empty();
-    if closed_balls && !there.contains(&false) {
+    let balls = dual.not_disks.is_empty() && dual.multiple_boundary_arcs.is_empty() && dual.multiple_edges.is_empty();
+    if balls && !there.contains(&false) {
         return Ok(FailingCells { vertices: count, ..FailingCells::default() });
     }
     let places: Vec<DVec3> = dual.components.iter().map(|c| c.centroid).collect();
@@ -273,11 +281,8 @@ pub(super) fn failing_cells(
     let all: Vec<u32> = (0..).zip(&fails).filter(|(_, fails)| **fails).map(|(c, _)| c).collect();
     // Most cells in several parts have them on two close sheets, which is no failure.
     let area = all.iter().map(|&c| dual.components[c as usize].area).sum();
-    let mut components: Vec<u32> = all.iter().copied().filter(|&c| whole(c)).collect();
-    if components.is_empty() {
-        components = all;
-    }
-    Ok(FailingCells { components, area, vertices })
+    let components: Vec<u32> = all.iter().copied().filter(|&c| whole(c)).collect();
+    Ok(FailingCells { components: if components.is_empty() { all } else { components }, area, vertices })
 }
 
 /// Makes the lengths, one a vertex of `separated`, shorter at the vertices in failing cells; for a cell without a
@@ -321,7 +326,6 @@ pub(super) fn shorten(
     Ok(())
 }
 
-/// Whether a number of vertices is near enough to what was asked for.
 fn is_near(vertices: usize, asked: usize) -> bool {
     vertices.abs_diff(asked) <= COUNT_SLACK.max((COUNT_LIMIT * asked as f64) as usize)
 }
@@ -343,52 +347,4 @@ pub(super) fn count_reason(
         _ if parts < surface.components => CountReason::SmallParts,
         _ => CountReason::NoThickness,
     })
-}
-
-impl<'a> Job<'a, '_> {
-    /// Seeds that result in as many vertices as were asked for, or as near to that as fewer seeds and a few rounds come.
-    pub(super) fn scale_seeds(
-        &mut self,
-        optimized: Optimized<'a>,
-        options: &RemeshOptions,
-    ) -> Result<Optimized<'a>, RemeshError> {
-        let mut best = optimized;
-        let (&Seeds::Sample { seed, .. } | &Seeds::Implied { seed }) = &options.seeds else { return Ok(best) };
-        let asked = best.figures.asked;
-        let least = (FEWEST_SEEDS_SHARE * asked as f64).max(FEWEST_SEEDS).min(asked as f64);
-        // Seeds and vertices of the best.
-        let mut from = (asked as f64, best.vertices() as f64);
-        // Vertices per further seed, and how much farther to go than that says.
-        let (mut slope, mut stretch) = (from.1 / from.0, 1.0);
-        for round in 1..=MAX_COUNT_ROUNDS {
-            if !self.scales_seeds || is_near(best.vertices(), asked) {
-                break;
-            }
-            let drawn = (from.0 + stretch * (asked as f64 - from.1) / slope).clamp(least, asked as f64).round();
-            if drawn == from.0 {
-                break;
-            }
-            // Shorter edges in thin parts stay.
-            let options = match best.figures.refine.closed_ball_rounds {
-                0 => options.clone(),
-                _ => with_source(options, DensitySource::Sizes(best.plan.lengths(self.separated, self.token)?)),
-            };
-            let options = options.with_seeds(Seeds::Sample { points: drawn as usize, seed });
-            let Some(prepared) = self.prepare_again(&options)? else { break };
-            let Some(mut next) = self.optimize_again(prepared, &options)? else { break };
-            let here = (drawn, next.vertices() as f64);
-            if next.vertices().abs_diff(asked) < best.vertices().abs_diff(asked) {
-                next.take_over(&best);
-                next.figures.refine.count_rounds = round;
-                best = next;
-                let between = (here.1 - from.1) / (here.0 - from.0);
-                slope = between.clamp(LEAST_SLOPE, (here.1 / here.0).max(LEAST_SLOPE));
-                (from, stretch) = (here, 1.0);
-            } else {
-                stretch *= VAIN_STRETCH;
-                best.figures.refine.evaluations += next.figures.passes();
-            }
-        }
-        Ok(best)
-    }
 }

@@ -16,25 +16,19 @@ use crate::mesh::{TriMesh, duplicates};
 use crate::remesh::constants::{POINTS_PER_COMPONENT, SEPARATION_DIAGONAL, SEPARATION_EDGES};
 use crate::remesh::features::KeptCurves;
 use crate::remesh::report::InputFigures;
-use crate::remesh::{RemeshError, RemeshOptions, Seeds};
+use crate::remesh::{RemeshOptions, Result, Seeds};
 use crate::rvd::Surface;
 use crate::token::{Stopped, Token};
 
 pub(super) struct Prepared<'a> {
     pub(super) plan: Plan<'a>,
-    /// The surface that the plan is for.
     pub(super) surface: Arc<Surface>,
-    /// The curves on it.
     pub(super) curves: KeptCurves,
-    /// Finds its closest points, unit frame.
+    /// Unit frame.
     pub(super) closest: ClosestPoint,
 }
 
-pub(super) fn prepare<'a>(
-    separated: &'a TriMesh,
-    options: &RemeshOptions,
-    token: &Token,
-) -> Result<Prepared<'a>, RemeshError> {
+pub(super) fn prepare<'a>(separated: &'a TriMesh, options: &RemeshOptions, token: &Token) -> Result<Prepared<'a>> {
     let plan = density::plan(separated, &options.density, options.seeds.count(), token)?.divided(token)?;
     token.check()?;
     let surface = Arc::new(Surface::new(&plan.mesh, plan.weights.as_deref())?);
@@ -51,8 +45,7 @@ pub(super) fn with_source(options: &RemeshOptions, source: DensitySource) -> Rem
 }
 
 /// Distance to keep between the components of the preprocessed input: two edge lengths, and a share of the diagonal. `None`
-/// where seeds are given, since the component of a seed is not known, and where there are too few points for each component to
-/// become a surface.
+/// where seeds are given, since no seed's component is known, and where points are too few for each component.
 pub(super) fn separation(clean: &TriMesh, components: usize, options: &RemeshOptions) -> Option<f64> {
     let (low, high) = clean.bounds();
     // Edge length of a uniform triangulation: equilateral triangles, two for each vertex.

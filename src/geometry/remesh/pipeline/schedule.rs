@@ -15,12 +15,9 @@ use crate::remesh::report::{FinalFigures, IterationFigures, RefineFigures};
 use crate::remesh::{RemeshError, RemeshOptions};
 use crate::rvd::RvdFigures;
 
-/// What the steps of the seeds came to.
 #[derive(Default)]
 pub(super) struct Figures {
-    /// The random seed that the seeds were drawn from.
     pub(super) seed: Option<u64>,
-    /// How many vertices were asked for.
     pub(super) asked: usize,
     /// Whether the steps that were asked for converged, and where they ended.
     pub(super) converged: bool,
@@ -96,8 +93,7 @@ impl Schedule<'_, '_, '_> {
         Ok(())
     }
 
-    /// Adds seeds at places that were missed, each with the nearest seed, and takes further steps. Returns whether there was
-    /// anything to do.
+    /// Adds seeds at missed places, each with the nearest seed, and takes further steps. Returns whether any was added.
     pub(super) fn add_seeds(&mut self, cvt: &mut Cvt, places: &[(u32, DVec3)]) -> Result<bool, RemeshError> {
         // A second seed in one place would be a duplicate.
         let seeds = cvt.unit_seeds()?;
@@ -108,8 +104,7 @@ impl Schedule<'_, '_, '_> {
         self.refine(cvt, added)
     }
 
-    /// Moves seeds without a vertex to where edges are long, and takes further steps. Returns whether there was anything to
-    /// do.
+    /// Moves seeds without a vertex to where edges are long, and takes further steps. Returns whether there were any.
     pub(super) fn move_seeds(&mut self, cvt: &mut Cvt, missed: &Missed) -> Result<bool, RemeshError> {
         let pins: Vec<(u32, DVec3)> =
             missed.seeds_without_vertex.iter().copied().zip(missed.long_edge_midpoints.iter().copied()).collect();

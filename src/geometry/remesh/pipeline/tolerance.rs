@@ -4,7 +4,7 @@
 //! from the input, or moves seeds that produced no vertex. [`refine`] remeshes again and again, each time with shorter edges where
 //! the last result was too far from the input. The distance of a facet from a smooth surface falls with the square of its edges, so
 //! a few rounds do. Shorter edges that grade into the others keep triangles round. Seeds that are only added do not: steps spread
-//! them out again. Given seeds stay, so [`add`] can only add to them.
+//! them out again. Given seeds stay, so [`Job::add`] can only add to them.
 //! Invariant: never more points than allowed; the nearest result of all rounds comes back. If it is too far, as many points with a
 //! uniform density or one by curvature are no nearer, unless the lengths were given. At most [`MAX_REFINING_ROUNDS`] rounds, one
 //! that adds seeds, and two comparisons for each of two searches.
@@ -14,25 +14,18 @@ use glam::DVec3;
 
 use super::Job;
 use super::extract::{Built, Draft, Extraction, Missed};
-use super::optimize::{ExactDual, Optimized};
+use super::optimize::{Optimized, exact_dual};
 use super::prepare::{Prepared, prepare, with_source};
 use super::schedule::{Figures, Schedule};
-use crate::cvt::Cvt;
 use crate::cvt::density::{DensitySource, Plan};
-use crate::mesh::TriMesh;
 use crate::mesh::closest_point::ClosestPoint;
 use crate::mesh::comparison::{Comparison, Distances};
-use crate::remesh::constants::{
-    ADDING_ROUNDS, ADDING_SLACK, FEW_MISSED_SHARE, FEWER_MISSED, LOCAL_ROUNDS, MAX_ADDING_TIMES, MAX_REFINING_ROUNDS,
-    MAX_VAIN_REFINING, MOVING_ROUNDS, MOVING_SLACK, PROGRESS_SHARE, SHORTEST_SHARE, SPENT_SHARE, TOLERANCE_AIM,
-    VAIN_GROWTH,
-};
+use crate::remesh::constants::*;
 use crate::remesh::features::KeptCurves;
 use crate::remesh::report::{DeviceFigures, RefineEnd};
-use crate::remesh::{Limits, Placement, RemeshError, RemeshOptions, Seeds};
-use crate::rvd::{RvdError, dual};
+use crate::remesh::{Limits, Placement, RemeshOptions, Result, Seeds};
+use crate::rvd::RvdError;
 
-/// A result and how far it is.
 struct Measured<'a> {
     attempt: Attempt<'a>,
     distances: Distances,
@@ -45,12 +38,10 @@ impl Measured<'_> {
     }
 }
 
-/// A search for a result within the tolerance.
 struct Search<'a, 'j, 'b> {
     job: &'j mut Job<'a, 'b>,
     comparison: Comparison<'a>,
     limits: Limits,
-    /// The nearest result so far.
     best: Measured<'a>,
     /// Points and largest distance of the first one.
     first: (usize, f64),
@@ -61,14 +52,13 @@ struct Search<'a, 'j, 'b> {
     passes_of_others: usize,
 }
 
-/// Makes one result and measures it.
 fn attempt<'a>(
     job: &mut Job<'a, '_>,
     comparison: &Comparison<'a>,
     prepared: Prepared<'a>,
     options: RemeshOptions,
     tolerance: f64,
-) -> Result<Measured<'a>, RemeshError> {
+) -> Result<Measured<'a>> {
     let attempt = job.attempt(prepared, &options, Some(tolerance))?;
     let distances = comparison.with(&attempt.built.mesh, job.token)?;
     job.laps.end(|t| &mut t.refine);
@@ -82,9 +72,9 @@ pub(super) fn refine<'a>(
     options: &RemeshOptions,
     limits: Limits,
     random_seed: u64,
-) -> Result<Attempt<'a>, RemeshError> {
+) -> Result<Attempt<'a>> {
     let options = RemeshOptions { refine: None, ..options.clone() };
-    let mut search = Search::begin(job, prepared, options.clone(), limits, limits.tolerance)?;
+    let mut search = Search::begin(job, prepared, options.clone(), limits)?;
     let mut from = None;
     // Where another density is nearer, one more search goes on from there.
     for _ in 0..2 {
@@ -98,55 +88,24 @@ pub(super) fn refine<'a>(
     Ok(search.end())
 }
 
-/// Remeshes from what is prepared for given seeds, with more seeds where the result is too far from the input.
-pub(super) fn add<'a>(
-    job: &mut Job<'a, '_>,
-    prepared: Prepared<'a>,
-    options: &RemeshOptions,
-    limits: Limits,
-) -> Result<Attempt<'a>, RemeshError> {
-    let mut tolerance = limits.tolerance;
-    let mut search = Search::begin(job, prepared, options.clone(), limits, tolerance)?;
-    search.first = (options.seeds.given().unwrap_or(search.first.0), f64::INFINITY);
-    for _ in 1..MAX_ADDING_TIMES {
-        if search.is_done() || search.is_spent() {
-            break;
-        }
-        // Seeds are added by the distances of vertices, which are less than those of samples.
-        let short = limits.tolerance / search.best.distances.largest;
-        tolerance *= (PROGRESS_SHARE * short).max(SHORTEST_SHARE);
-        search.attempt(options.clone(), tolerance)?;
-    }
-    Ok(search.end())
-}
-
 impl<'a, 'j, 'b> Search<'a, 'j, 'b> {
-    fn begin(
-        job: &'j mut Job<'a, 'b>,
-        prepared: Prepared<'a>,
-        options: RemeshOptions,
-        limits: Limits,
-        tolerance: f64,
-    ) -> Result<Self, RemeshError> {
+    fn begin(job: &'j mut Job<'a, 'b>, prepared: Prepared<'a>, options: RemeshOptions, limits: Limits) -> Result<Self> {
         let comparison = Comparison::new(job.separated, limits.tolerance, job.token)?;
-        let best = attempt(job, &comparison, prepared, options, tolerance)?;
+        let best = attempt(job, &comparison, prepared, options, limits.tolerance)?;
         let first = (best.points(), best.distances.largest);
         let limits = Limits { max_points: limits.max_points.max(first.0), ..limits };
         Ok(Self { job, comparison, limits, best, first, rounds: 0, compared: 0, passes_of_others: 0 })
     }
 
-    /// Whether nothing is too far.
     fn is_done(&self) -> bool {
         self.best.distances.missed == 0
     }
 
-    /// Whether the points are used up.
     fn is_spent(&self) -> bool {
         self.best.points() as f64 >= SPENT_SHARE * self.limits.max_points as f64
     }
 
-    /// Prepares and makes one more result.
-    fn attempt(&mut self, options: RemeshOptions, tolerance: f64) -> Result<(), RemeshError> {
+    fn attempt(&mut self, options: RemeshOptions, tolerance: f64) -> Result<()> {
         self.job.enter("prepare");
         let prepared = prepare(self.job.separated, &options, self.job.token)?;
         let next = attempt(self.job, &self.comparison, prepared, options, tolerance)?;
@@ -163,13 +122,10 @@ impl<'a, 'j, 'b> Search<'a, 'j, 'b> {
     }
 
     /// Rounds with shorter edges, from these lengths or from those of the best result.
-    fn shorten(&mut self, from: Option<Vec<f64>>, random_seed: u64) -> Result<(), RemeshError> {
+    fn shorten(&mut self, from: Option<Vec<f64>>, random_seed: u64) -> Result<()> {
         let (separated, token) = (self.job.separated, self.job.token);
         let Limits { tolerance, max_points } = self.limits;
-        let mut lengths = match from {
-            Some(lengths) => lengths,
-            None => self.best.attempt.plan.lengths(separated, token)?,
-        };
+        let mut lengths = from.map_or_else(|| self.best.attempt.plan.lengths(separated, token), Ok)?;
         let mut options = RemeshOptions { refine: None, ..self.best.options.clone() };
         let mut by_vertex = self.best.distances.by_vertex.clone();
         let (mut vain, mut points, mut full) = (0, self.best.points(), self.first.0 == max_points);
@@ -215,7 +171,7 @@ impl<'a, 'j, 'b> Search<'a, 'j, 'b> {
     }
 
     /// The best again, with a few seeds more, if it misses little.
-    fn add_few(&mut self) -> Result<(), RemeshError> {
+    fn add_few(&mut self) -> Result<()> {
         if self.is_done() || self.is_spent() || self.best.distances.missed_share > FEW_MISSED_SHARE {
             return Ok(());
         }
@@ -224,9 +180,8 @@ impl<'a, 'j, 'b> Search<'a, 'j, 'b> {
         self.attempt(options, TOLERANCE_AIM * self.limits.tolerance)
     }
 
-    /// If the best is too far: as many points by other densities, none of which may be nearer. Returns whether one was, and by
-    /// so much that shorter edges may help from there.
-    fn compare(&mut self, first: &RemeshOptions, random_seed: u64) -> Result<bool, RemeshError> {
+    /// If the best is too far: as many points by other densities. Returns whether one was so much nearer as to go on from.
+    fn compare(&mut self, first: &RemeshOptions, random_seed: u64) -> Result<bool> {
         let given = matches!(first.density.source, DensitySource::Sizes(_) | DensitySource::Weights(_));
         let (points, before) = (self.best.points(), self.best.distances.largest);
         if self.is_done() || given || points == self.compared {
@@ -268,7 +223,6 @@ impl<'a, 'j, 'b> Search<'a, 'j, 'b> {
     }
 }
 
-/// A result, and how it came about.
 pub(super) struct Attempt<'a> {
     pub(super) plan: Plan<'a>,
     pub(super) curves: KeptCurves,
@@ -282,19 +236,37 @@ pub(super) struct Attempt<'a> {
 }
 
 impl<'a> Job<'a, '_> {
+    /// Remeshes from what is prepared for given seeds, with more seeds where the result is too far from the input.
+    pub(super) fn add(&mut self, from: Prepared<'a>, options: &RemeshOptions, limits: Limits) -> Result<Attempt<'a>> {
+        let mut tolerance = limits.tolerance;
+        let mut search = Search::begin(self, from, options.clone(), limits)?;
+        let first = if let Seeds::Given(seeds) = &options.seeds { seeds.len() } else { search.first.0 };
+        search.first = (first, f64::INFINITY);
+        for _ in 1..MAX_ADDING_TIMES {
+            if search.is_done() || search.is_spent() {
+                break;
+            }
+            // Seeds are added by the distances of vertices, which are less than those of samples.
+            let short = limits.tolerance / search.best.distances.largest;
+            tolerance *= (PROGRESS_SHARE * short).max(SHORTEST_SHARE);
+            search.attempt(options.clone(), tolerance)?;
+        }
+        Ok(search.end())
+    }
+
     /// From what is prepared for `options` to a surface. Its creases may be off by half of `tolerance`.
     pub(super) fn attempt(
         &mut self,
         prepared: Prepared<'a>,
         options: &RemeshOptions,
         tolerance: Option<f64>,
-    ) -> Result<Attempt<'a>, RemeshError> {
-        let optimized = self.optimize(prepared, options)?;
-        let Optimized { plan, surface, curves, mut cvt, mut session, dual, figures, .. } = optimized;
+    ) -> Result<Attempt<'a>> {
+        let mut optimized = self.optimize(prepared, options)?;
+        let figures = std::mem::take(&mut optimized.figures);
         let mut schedule = Schedule { job: self, options, figures };
-        let exact = ExactDual { surface: &surface, session: &mut *session };
-        let (built, seeds) = build(&plan.mesh, &curves, &mut cvt, (exact, dual), &mut schedule, tolerance)?;
+        let (built, seeds) = build(&mut optimized, &mut schedule, tolerance)?;
         let figures = schedule.figures;
+        let Optimized { plan, curves, cvt, .. } = optimized;
         let device = DeviceFigures::new(cvt.device_work(), &figures.iterations);
         let device_bytes = cvt.device_bytes();
         // Nothing else of it is needed: its memory is free for the measurements.
@@ -306,15 +278,12 @@ impl<'a> Job<'a, '_> {
 /// Builds the result of the present seeds, whose dual is there, and of better ones as long as rounds help. Returns the best
 /// result and its seeds, caller's coordinates.
 fn build(
-    divided: &TriMesh,
-    curves: &KeptCurves,
-    cvt: &mut Cvt,
-    (mut exact, mut dual): (ExactDual<'_>, dual::Dual),
+    Optimized { plan, surface, curves, cvt, session, dual, .. }: &mut Optimized<'_>,
     schedule: &mut Schedule<'_, '_, '_>,
     tolerance: Option<f64>,
-) -> Result<(Built, Vec<DVec3>), RemeshError> {
+) -> Result<(Built, Vec<DVec3>)> {
     let (options, token) = (schedule.options, schedule.job.token);
-    let surface = exact.surface;
+    let (divided, surface, curves) = (&*plan.mesh, &**surface, &*curves);
     let rounds = match (options.refine, options.placement) {
         (Some(_), _) => ADDING_ROUNDS,
         (None, Placement::Fitted) if options.newton > 0 => MOVING_ROUNDS,
@@ -331,7 +300,7 @@ fn build(
         schedule.job.enter("repair");
         // The whole draft is one task of the pool: its parts then find the pool's threads awake.
         let seeds = cvt.unit_seeds()?;
-        let draft = rayon::scope(|_| extraction.draft(&dual, seeds))?;
+        let draft = rayon::scope(|_| extraction.draft(dual, seeds))?;
         schedule.job.laps.end(|t| &mut t.repair);
         let missed = draft.missed.clone();
         let is_better = |before: &Missed| match adds {
@@ -342,7 +311,7 @@ fn build(
             }
         };
         if best.as_ref().is_none_or(|(before, _)| is_better(&before.missed)) {
-            schedule.figures.rvd.of_dual(&dual, surface);
+            schedule.figures.rvd.of_dual(dual, surface);
             best = Some((draft, cvt.seeds()?));
         }
         let goes_on = round < rounds
@@ -356,7 +325,7 @@ fn build(
         schedule.job.laps.end(|t| &mut t.refine);
         round += 1;
         schedule.job.enter("dual");
-        dual = exact.dual(cvt, schedule)?;
+        *dual = exact_dual((surface, &mut **session), cvt, schedule)?;
         schedule.job.laps.end(|t| &mut t.dual);
     }
     let (draft, seeds) = best.ok_or_else(|| RvdError::Internal("no result was built".to_owned()))?;
