@@ -12,6 +12,7 @@ mod feature_size;
 mod lengths;
 mod net;
 mod options;
+mod outline;
 mod refine;
 mod size_field;
 
@@ -22,9 +23,9 @@ use serde::Serialize;
 use crate::mesh::TriMesh;
 use crate::token::{Stopped, Token};
 
-pub use lengths::Outline;
 pub use net::Net;
 pub use options::{Count, DensityError, DensityOptions, DensitySource};
+pub use outline::Outline;
 pub(crate) use size_field::SizeField;
 
 use lengths::{Bounded, Least, adapt, fill_gaps, of_curvature, resolved, without_noise};

@@ -8,6 +8,7 @@
 use std::{iter::repeat_n, ops::AddAssign};
 
 use glam::DVec3;
+use serde::Serialize;
 
 use super::{clip, refill};
 

@@ -11,7 +11,7 @@ use std::ops::Range;
 use glam::DVec3;
 use rayon::prelude::*;
 
-use super::lengths::Outline;
+use super::outline::Outline;
 use crate::mesh::TriMesh;
 use crate::mesh::adjacency::{Adjacency, EdgeKind};
 use crate::token::{Stopped, Token};

@@ -8,8 +8,8 @@ use std::cmp::Reverse;
 use std::collections::BinaryHeap;
 
 use super::DensityError;
-use super::lengths::POINTS_PER_AREA;
 use super::net::Net;
+use super::outline::POINTS_PER_AREA;
 use crate::token::{Stopped, Token};
 
 /// Target edge length at each vertex of a mesh, caller's units.
