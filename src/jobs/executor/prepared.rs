@@ -51,7 +51,7 @@ impl Prepared {
     }
 
     /// The same for steps alone, as a remesh takes them: facets that are long beside the cells are divided, so that steps
-    /// take less time ([`Plan::divided`]).
+    /// take less time ([`geometry::cvt::density::Plan::divided`]).
     pub fn for_steps(input: Input, token: &Token) -> Result<Self, JobError> {
         Self::with(input, token, true)
     }
