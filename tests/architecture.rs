@@ -56,6 +56,19 @@ const HOUSES: &[House] = &[
     house("wire", &[], &[("tonic", &["proto"]), ("sha2", &["pieces"])]),
     house("telemetry", &[], &[("opentelemetry", &["trace", "traces"])]),
     house(
+        "transport",
+        &[],
+        &[
+            ("socket2", &["socket"]),
+            ("rustls", &["tls", "handshake"]),
+            ("tokio_rustls", &["handshake"]),
+            ("x509_parser", &["tls"]),
+            ("zstd", &["unpacking"]),
+            ("flate2", &["unpacking"]),
+            ("prometheus_client", &["counters", "account"]),
+        ],
+    ),
+    house(
         "jobs",
         &[
             ("blob", &[]),
@@ -93,11 +106,6 @@ const HOUSES: &[House] = &[
             ("toml", &["config"]),
             ("subtle", &["keys"]),
             ("governor", &["service/access"]),
-            ("socket2", &["service/connections"]),
-            ("tokio_rustls", &["service/connections"]),
-            ("rustls", &["service/connections"]),
-            ("zstd", &["service/connections/unpacking"]),
-            ("flate2", &["service/connections/unpacking"]),
             ("prometheus_client", &["metrics"]),
             ("form_urlencoded", &["http/options"]),
         ],

@@ -30,7 +30,8 @@ use server::http;
 use server::lifecycle::{self, LifeCycle, Step, TooLong};
 use server::metrics::Metrics;
 use server::readiness::{Readiness, Reason};
-use server::service::{self, About, Access, AccessOptions, Door, Jobs, Parts, ServeError, Tls};
+use server::service::{self, About, Access, AccessOptions, Door, Jobs, Parts, ServeError};
+use transport::Tls;
 
 async fn stores(config: &ServeConfig) -> Result<Stores> {
     let (quota_bytes, reserve_bytes) = (config.blob_bytes, config.disk_reserve_bytes);

@@ -14,9 +14,9 @@ mod values;
 pub use args::{BackendArg, BackendArgs, OnLoss, ServeArgs};
 pub use check::{ServeConfig, data_dir};
 pub use file::{ConfigFile, FileError, sources};
-pub use limits::{Limits, Transport};
+pub use limits::Limits;
 pub use options::{defaults, print, with_switches};
-pub use security::{SecurityArgs, TlsFiles};
+pub use security::SecurityArgs;
 pub use values::{ConfigError, count, period, whole};
 #[cfg(test)]
 mod tests {

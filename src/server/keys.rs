@@ -13,7 +13,7 @@ use std::time::{Duration, SystemTime};
 use serde::{Deserialize, Serialize};
 
 pub use file::KeyFile;
-pub(crate) use file::{Stamp, read_regular};
+pub(crate) use file::Stamp;
 pub(crate) use secret::Hash;
 pub use secret::Secret;
 #[cfg(test)]

@@ -10,12 +10,11 @@ mod format;
 #[cfg(test)]
 mod tests;
 
-use std::collections::HashSet;
 use std::fmt;
 use std::hash::Hash;
 use std::sync::atomic::{AtomicI64, AtomicU64, Ordering};
-use std::sync::{Arc, Mutex, OnceLock};
-use std::time::{Duration, Instant};
+use std::sync::{Arc, OnceLock};
+use std::time::Duration;
 
 pub use format::Format;
 use prometheus_client::metrics::counter::Counter;
@@ -29,8 +28,8 @@ use strum::IntoStaticStr;
 use crate::readiness::{Condition, Reason};
 use geometry::rvd::BackendKind;
 use jobs::admission::estimate::Kind;
-use jobs::lock;
 use jobs::observe::activity::{JobOutcome, Observer, Origin, Phase};
+use transport::{Counters, Histograms, Labels};
 
 /// Upper bounds for calls, seconds: those that OpenTelemetry advises, and more for work that takes minutes.
 const CALL_SECONDS: [f64; 18] =
@@ -38,10 +37,6 @@ const CALL_SECONDS: [f64; 18] =
 
 /// Upper bounds for what jobs wait and stages take, seconds.
 const WORK_SECONDS: [f64; 13] = [0.001, 0.003, 0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0, 300.0, 1000.0];
-
-/// Names and values of labels, of fixed lists.
-type Labels<const N: usize> = [(&'static str, &'static str); N];
-type Histograms<L> = Family<L, Histogram, fn() -> Histogram>;
 
 /// See the module's head. Clones share one state.
 #[derive(Clone)]
@@ -178,9 +173,15 @@ impl Metrics {
         }
     }
 
-    /// Counts calls of these methods by their names, and all others as one.
-    pub(crate) fn calls(&self, methods: impl IntoIterator<Item = String>) -> Calls {
-        Calls::new(self.clone(), methods)
+    /// The counts of connections and calls.
+    pub(crate) fn connections(&self) -> Counters {
+        let inner = &*self.0;
+        Counters {
+            connections: inner.open_connections.clone(),
+            refused: inner.refusals.get_or_create(&[("reason", Refused::Connections.name())]).clone(),
+            open: inner.open_streams.clone(),
+            calls: inner.calls.clone(),
+        }
     }
 
     /// A request of the HTTP interface is over. Method and route are of a fixed list.
@@ -188,12 +189,6 @@ impl Metrics {
         let names = [("http_request_method", method), ("http_route", route)];
         let labels = (names, [("http_response_status_code", status.into())]);
         self.0.requests.get_or_create(&labels).observe(took.as_secs_f64());
-    }
-
-    /// A connection is open until what this gives is dropped.
-    pub fn connection(&self) -> Open {
-        self.0.open_connections.inc();
-        Open(self.0.open_connections.clone())
     }
 
     pub fn refused(&self, reason: Refused) {
@@ -249,15 +244,6 @@ impl Metrics {
         }
         inner.process.look();
         format.write(&inner.registry)
-    }
-}
-
-/// Something that is open until this is dropped.
-pub struct Open(Gauge);
-
-impl Drop for Open {
-    fn drop(&mut self) {
-        self.0.dec();
     }
 }
 
@@ -389,73 +375,5 @@ impl Process {
             let cpu = now.cpu_seconds_total.unwrap_or(0.0);
             self.cpu.inner().store(cpu.to_bits(), std::sync::atomic::Ordering::Relaxed);
         }
-    }
-}
-
-const METHOD: &str = "rpc_method";
-
-/// The status of a call that was dropped before it had one.
-const DROPPED: &str = "CANCELLED";
-
-/// The name of a status of gRPC, by its number.
-pub(crate) fn status_name(number: usize) -> &'static str {
-    const BY_NUMBER: &str = "OK CANCELLED UNKNOWN INVALID_ARGUMENT DEADLINE_EXCEEDED NOT_FOUND ALREADY_EXISTS \
-        PERMISSION_DENIED RESOURCE_EXHAUSTED FAILED_PRECONDITION ABORTED OUT_OF_RANGE UNIMPLEMENTED INTERNAL UNAVAILABLE \
-        DATA_LOSS UNAUTHENTICATED";
-    BY_NUMBER.split(' ').nth(number).unwrap_or("UNKNOWN")
-}
-
-/// Calls from their arrival to their end. Every call is counted once, with its last status; a method that is not served is
-/// `_OTHER`, as OpenTelemetry calls it.
-pub(crate) struct Calls {
-    metrics: Metrics,
-    methods: HashSet<&'static str>,
-}
-
-impl Calls {
-    fn new(metrics: Metrics, methods: impl IntoIterator<Item = String>) -> Self {
-        // Once in a server's life, so that labels need no copies.
-        Self { metrics, methods: methods.into_iter().map(|name| &*name.leak()).collect() }
-    }
-
-    /// A call of `method`, as "package.Service/Method", has come.
-    pub(crate) fn begin(&self, method: &str) -> Call {
-        let method = self.methods.get(method).copied().unwrap_or("_OTHER");
-        self.metrics.0.open_streams.get_or_create(&[(METHOD, method)]).inc();
-        Call { metrics: self.metrics.clone(), method, began: Instant::now(), status: Mutex::new(None) }
-    }
-}
-
-/// A call under way; over when this is dropped.
-pub(crate) struct Call {
-    metrics: Metrics,
-    method: &'static str,
-    began: Instant,
-    status: Mutex<Option<&'static str>>,
-}
-
-impl Call {
-    /// Its method, of the fixed list.
-    pub(crate) fn method(&self) -> &'static str {
-        self.method
-    }
-
-    /// Sets its status, unless it has one.
-    pub(crate) fn end(&self, status: &'static str) {
-        lock(&self.status).get_or_insert(status);
-    }
-
-    /// Its status, if it is over now.
-    pub(crate) fn status(&self) -> &'static str {
-        lock(&self.status).unwrap_or(DROPPED)
-    }
-}
-
-impl Drop for Call {
-    fn drop(&mut self) {
-        let inner = &self.metrics.0;
-        inner.open_streams.get_or_create(&[(METHOD, self.method)]).dec();
-        let labels = [(METHOD, self.method), ("rpc_response_status_code", self.status())];
-        inner.calls.get_or_create(&labels).observe(self.began.elapsed().as_secs_f64());
     }
 }

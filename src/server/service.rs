@@ -5,8 +5,6 @@
 //! not know: how a diagram is computed, how messages look (`wire`), the command line.
 
 mod access;
-mod budget;
-mod connections;
 mod convert;
 mod desk;
 mod fault;
@@ -29,10 +27,6 @@ use tonic::service::Routes;
 
 use self::access::Guarded;
 pub(crate) use self::access::{Caller, Pass, Refusal};
-pub(crate) use self::budget::{Budget, Share};
-pub(crate) use self::connections::Exchange;
-use self::connections::{Ground, Grpc, Spoken};
-pub use self::connections::{Tls, TlsError};
 pub(crate) use self::convert::job_id;
 pub(crate) use self::desk::{DESK_TIME, Desk, EmptyUpload, check_owned, create, follow, tenant_of, timely, to_the_end};
 pub(crate) use self::fault::{Detail, Fault, Kind as FaultKind};
@@ -47,6 +41,7 @@ use jobs::blob::{BlobError, BlobStore};
 use jobs::executor::api::{JobApi, JobApiError};
 use jobs::executor::prepared::Input;
 use jobs::{Device, Engine, JobError};
+use transport::{Budget, Calls, ConnectionLimits, Grpc, Phase, Protocol, Rejection, Shared, Tls};
 use wire::{WireError, proto};
 
 pub use self::access::{Access, AccessOptions};
@@ -115,12 +110,8 @@ pub enum ServeError {
 pub enum RequestError {
     #[error(transparent)]
     Wire(#[from] WireError),
-    #[error("{needed_bytes} more bytes do not fit now: {left_bytes} are left for all streams")]
-    Memory { needed_bytes: u64, left_bytes: u64 },
-    #[error("a message of {length} bytes came, where none is longer than {most}")]
-    MessageTooLong { length: u64, most: u64 },
-    #[error("a compressed message would have more than {most} bytes")]
-    Unpacked { most: u64 },
+    #[error(transparent)]
+    Transport(#[from] Rejection),
     #[error("{limit} {what} are open already, as many as may")]
     TooMany { what: &'static str, limit: usize },
     #[error("no message came for {} s", .0.as_secs_f64())]
@@ -133,7 +124,7 @@ pub enum RequestError {
     Deadline,
     #[error("the client has gone")]
     ClientGone,
-    #[error("the server is shutting down; try again, or try another server")]
+    #[error("{}", Rejection::Draining)]
     Draining,
     #[error("the server's storage did not answer within {} s", .0.as_secs_f64())]
     Slow(Duration),
@@ -156,16 +147,11 @@ impl RequestError {
     }
 }
 
-/// How far the server is on its way out.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub enum Phase {
-    Serving,
-    Draining,
-    /// The grace period is over: what is left ends now.
-    Cut,
-    /// Nothing is left: connections close.
-    Closing,
-}
+/// The start of the paths of services that take uploads; health and reflection have short messages.
+const UPLOADS: &str = "/tessera.v1.";
+
+/// Streams of a connection for health and reflection.
+const EXTRA_STREAMS: u32 = 16;
 
 /// Time for streams to end once they were cut, and for connections to close.
 const CUT_TIME: Duration = Duration::from_secs(2);
@@ -185,7 +171,7 @@ pub async fn run(
     shutdown: impl Future<Output = ()> + Send,
 ) -> Result<(), ServeError> {
     let Parts { engine, worker, limits, jobs, tls, access, metrics, readiness, about, door } = parts;
-    let message_bytes = limits.transport.message_bytes;
+    let message_bytes = limits.connections.message_bytes;
     // Ended with the server, wherever it is.
     let mut tasks = JoinSet::new();
     access.follow(engine.weights().clone(), &mut tasks);
@@ -232,17 +218,22 @@ pub async fn run(
     if let Some(jobs) = jobs {
         routes = with_jobs(routes, jobs, limits, &budget, &gate);
     }
-    let routes = Guarded::new(access.of(&listener), routes.prepare());
+    let guarded = Guarded::new(access.of(&listener), routes.prepare());
     let closing = watch::Sender::new(CUT_TIME);
-    let ground = Ground::new(limits, budget, metrics.clone(), tls);
-    let grpc = Spoken::Grpc(Arc::new(Grpc { routes, calls: metrics.calls(access::served()) }));
+    let shared = Shared::new(connections(&limits), budget, metrics.connections(), tls);
+    let grpc = Protocol::Grpc(Arc::new(Grpc {
+        routes: Box::new(move |request| Box::pin(guarded.clone().call(request))),
+        calls: Calls::new(metrics.connections(), access::served()),
+        uploads: UPLOADS,
+        status: |rejection| RequestError::from(rejection).into(),
+    }));
     let beside = async {
         if let Some((listener, router)) = door {
-            let spoken = Spoken::Web(router);
-            connections::serve(listener, spoken, ground.clone(), phase.subscribe(), closing.subscribe()).await;
+            let web = Protocol::Web(router);
+            transport::serve(listener, web, shared.clone(), phase.subscribe(), closing.subscribe()).await;
         }
     };
-    let serving = connections::serve(listener, grpc, ground.clone(), phase.subscribe(), closing.subscribe());
+    let serving = transport::serve(listener, grpc, shared.clone(), phase.subscribe(), closing.subscribe());
     let serving = async { tokio::join!(serving, beside) };
     tokio::pin!(serving);
 
@@ -315,6 +306,12 @@ pub async fn run(
     Ok(())
 }
 
+/// The limits of connections. A connection may have all streams of the server open, and some for health and reflection.
+fn connections(limits: &Limits) -> ConnectionLimits {
+    let all = u32::try_from(limits.max_streams).unwrap_or(u32::MAX).saturating_add(EXTRA_STREAMS);
+    ConnectionLimits { streams: limits.connections.streams.or(Some(all)), ..limits.connections }
+}
+
 /// Waits for the engine, but not for ever.
 async fn join(worker: JoinHandle<()>) -> Result<(), ServeError> {
     let limit = Duration::from_secs(10);
@@ -334,7 +331,7 @@ async fn join(worker: JoinHandle<()>) -> Result<(), ServeError> {
 fn with_jobs(routes: Routes, Jobs { blobs, api }: Jobs, limits: Limits, budget: &Budget, gate: &Gate) -> Routes {
     let jobs = handlers::jobs::Jobs::new(api, Arc::clone(&blobs), budget.clone(), gate.clone());
     let blobs = handlers::blobs::Blobs::new(blobs, limits, budget.clone(), gate.clone());
-    let message_bytes = limits.transport.message_bytes;
+    let message_bytes = limits.connections.message_bytes;
     // What is read is not compressed: results seldom shrink, and their clients wait for them.
     let blobs = proto::blob_service_server::BlobServiceServer::new(blobs)
         .max_decoding_message_size(message_bytes)

@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use rcgen::{BasicConstraints, CertificateParams, CertifiedIssuer, DnType, IsCa, KeyPair, KeyUsagePurpose};
-use server::config::TlsFiles;
+use transport::TlsFiles;
 
 /// Who vouches for certificates.
 pub struct Authority(CertifiedIssuer<'static, KeyPair>);

@@ -3,9 +3,10 @@
 
 use std::time::{Duration, Instant};
 
-use server::config::{Limits, Transport};
+use server::config::Limits;
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::TcpStream;
+use transport::ConnectionLimits;
 
 use super::client::{self, House, get, post};
 use super::torus;
@@ -13,18 +14,15 @@ use super::torus;
 /// Short ones.
 fn limits() -> Limits {
     let second = Duration::from_secs(1);
-    let transport = Transport { first_byte: second, ..Transport::default() };
-    Limits {
+    let connections = ConnectionLimits {
+        first_byte: second,
         first_request: 2 * second,
-        idle_connection: 2 * second,
-        upload: 4 * second,
-        upload_idle: second,
+        idle: 2 * second,
         stall: second,
         max_connections_per_peer: 64,
-        memory_bytes: 8 << 20,
-        transport,
-        ..Limits::default()
-    }
+        ..ConnectionLimits::default()
+    };
+    Limits { upload: 4 * second, upload_idle: second, memory_bytes: 8 << 20, connections, ..Limits::default() }
 }
 
 /// What comes back until the connection ends, or nothing more for long.

@@ -17,9 +17,9 @@ use client::{Answer, House, ask, get, post};
 use serde_json::{Value, json};
 use server::http::{OPENAPI, ROUTES};
 use server::keys::{KeyLimits, Role};
-use server::service::Tls;
 use tessera::mesh::io::{self, Format};
 use tessera::{BackendChoice, BackendKind, RemeshOptions, Seeds, Token, TriMesh};
+use transport::Tls;
 
 /// A torus of so many facets, as a file.
 fn torus(rings: u32) -> Vec<u8> {

@@ -12,9 +12,16 @@ use tessera::proto::*;
 use tonic_health::pb::HealthCheckRequest;
 use tonic_health::pb::health_check_response::ServingStatus;
 use tonic_health::pb::health_client::HealthClient;
+use transport::ConnectionLimits;
 
 const SECOND: Duration = Duration::from_secs(1);
 const PREFACE: &[u8] = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n\0\0\0\x04\0\0\0\0\0";
+
+/// Limits on the number of connections, and of those of one peer.
+fn limits(max_connections: usize, max_connections_per_peer: usize) -> Limits {
+    let connections = ConnectionLimits { max_connections, max_connections_per_peer, ..ConnectionLimits::default() };
+    Limits { connections, ..Limits::default() }
+}
 
 /// Sockets, and how many of them the server has left open.
 async fn open_of(sockets: &mut [tokio::net::TcpStream]) -> usize {
@@ -69,7 +76,7 @@ async fn what_is_no_grpc_is_refused_in_http_s_words() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn silent_sockets_keep_nobody_out() {
-    let limits = Limits { max_connections: 40, max_connections_per_peer: 20, ..Limits::default() };
+    let limits = limits(40, 20);
     let server = Server::start(Setup { limits, ..Setup::default() }).await;
     let mut sockets = Vec::new();
     for i in 0..90 {
@@ -86,7 +93,7 @@ async fn silent_sockets_keep_nobody_out() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn who_asks_for_something_keeps_its_place_and_the_next_is_refused() {
-    let limits = Limits { max_connections: 4, max_connections_per_peer: 3, ..Limits::default() };
+    let limits = limits(4, 3);
     let server = Server::start(Setup { limits, ..Setup::default() }).await;
     let mut uploads = Vec::new();
     for _ in 0..3 {
@@ -115,7 +122,7 @@ async fn who_asks_for_something_keeps_its_place_and_the_next_is_refused() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn watches_of_health_keep_nobody_out() {
-    let limits = Limits { max_connections: 4, max_connections_per_peer: 3, ..Limits::default() };
+    let limits = limits(4, 3);
     let server = Server::start(Setup { limits, ..Setup::default() }).await;
     let mut watches = Vec::new();
     for _ in 0..3 {

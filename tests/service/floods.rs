@@ -6,10 +6,11 @@ use std::time::Duration;
 
 use crate::raw::{WATCH, closes, silent};
 use crate::server::*;
-use server::config::{Limits, Transport};
+use server::config::Limits;
 use tessera::proto::*;
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::TcpStream;
+use transport::ConnectionLimits;
 
 const SECOND: Duration = Duration::from_secs(1);
 const PREFACE: &[u8] = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n\0\0\0\x04\0\0\0\0\0";
@@ -132,8 +133,8 @@ async fn streams_that_are_opened_and_reset_close_the_connection() {
 #[tokio::test(flavor = "multi_thread")]
 async fn streams_beyond_the_limit_are_refused_and_others_go_on() {
     const STREAMS: u32 = 10_000;
-    let transport = Transport { streams: Some(20), ..Transport::default() };
-    let server = Server::start(Setup { limits: Limits { transport, ..Limits::default() }, ..Setup::default() }).await;
+    let connections = ConnectionLimits { streams: Some(20), ..ConnectionLimits::default() };
+    let server = Server::start(Setup { limits: Limits { connections, ..Limits::default() }, ..Setup::default() }).await;
     let block = head(WATCH);
     let mut socket = silent(server.address, PREFACE).await;
     let all: Vec<u8> = (0..STREAMS).flat_map(|i| frame(HEADERS, END_HEADERS, 2 * i + 1, &block)).collect();
@@ -163,8 +164,8 @@ async fn heads_without_an_end_close_the_connection() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_head_that_is_too_large_is_refused_alone() {
-    let transport = Transport { header_bytes: 2048, ..Transport::default() };
-    let server = Server::start(Setup { limits: Limits { transport, ..Limits::default() }, ..Setup::default() }).await;
+    let connections = ConnectionLimits { header_bytes: 2048, ..ConnectionLimits::default() };
+    let server = Server::start(Setup { limits: Limits { connections, ..Limits::default() }, ..Setup::default() }).await;
     let channel = server.channel().await;
     let ask = async |bytes: usize| {
         let mut client = tonic_health::pb::health_client::HealthClient::new(channel.clone());
@@ -180,7 +181,8 @@ async fn a_head_that_is_too_large_is_refused_alone() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn pings_and_settings_are_no_requests() {
-    let limits = Limits { first_request: SECOND, ..Limits::default() };
+    let connections = ConnectionLimits { first_request: SECOND, ..ConnectionLimits::default() };
+    let limits = Limits { connections, ..Limits::default() };
     let server = Server::start(Setup { limits, ..Setup::default() }).await;
     let pings = frame(PING, 0, 0, &[7; 8]).repeat(500);
     let settings = frame(SETTINGS, 0, 0, &[0, 4, 0, 1, 0, 0]).repeat(500);
@@ -241,8 +243,8 @@ async fn pings_of_an_ordinary_client_are_no_flood() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_connection_begins_with_a_byte() {
-    let transport = Transport { first_byte: Duration::from_millis(300), ..Transport::default() };
-    let server = Server::start(Setup { limits: Limits { transport, ..Limits::default() }, ..Setup::default() }).await;
+    let connections = ConnectionLimits { first_byte: Duration::from_millis(300), ..ConnectionLimits::default() };
+    let server = Server::start(Setup { limits: Limits { connections, ..Limits::default() }, ..Setup::default() }).await;
     let (mut mute, mut greets) = (silent(server.address, b"").await, silent(server.address, PREFACE).await);
     assert!(closes(&mut mute, PATIENCE).await);
     assert!(!closes(&mut greets, SECOND / 2).await, "who has sent something has longer");
@@ -260,8 +262,8 @@ async fn the_longest_message_can_be_chosen() {
         all
     };
     for (mib, code) in [(4, tonic::Code::ResourceExhausted), (8, tonic::Code::InvalidArgument)] {
-        let transport = Transport { message_bytes: mib << 20, ..Transport::default() };
-        let limits = Limits { transport, ..Limits::default() };
+        let connections = ConnectionLimits { message_bytes: mib << 20, ..ConnectionLimits::default() };
+        let limits = Limits { connections, ..Limits::default() };
         let server = Server::start(Setup { limits, ..Setup::default() }).await;
         let refused = ask_rvd(&mut server.client().await, header()).await.unwrap_err();
         assert_eq!(refused.code(), code, "{mib} MiB: {refused}");

@@ -14,6 +14,7 @@ use tonic_health::pb::HealthCheckRequest;
 use tonic_health::pb::health_check_response::ServingStatus;
 use tonic_health::pb::health_client::HealthClient;
 use tonic_types::StatusExt;
+use transport::ConnectionLimits;
 
 const SECOND: Duration = Duration::from_secs(1);
 
@@ -174,7 +175,8 @@ async fn an_idle_session_blocks_nobody() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_client_that_does_not_read_is_cut_and_stalls_nobody() {
-    let limits = Limits { stall: Duration::from_millis(300), ..Limits::default() };
+    let connections = ConnectionLimits { stall: Duration::from_millis(300), ..ConnectionLimits::default() };
+    let limits = Limits { connections, ..Limits::default() };
     let server = Server::start(Setup { limits, ..Setup::default() }).await;
     let (points, facets) = sphere(6);
     let request = rvd_request(&points, &facets, &spiral(20_000), BackendChoice::Parallel, &[RvdOutput::Cells]);

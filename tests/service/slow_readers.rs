@@ -6,6 +6,7 @@ use crate::raw::{COMPUTE_RVD, Raw};
 use crate::server::*;
 use server::config::Limits;
 use tessera::proto::*;
+use transport::ConnectionLimits;
 
 const SECOND: Duration = Duration::from_secs(1);
 
@@ -15,16 +16,16 @@ fn request(points: usize) -> Vec<ComputeRvdRequest> {
     rvd_request(&vertices, &facets, &spiral(points), BackendChoice::Parallel, &[RvdOutput::Cells])
 }
 
+fn stalling(ms: u64) -> ConnectionLimits {
+    ConnectionLimits { stall: Duration::from_millis(ms), ..ConnectionLimits::default() }
+}
+
 #[tokio::test(flavor = "multi_thread")]
 async fn shut_windows_give_back_their_places_and_their_memory() {
     const STREAMS: usize = 6;
     let (upload, answer) = (1 << 20, 3 << 20);
-    let limits = Limits {
-        stall: Duration::from_millis(700),
-        max_streams: STREAMS,
-        memory_bytes: upload + answer,
-        ..Limits::default()
-    };
+    let limits =
+        Limits { connections: stalling(700), max_streams: STREAMS, memory_bytes: upload + answer, ..Limits::default() };
     let server = Server::start(Setup { limits, ..Setup::default() }).await;
     let mut held = Vec::new();
     // Shut from the start, and shut after some bytes; all on one connection, and each on its own.
@@ -72,7 +73,7 @@ async fn take(body: &mut h2::RecvStream) -> (usize, bool) {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn the_end_of_an_answer_that_nobody_takes_goes() {
-    let limits = Limits { stall: Duration::from_millis(500), ..Limits::default() };
+    let limits = Limits { connections: stalling(500), ..Limits::default() };
     let server = Server::start(Setup { limits, ..Setup::default() }).await;
     let ask = async |window| {
         let mut raw = Raw::connect(server.address, window).await;
@@ -94,7 +95,7 @@ async fn the_end_of_an_answer_that_nobody_takes_goes() {
 async fn a_steady_slow_reader_is_served_to_the_end() {
     const EACH: usize = 4 << 10;
     let pause = Duration::from_millis(100);
-    let limits = Limits { stall: Duration::from_millis(1000), ..Limits::default() };
+    let limits = Limits { connections: stalling(1000), ..Limits::default() };
     let server = Server::start(Setup { limits, ..Setup::default() }).await;
     let mut raw = Raw::connect(server.address, 2 * EACH as u32).await;
     let start = Instant::now();

@@ -12,8 +12,7 @@ use crate::server::*;
 use rustls::pki_types::pem::PemObject;
 use rustls::pki_types::{CertificateDer, PrivateKeyDer, ServerName};
 use rustls::{ClientConfig, RootCertStore};
-use server::config::{Limits, TlsFiles, Transport};
-use server::service::Tls;
+use server::config::Limits;
 use tessera::proto::*;
 use tokio::io::AsyncReadExt;
 use tokio::net::TcpStream;
@@ -21,6 +20,7 @@ use tokio_rustls::client::TlsStream;
 use tonic::transport::{Certificate, Channel, ClientTlsConfig, Endpoint, Identity};
 use tonic_health::pb::HealthCheckRequest;
 use tonic_health::pb::health_client::HealthClient;
+use transport::{ConnectionLimits, Tls, TlsFiles};
 
 const SECOND: Duration = Duration::from_secs(1);
 
@@ -178,8 +178,8 @@ async fn stalled_handshakes_hold_up_nobody_and_go() {
     let (folder, authority) = (folder(), Authority::new("one"));
     let files = certificates::files(folder.path(), &authority.vouch(&["localhost"], Age::Good), None);
     let limit = 6 * SECOND;
-    let transport = Transport { handshake: limit, first_byte: limit, ..Transport::default() };
-    let (server, _) = start(files, Limits { transport, ..Limits::default() }).await;
+    let connections = ConnectionLimits { handshake: limit, first_byte: limit, ..ConnectionLimits::default() };
+    let (server, _) = start(files, Limits { connections, ..Limits::default() }).await;
     // The first one pays for what is made once.
     newcomer(server.address, &authority).await;
     let mut sockets = Vec::new();
@@ -204,8 +204,8 @@ async fn stalled_handshakes_hold_up_nobody_and_go() {
 async fn a_stalled_handshake_goes_where_all_turns_are_taken() {
     let (folder, authority) = (folder(), Authority::new("one"));
     let files = certificates::files(folder.path(), &authority.vouch(&["localhost"], Age::Good), None);
-    let transport = Transport { handshakes: 4, handshake: 10 * PATIENCE, ..Transport::default() };
-    let (server, _) = start(files, Limits { transport, ..Limits::default() }).await;
+    let connections = ConnectionLimits { handshakes: 4, handshake: 10 * PATIENCE, ..ConnectionLimits::default() };
+    let (server, _) = start(files, Limits { connections, ..Limits::default() }).await;
     let mut stalled = Vec::new();
     for _ in 0..4 {
         stalled.push(silent(server.address, HALF_HELLO).await);

@@ -12,7 +12,7 @@ use std::time::Duration;
 
 use clap::{Args, ValueEnum};
 
-use super::limits::TransportArgs;
+use super::limits::ConnectionArgs;
 use super::security::SecurityArgs;
 use super::values::{period, whole};
 use crate::config::values::{ConfigError, addresses, mebibytes, seconds};
@@ -186,7 +186,7 @@ pub struct ServeArgs {
     #[command(flatten)]
     pub security: SecurityArgs,
     #[command(flatten)]
-    pub transport: TransportArgs,
+    pub connections: ConnectionArgs,
     #[command(flatten)]
     pub watching: WatchingArgs,
     /// The backend. Last, since its heading applies to all later options.

@@ -9,8 +9,8 @@ use std::time::Duration;
 
 use super::args::{BackendArgs, DeviceRules, ServeArgs};
 use super::limits::Limits;
-use super::security::TlsFiles;
 use jobs::Ceilings;
+use transport::{ConnectionLimits, TlsFiles};
 
 use super::values::{ConfigError, addresses, mebibytes, seconds, within};
 
@@ -113,19 +113,21 @@ impl ServeArgs {
                 max_streams: within("--max-streams", self.max_streams, 1..=100_000)?,
                 max_sessions: within("--max-sessions", self.max_sessions, 0..=10_000)?,
                 memory_bytes: within("--memory-mib", self.memory_mib, 1..=1 << 24)? << 20,
-                max_connections: within("--max-connections", self.max_connections, 1..=1_000_000)?,
-                max_connections_per_peer: {
-                    within("--max-connections-per-peer", self.max_connections_per_peer, 1..=1_000_000)?
-                },
-                first_request: seconds("--first-request-s", self.first_request_s)?,
-                idle_connection: seconds("--idle-connection-s", self.idle_connection_s)?,
                 upload: seconds("--upload-s", self.upload_s)?,
                 upload_idle: seconds("--upload-idle-s", self.upload_idle_s)?,
                 session_idle: seconds("--session-idle-s", self.session_idle_s)?,
-                stall: seconds("--stall-s", self.stall_s)?,
                 grace: seconds("--grace-s", self.grace_s)?,
                 probe: seconds("--probe-s", self.watching.probe_s)?,
-                transport: self.transport.check()?,
+                connections: ConnectionLimits {
+                    max_connections: within("--max-connections", self.max_connections, 1..=1_000_000)?,
+                    max_connections_per_peer: {
+                        within("--max-connections-per-peer", self.max_connections_per_peer, 1..=1_000_000)?
+                    },
+                    first_request: seconds("--first-request-s", self.first_request_s)?,
+                    idle: seconds("--idle-connection-s", self.idle_connection_s)?,
+                    stall: seconds("--stall-s", self.stall_s)?,
+                    ..self.connections.check()?
+                },
             },
             ceilings: Ceilings {
                 time: Some(seconds("--job-seconds", self.job_seconds)?),

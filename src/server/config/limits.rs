@@ -1,11 +1,13 @@
-//! Limits of a request, of a connection, and of all together; and the options of connections.
+//! Limits of a request and of all together, and the options of connections.
 //!
-//! Invariant: every limit of the transport that a stranger can meet is an option with a safe default. The defaults equal those of the command line; a test compares them.
+//! Invariant: every limit that a caller can meet is an option with a safe default. The defaults equal those of the command
+//! line; a test compares them.
 //! Must not know: how limits are enforced.
 
 use std::time::Duration;
 
 use clap::Args;
+use transport::ConnectionLimits;
 use wire::counts::Bounds;
 
 use crate::config::values::{ConfigError, seconds, whole, within};
@@ -20,25 +22,17 @@ pub struct Limits {
     pub max_sessions: usize,
     /// Uploaded geometry and waiting results in memory, all streams together, bytes.
     pub memory_bytes: u64,
-    pub max_connections: usize,
-    pub max_connections_per_peer: usize,
-    /// For a new connection to send its first request.
-    pub first_request: Duration,
-    /// For a connection without open streams.
-    pub idle_connection: Duration,
     /// For a whole upload.
     pub upload: Duration,
     /// Between two messages of an upload.
     pub upload_idle: Duration,
     /// Between two commands of a session.
     pub session_idle: Duration,
-    /// For a client to take any of the bytes that wait for it.
-    pub stall: Duration,
     /// For work to end after the shutdown began.
     pub grace: Duration,
     /// Between two probes of an idle backend.
     pub probe: Duration,
-    pub transport: Transport,
+    pub connections: ConnectionLimits,
 }
 
 impl Limits {
@@ -59,74 +53,19 @@ impl Default for Limits {
             max_streams: 256,
             max_sessions: 16,
             memory_bytes: 4 << 30,
-            max_connections: 1024,
-            max_connections_per_peer: 256,
-            first_request: Duration::from_secs(20),
-            idle_connection: Duration::from_secs(300),
             upload: Duration::from_secs(1800),
             upload_idle: Duration::from_secs(60),
             session_idle: Duration::from_secs(600),
-            stall: Duration::from_secs(120),
             grace: Duration::from_secs(30),
             probe: Duration::from_secs(60),
-            transport: Transport::default(),
-        }
-    }
-}
-
-/// Limits of a connection: errors, frames and silence.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Transport {
-    /// Open streams of a connection; default: all streams plus [`Self::EXTRA_STREAMS`].
-    pub streams: Option<u32>,
-    /// All headers of a request, bytes.
-    pub header_bytes: u32,
-    /// Size of a message, bytes, compressed and uncompressed.
-    pub message_bytes: usize,
-    /// Streams that the client reset before the server processed them.
-    pub pending_resets: usize,
-    /// Streams that were reset for faults of the client.
-    pub fault_resets: usize,
-    /// Frames of a connection a second that carry neither a request nor its bytes.
-    pub control_frames: u32,
-    /// Between two pings, which keep boxes between here and the client from forgetting the connection.
-    pub ping_every: Duration,
-    /// Time for the answer to a ping; at least the time that a stream may stall, since it waits behind the data of a slow
-    /// reader.
-    pub ping_timeout: Duration,
-    /// For a new connection to send anything.
-    pub first_byte: Duration,
-    pub handshakes: usize,
-    /// For a TLS handshake, waiting for its turn included.
-    pub handshake: Duration,
-}
-
-impl Transport {
-    /// Streams of a connection for health and reflection.
-    pub const EXTRA_STREAMS: usize = 16;
-}
-
-impl Default for Transport {
-    fn default() -> Self {
-        Self {
-            streams: None,
-            header_bytes: 16 << 10,
-            message_bytes: 4 << 20,
-            pending_resets: 32,
-            fault_resets: 256,
-            control_frames: 1000,
-            ping_every: Duration::from_secs(20),
-            ping_timeout: Duration::from_secs(60),
-            first_byte: Duration::from_secs(10),
-            handshakes: 256,
-            handshake: Duration::from_secs(10),
+            connections: ConnectionLimits::default(),
         }
     }
 }
 
 #[derive(Args, Clone, Debug)]
 #[command(next_help_heading = "Connections")]
-pub struct TransportArgs {
+pub struct ConnectionArgs {
     /// Streams open at once on one connection; --max-streams and 16 for health and reflection if not given. One more is refused.
     #[arg(long, value_name = "N", value_parser = whole::<u32>, env = "TESSERA_CONNECTION_STREAMS")]
     pub connection_streams: Option<u32>,
@@ -163,10 +102,10 @@ pub struct TransportArgs {
     pub handshake_s: f64,
 }
 
-impl TransportArgs {
-    pub(super) fn check(&self) -> Result<Transport, ConfigError> {
+impl ConnectionArgs {
+    pub(super) fn check(&self) -> Result<ConnectionLimits, ConfigError> {
         let count = |option, value: u32| within(option, value, 1..=100_000);
-        Ok(Transport {
+        Ok(ConnectionLimits {
             streams: self.connection_streams.map(|streams| count("--connection-streams", streams)).transpose()?,
             // The usual headers need at least this. The upper limit bounds the memory of each request.
             header_bytes: within("--max-header-bytes", self.max_header_bytes, 1024..=1 << 20)?,
@@ -180,6 +119,7 @@ impl TransportArgs {
             first_byte: seconds("--first-byte-s", self.first_byte_s)?,
             handshakes: count("--max-handshakes", self.max_handshakes)? as usize,
             handshake: seconds("--handshake-s", self.handshake_s)?,
+            ..ConnectionLimits::default()
         })
     }
 }

@@ -5,23 +5,11 @@
 
 use std::net::{IpAddr, SocketAddr};
 use std::path::PathBuf;
-use std::time::Duration;
 
 use clap::Args;
+use transport::TlsFiles;
 
 use super::values::{ConfigError, seconds};
-
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct TlsFiles {
-    /// The server's certificate and its chain.
-    pub cert: PathBuf,
-    /// The certificate's private key.
-    pub key: PathBuf,
-    /// The authorities of clients, if these need a certificate.
-    pub client_ca: Option<PathBuf>,
-    /// Between two looks at the files.
-    pub reload: Duration,
-}
 
 #[derive(Args, Clone, Debug)]
 #[command(next_help_heading = "TLS and keys")]

@@ -22,8 +22,9 @@ use super::body::{Arriving, Coding, coding, length, whole};
 use super::guard::Whose;
 use super::options::Asked;
 use super::problem::{Answered, wrong};
-use crate::service::{Caller, Desk, EmptyUpload, RequestError, Share, check_owned, timely};
+use crate::service::{Caller, Desk, EmptyUpload, RequestError, check_owned, timely};
 use jobs::blob::{BlobError, BlobInfo, BlobStore, Chunk, Digest, Owner, UploadId, put_of};
+use transport::Share;
 
 /// Bytes of an upload that are stored at once.
 const PIECE: usize = 1 << 20;

@@ -15,9 +15,10 @@ use futures_util::StreamExt as _;
 use tokio::time::Instant;
 
 use super::problem::wrong;
-use crate::service::{Desk, Phase, RequestError, Share};
+use crate::service::{Desk, RequestError};
 use geometry::mesh::io::{DataError, unpacked_limit, unpacked_wrong, unpacker};
 use jobs::executor::api::JobApiError;
+use transport::{Phase, Share};
 
 pub(super) struct Arriving<'a> {
     desk: &'a Desk,
@@ -174,7 +175,7 @@ impl Write for Kept {
             return Err(io::ErrorKind::FileTooLarge.into());
         }
         if let Err(refusal) = self.share.grow(bytes.len() as u64) {
-            self.refusal = Some(refusal);
+            self.refusal = Some(refusal.into());
             return Err(io::ErrorKind::OutOfMemory.into());
         }
         self.all.extend_from_slice(bytes);

@@ -21,10 +21,9 @@ use tracing::{Span, field, info_span};
 use super::Route;
 use super::problem::Problem;
 use crate::metrics::{Metrics, Refused};
-use crate::service::{
-    Caller, DESK_TIME, Desk, Exchange, Fault, FaultKind, Kind, Pass, Phase, Refusal, RequestError, tenant_of,
-};
+use crate::service::{Caller, DESK_TIME, Desk, Fault, FaultKind, Kind, Pass, Refusal, RequestError, tenant_of};
 use telemetry::trace::{self, TraceContext};
+use transport::{Exchange, Phase};
 
 /// How a route that is not served is counted, as OpenTelemetry calls it.
 const OTHER: &str = "_OTHER";

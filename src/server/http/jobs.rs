@@ -19,12 +19,13 @@ use super::blobs::send;
 use super::guard::Whose;
 use super::options::{Asked, format_names, media_type};
 use super::problem::{Answered, Problem, wrong};
-use crate::service::{self, Caller, Desk, Detail, Fault, FaultKind, Phase, RequestError, job_id, to_the_end};
+use crate::service::{self, Caller, Desk, Detail, Fault, FaultKind, RequestError, job_id, to_the_end};
 use jobs::record::event::{Event, Progress, What};
 use jobs::record::state::State as JobState;
 use jobs::record::{Cause, Failure, FailureKind, Job, JobId, Outcome, ResultFormat, Spec};
 use jobs::store::Query;
 use telemetry::trace;
+use transport::Phase;
 
 /// The longest specification, bytes.
 const SPEC_BYTES: usize = 1 << 20;

@@ -18,12 +18,13 @@ use super::guard::Whose;
 use super::jobs::{MESH, send_result};
 use super::options::{Asked, format_names, format_of_types};
 use super::problem::{Answered, wrong};
-use crate::service::{self, Caller, Desk, Phase, RequestError};
+use crate::service::{self, Caller, Desk, RequestError};
 use geometry::mesh::io::Format;
 use jobs::blob::Digest;
 use jobs::executor::api::JobApi;
 use jobs::record::state::State as JobState;
 use jobs::record::{Job, JobId, Spec};
+use transport::Phase;
 use wire::proto::{self, JobSpec, job_mesh, result_format};
 
 pub(super) async fn remesh(State(desk): State<Desk>, Extension(client): Whose, request: Request) -> Answered {

@@ -5,11 +5,12 @@
 //! A missing file is an empty set. Must not know: the use of keys.
 
 use std::fs::{self, File, OpenOptions};
-use std::io::{ErrorKind, Read, Write};
+use std::io::{ErrorKind, Write};
 use std::path::{Path, PathBuf};
 use std::time::SystemTime;
 
 use super::{KeySet, KeysError};
+use transport::read_regular;
 
 /// The file, the one that is being written, and the one that is locked meanwhile.
 const NAME: &str = "keys.json";
@@ -96,20 +97,6 @@ impl KeyFile {
         #[cfg(unix)]
         File::open(&self.folder)?.sync_all()?;
         Ok(())
-    }
-}
-
-/// All bytes of a regular file. Errors: `FileTooLarge` if it has more than `most` bytes.
-pub(crate) fn read_regular(path: &Path, most: u64) -> std::io::Result<Vec<u8>> {
-    // A pipe would be waited for.
-    if !fs::metadata(path)?.is_file() {
-        return Err(std::io::Error::other("it is no regular file"));
-    }
-    let mut bytes = Vec::new();
-    File::open(path)?.take(most + 1).read_to_end(&mut bytes)?;
-    match bytes.len() as u64 > most {
-        true => Err(std::io::Error::new(ErrorKind::FileTooLarge, format!("it has more than {most} bytes"))),
-        false => Ok(bytes),
     }
 }
 

@@ -62,7 +62,7 @@ fn the_device_is_busy_when_it_has_passes() {
 #[test]
 fn strangers_make_no_labels() {
     let metrics = Metrics::default();
-    let calls = metrics.calls(["a.B/C".to_owned()]);
+    let calls = transport::Calls::new(metrics.connections(), ["a.B/C".to_owned()]);
     for path in ["a.B/C", "a.B/D", "", "x\"} 1\n", "a.B/C/"] {
         let call = calls.begin(path);
         call.end("OK");

@@ -12,8 +12,6 @@ use tonic::codegen::http::HeaderMap;
 
 use super::RequestError;
 use super::access::{Access, Caller, Refusal, TENANT, tenant};
-use super::budget::Budget;
-use super::connections::Peer;
 use super::stream::Gate;
 use crate::config::Limits;
 use crate::metrics::Metrics;
@@ -24,6 +22,7 @@ use jobs::record::event::{Event, What};
 use jobs::record::{JobId, Spec};
 use jobs::store::Created;
 use telemetry::trace;
+use transport::{Budget, Peer};
 use wire::WireError;
 
 /// For the storage to answer.

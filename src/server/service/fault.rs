@@ -24,6 +24,7 @@ use jobs::JobError;
 use jobs::blob::BlobError;
 use jobs::executor::api::JobApiError;
 use jobs::store::StoreError;
+use transport::Rejection;
 use wire::WireError;
 
 /// What kind of error it is, as far as a caller acts on it. Its number is that of the canonical code (google.rpc.Code).
@@ -104,10 +105,7 @@ fn of(error: RequestError) -> Fault {
     let text = error.to_string();
     match error {
         RequestError::Wire(error) => of_wire(error),
-        RequestError::Memory { .. } => retry(Kind::ResourceExhausted, text, Duration::from_secs(2)),
-        RequestError::MessageTooLong { .. } | RequestError::Unpacked { .. } => {
-            Fault::new(Kind::ResourceExhausted, text)
-        }
+        RequestError::Transport(rejection) => of_rejection(&rejection, text),
         RequestError::TooMany { .. } => retry(Kind::ResourceExhausted, text, Duration::from_secs(1)),
         RequestError::Idle(_) | RequestError::UploadTime(_) | RequestError::Deadline => {
             Fault::new(Kind::DeadlineExceeded, text)
@@ -125,6 +123,15 @@ fn of(error: RequestError) -> Fault {
         RequestError::Access(refusal) => of_refusal(refusal),
         // Said by the transport of gRPC, which has a status of its own.
         RequestError::Inbound(_) => Fault::new(Kind::InvalidArgument, text),
+    }
+}
+
+fn of_rejection(rejection: &Rejection, text: String) -> Fault {
+    match rejection {
+        Rejection::Memory { .. } => retry(Kind::ResourceExhausted, text, Duration::from_secs(2)),
+        Rejection::MessageTooLong { .. } | Rejection::Unpacked { .. } => Fault::new(Kind::ResourceExhausted, text),
+        Rejection::Damaged => Fault::new(Kind::InvalidArgument, text),
+        Rejection::Draining => draining(text),
     }
 }
 
@@ -366,10 +373,10 @@ fn draining(text: String) -> Fault {
 
 pub(super) fn refusal(error: &RequestError) -> Option<Refused> {
     match error {
-        RequestError::Memory { .. } => Some(Refused::Memory),
-        RequestError::MessageTooLong { .. } => Some(Refused::MessageSize),
+        RequestError::Transport(Rejection::Memory { .. }) => Some(Refused::Memory),
+        RequestError::Transport(Rejection::MessageTooLong { .. }) => Some(Refused::MessageSize),
         RequestError::TooMany { .. } => Some(Refused::Streams),
-        RequestError::Draining => Some(Refused::Draining),
+        RequestError::Draining | RequestError::Transport(Rejection::Draining) => Some(Refused::Draining),
         RequestError::Job(error) | RequestError::JobApi(JobApiError::Job(error)) => refusal_of_job(error),
         RequestError::Blob(error) | RequestError::JobApi(JobApiError::Blob(error)) => refusal_of_blob(error),
         RequestError::JobApi(JobApiError::TooLarge { .. } | JobApiError::Packed { .. }) => Some(Refused::TooLarge),

@@ -29,10 +29,9 @@ use prost::Message as _;
 use tokio::sync::Semaphore;
 use tonic::{Request, Response, Status, Streaming};
 
-use super::budget::{Budget, Share};
+use super::RequestError;
 use super::desk::tenant_of;
 use super::stream::{Answers, Gate, Inbox, Kind, Outbox, respond};
-use super::{Phase, RequestError};
 use crate::config::Limits;
 use ::jobs::admission::estimate::{self, Counts, need};
 use ::jobs::admission::forecast::must_fit;
@@ -44,6 +43,7 @@ use geometry::mesh::TriMesh;
 use geometry::remesh::report::to_json;
 use geometry::remesh::{RemeshOptions, Seeds};
 use geometry::token::Token;
+use transport::{Budget, Phase, Share};
 use wire::assemble::Uploaded;
 use wire::chunks::{byte_chunks, point_chunks};
 use wire::options::{Diagram, Session, Start, fill};
@@ -146,7 +146,7 @@ async fn upload<M: Into<Incoming<H>>, H: Needs>(
             // Nothing was admitted yet that a shutdown would wait for.
             () = shared.gate.reached(Phase::Draining) => return Err(RequestError::Draining),
         };
-        let complete = upload.take(message.map(Into::into), |bytes| share.grow(bytes))?;
+        let complete = upload.take(message.map(Into::into), |bytes| share.grow(bytes).map_err(RequestError::from))?;
         let (request, reservation) = match (kept.take(), upload.header()) {
             (Some(kept), _) => kept,
             (None, Some(header)) => (admission_request::<H>(shared, tenant, header)?, shared.engine.reserve()?),
@@ -172,7 +172,7 @@ pub(super) fn replay(recording: &mut &[u8], limits: &Limits) -> Result<Input, Re
                 RequestError::Inbound(Status::invalid_argument(error.to_string()))
             })?),
         };
-        let complete = upload.take(message.map(Into::into), |bytes| share.grow(bytes))?;
+        let complete = upload.take(message.map(Into::into), |bytes| share.grow(bytes).map_err(RequestError::from))?;
         if let Some((mut header, arrays)) = complete {
             return Ok(input(Received { arrays, share }, &mut header.options, &Token::default())?.0);
         }

@@ -17,13 +17,12 @@ use tokio_stream::Stream;
 use tonic::metadata::MetadataMap;
 use tonic::{Extensions, Response, Status, Streaming};
 
-use super::budget::{Budget, Share};
-use super::connections::Exchange;
+use super::RequestError;
 use super::fault::refusal;
-use super::{Phase, RequestError};
 use crate::config::Limits;
 use crate::metrics::Metrics;
 use telemetry::trace;
+use transport::{Budget, Exchange, Phase, Share};
 
 /// Messages of a stream that wait for the transport.
 const OUTBOX_MESSAGES: usize = 4;
@@ -247,8 +246,8 @@ where
         };
         drop(work);
         let result = result.map_err(|error| match error {
-            RequestError::ClientGone if exchange.is_some_and(|e| e.stalled.is_set()) => {
-                RequestError::Stalled(gate.limits.stall)
+            RequestError::ClientGone if exchange.is_some_and(|e| e.is_stalled()) => {
+                RequestError::Stalled(gate.limits.connections.stall)
             }
             other => other,
         });

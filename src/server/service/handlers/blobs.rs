@@ -12,13 +12,13 @@ use tonic::{Request, Streaming};
 
 use super::Reply;
 use crate::config::Limits;
+use crate::service::RequestError;
 use crate::service::access::Caller;
-use crate::service::budget::{Budget, Share};
 use crate::service::convert::digest;
 use crate::service::desk::{EmptyUpload, STORE_TIME, check_owned, tenant_of, timely};
 use crate::service::stream::{Answers, Gate, Inbox, Kind, Outbox, answer, respond};
-use crate::service::{Phase, RequestError};
 use jobs::blob::{BlobError, BlobInfo, BlobStore, Chunk, Digest, Owner, UploadId, UploadStatus};
+use transport::{Budget, Phase, Share};
 use wire::{WireError, proto};
 
 const MOST_DIGESTS: usize = 10_000;

@@ -92,7 +92,7 @@ impl Info {
             max_facets,
             max_seeds,
             max_iterations,
-            max_message_bytes: self.limits.transport.message_bytes as u64,
+            max_message_bytes: self.limits.connections.message_bytes as u64,
             max_streams: self.limits.max_streams as u64,
             max_sessions: self.limits.max_sessions as u64,
             job_time: self.about.job_time.and_then(duration),

@@ -8,16 +8,16 @@ use std::sync::Arc;
 use tonic::Request;
 
 use super::Reply;
+use crate::service::RequestError;
 use crate::service::access::Caller;
-use crate::service::budget::Budget;
 use crate::service::convert::{self, job_id};
 use crate::service::desk::{self, DESK_TIME, tenant_of, to_the_end};
 use crate::service::stream::{Answers, Gate, Kind, Outbox, answer, respond};
-use crate::service::{Phase, RequestError};
 use jobs::blob::BlobStore;
 use jobs::executor::api::JobApi;
 use jobs::record::Spec;
 use jobs::record::event::Event;
+use transport::{Budget, Phase};
 use wire::{WireError, proto};
 
 pub(in crate::service) struct Jobs {

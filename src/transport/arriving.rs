@@ -11,8 +11,8 @@ use http_body::{Frame, SizeHint};
 use tonic::Status;
 use tonic::codegen::{Body, Bytes, StdError};
 
-use super::super::RequestError;
-use super::super::budget::Budget;
+use super::budget::Budget;
+use super::rejection::Rejection;
 use super::unpacking::{Unpacking, Wrong};
 
 /// Bytes of the prefix of a message: a flag for compression, and the length.
@@ -25,6 +25,8 @@ const SLACK: u64 = 64 << 10;
 pub(super) struct Arriving<B> {
     inner: B,
     budget: Budget,
+    /// The service's status for a rejection.
+    status: fn(Rejection) -> Status,
     /// Longest message allowed, bytes.
     most: u64,
     /// Prefix of the next message.
@@ -43,11 +45,18 @@ pub(super) struct Arriving<B> {
 }
 
 impl<B> Arriving<B> {
-    pub(super) fn new(inner: B, budget: Budget, most: u64, encoding: Option<Vec<u8>>) -> Self {
+    pub(super) fn new(
+        inner: B,
+        budget: Budget,
+        status: fn(Rejection) -> Status,
+        most: u64,
+        encoding: Option<Vec<u8>>,
+    ) -> Self {
         let unpacking = None;
         Self {
             inner,
             budget,
+            status,
             most,
             prefix: [0; PREFIX],
             known: 0,
@@ -60,7 +69,7 @@ impl<B> Arriving<B> {
     }
 
     /// Records received bytes.
-    fn note(&mut self, mut bytes: &[u8]) -> Result<(), Status> {
+    fn note(&mut self, mut bytes: &[u8]) -> Result<(), Rejection> {
         while !bytes.is_empty() {
             if self.missing == 0 && self.known < PREFIX {
                 let (some, rest) = bytes.split_at(bytes.len().min(PREFIX - self.known));
@@ -74,7 +83,7 @@ impl<B> Arriving<B> {
                 self.missing = u64::from(u32::from_be_bytes(length));
                 if self.missing > self.most {
                     let (length, most) = (self.missing, self.most);
-                    return Err(RequestError::MessageTooLong { length, most }.into());
+                    return Err(Rejection::MessageTooLong { length, most });
                 }
                 self.unpacking = (is_compressed == 1).then(|| Unpacking::new(self.encoding.as_deref(), self.most));
             }
@@ -85,10 +94,8 @@ impl<B> Arriving<B> {
             bytes = rest;
             if let Some(unpacking) = &mut self.unpacking {
                 unpacking.add(here).map_err(|wrong| match wrong {
-                    Wrong::TooLong => RequestError::Unpacked { most: self.most },
-                    Wrong::Damaged => RequestError::Inbound(Status::invalid_argument(
-                        "a message is not compressed as it says, or has a window above 8 MiB",
-                    )),
+                    Wrong::TooLong => Rejection::Unpacked { most: self.most },
+                    Wrong::Damaged => Rejection::Damaged,
                 })?;
                 let held = unpacking.held_bytes();
                 self.charge(held.saturating_sub(self.unpacked));
@@ -102,7 +109,7 @@ impl<B> Arriving<B> {
         }
         if self.charged > 0 && !self.budget.has_within(SLACK) {
             let needed_bytes = self.charged + self.missing;
-            return Err(RequestError::Memory { needed_bytes, left_bytes: 0 }.into());
+            return Err(Rejection::Memory { needed_bytes, left_bytes: 0 });
         }
         Ok(())
     }
@@ -136,8 +143,8 @@ where
             Poll::Ready(None) => return Poll::Ready(None),
             Poll::Pending => return Poll::Pending,
         };
-        if let Some(Err(status)) = frame.data_ref().map(|data| self.note(data)) {
-            return Poll::Ready(Some(Err(status.into())));
+        if let Some(Err(rejection)) = frame.data_ref().map(|data| self.note(data)) {
+            return Poll::Ready(Some(Err((self.status)(rejection).into())));
         }
         Poll::Ready(Some(Ok(frame)))
     }
@@ -160,7 +167,10 @@ impl<B> Drop for Arriving<B> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use tonic::Code;
+
+    fn status(rejection: Rejection) -> Status {
+        Status::unknown(rejection.to_string())
+    }
 
     fn message(length: usize) -> Vec<u8> {
         let mut bytes = vec![0];
@@ -174,7 +184,7 @@ mod tests {
         let all = [message(1000), message(0), message(3), message(70_000)].concat();
         for step in [1, 2, 5, 7, 999, 1006, 4096, all.len()] {
             let budget = Budget::new(1 << 20);
-            let mut body = Arriving::new((), budget.clone(), 1 << 20, None);
+            let mut body = Arriving::new((), budget.clone(), status, 1 << 20, None);
             let mut come = 0;
             for part in all.chunks(step) {
                 body.note(part).unwrap();
@@ -193,13 +203,13 @@ mod tests {
     #[test]
     fn a_message_that_never_ends_is_refused_once_memory_is_used_up() {
         let budget = Budget::new(1 << 20);
-        let mut bodies: Vec<_> = (0..4).map(|_| Arriving::new((), budget.clone(), 4 << 20, None)).collect();
+        let mut bodies: Vec<_> = (0..4).map(|_| Arriving::new((), budget.clone(), status, 4 << 20, None)).collect();
         let long = message(4 << 20);
         let mut refused = 0;
         for part in long[..1 << 19].chunks(1 << 14) {
             for body in &mut bodies {
-                if let Err(status) = body.note(part) {
-                    assert_eq!(status.code(), Code::ResourceExhausted);
+                if let Err(rejection) = body.note(part) {
+                    assert!(matches!(rejection, Rejection::Memory { left_bytes: 0, .. }));
                     refused += 1;
                 }
             }
@@ -212,8 +222,9 @@ mod tests {
 
     #[test]
     fn a_message_that_nobody_expects_is_refused_by_its_length() {
-        let mut body = Arriving::new((), Budget::new(1 << 20), 1000, None);
+        let mut body = Arriving::new((), Budget::new(1 << 20), status, 1000, None);
         body.note(&message(1000)).unwrap();
-        assert_eq!(body.note(&message(1001)[..PREFIX]).unwrap_err().code(), Code::ResourceExhausted);
+        let rejection = body.note(&message(1001)[..PREFIX]).unwrap_err();
+        assert!(matches!(rejection, Rejection::MessageTooLong { length: 1001, most: 1000 }));
     }
 }

@@ -8,8 +8,8 @@ use std::sync::Arc;
 use tonic::codegen::http::{HeaderMap, Request, StatusCode};
 use tracing::{Span, field, info_span};
 
+use super::counters::{Call, Calls, status_name};
 use super::exchange::{Ending, Exchange};
-use crate::metrics::{Call, Calls, status_name};
 use telemetry::trace::{self, TraceContext};
 
 const STATUS: &str = "grpc-status";
@@ -76,24 +76,39 @@ impl Drop for Account {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::metrics::{Format, Metrics};
-    use crate::service::budget::Budget;
+    use crate::budget::Budget;
+    use crate::counters::{Counters, Labels};
+    use prometheus_client::encoding::text::encode;
+    use prometheus_client::metrics::family::Family;
+    use prometheus_client::metrics::histogram::Histogram;
+    use prometheus_client::registry::Registry;
 
     const METHOD: &str = "a.B/C";
 
     /// The counters after an event of a call.
     fn counted(what: impl FnOnce(&Account, &Exchange)) -> String {
-        let metrics = Metrics::default();
-        let calls = metrics.calls([METHOD.to_owned()]);
+        let calls: fn() -> Histogram = || Histogram::new([1.0]);
+        let calls = Family::<Labels<2>, _, _>::new_with_constructor(calls);
+        let open = Family::default();
+        let mut registry = Registry::default();
+        registry.register("calls", "", calls.clone());
+        registry.register("open", "", open.clone());
+        let text = || {
+            let mut text = String::new();
+            encode(&mut text, &registry).unwrap();
+            text
+        };
+        let counters = Counters { connections: Default::default(), refused: Default::default(), open, calls };
+        let calls = Calls::new(counters, [METHOD.to_owned()]);
         let exchange = Arc::new(Exchange::new(Budget::new(1), false));
         let request = Request::builder().uri(format!("http://host/{METHOD}")).body(()).unwrap();
         let (account, _) = Account::open(&calls, &request, &exchange);
-        assert!(metrics.text(Format::Text).contains("tessera_open_streams{rpc_method=\"a.B/C\"} 1\n"));
+        assert!(text().contains("open{rpc_method=\"a.B/C\"} 1\n"));
         what(&account, &exchange);
         drop(account);
-        let text = metrics.text(Format::Text);
-        assert!(text.contains("tessera_open_streams{rpc_method=\"a.B/C\"} 0\n"));
-        let line = text.lines().find(|line| line.starts_with("rpc_server_call_duration_seconds_count")).unwrap();
+        let text = text();
+        assert!(text.contains("open{rpc_method=\"a.B/C\"} 0\n"));
+        let line = text.lines().find(|line| line.starts_with("calls_count")).unwrap();
         line.split('"').nth(3).unwrap().to_owned()
     }
 

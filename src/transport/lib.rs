@@ -1,41 +1,58 @@
-//! The transport: accepts connections, limits them and closes them at the end.
+//! Connections of a server: HTTP/2 with gRPC, HTTP/1.1, TLS, and limits on all of them.
 //!
-//! Purpose: [`serve`] accepts connections and runs each on a task of its own. Invariant: there is always room for a client
-//! with a request: connections are limited in number, in all and from each peer, and silent ones go first; every wait for a
-//! peer has a limit; where descriptors run out, accepting waits instead of spinning. Must not know: messages, jobs.
+//! Purpose: [`serve`] accepts connections and runs each on a task of its own, with the service's routes. Invariant: there is
+//! always room for a client with a request: connections are limited in number, in all and from each peer, and silent ones go
+//! first; every wait for a peer has a limit; where descriptors run out, accepting waits instead of spinning. Must not know:
+//! messages, jobs, surfaces: any service can use it.
+
+#![warn(unreachable_pub)]
+// Fields and variants that their names explain; the callers are crates of this workspace.
+#![allow(missing_docs)]
 
 mod account;
 mod arriving;
+mod budget;
 mod connection;
+mod counters;
 mod exchange;
+mod file;
 mod frames;
 mod handshake;
+mod limits;
 mod places;
+mod rejection;
 mod socket;
 mod tls;
 mod unpacking;
+mod unread;
 
 use std::io;
 use std::net::SocketAddr;
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
 use axum::Router;
-pub(crate) use exchange::Exchange;
-pub(crate) use places::Peer;
-pub use tls::{Tls, TlsError};
+use futures_util::future::BoxFuture;
 use tokio::net::{TcpListener, TcpStream};
 use tokio::sync::watch;
+use tonic::Status;
+use tonic::body::Body;
+use tonic::codegen::http::{Request, Response};
+
+pub use budget::{Budget, Share};
+pub use counters::{Calls, Counters, Histograms, Labels};
+pub use exchange::Exchange;
+pub use file::read_regular;
+pub use limits::ConnectionLimits;
+pub use places::Peer;
+pub use rejection::Rejection;
+pub use tls::{Tls, TlsError, TlsFiles};
+pub use unread::status as status_of_unread;
 
 use self::connection::State;
 use self::handshake::Handshakes;
 use self::places::{Full, Places};
 use self::socket::Line;
-use super::Phase;
-use super::access::Guarded;
-use super::budget::Budget;
-use crate::config::Limits;
-use crate::metrics::{Calls, Metrics, Refused};
 use telemetry::Seldom;
 
 /// Between the last answer and the end of its connection. A connection that closes while its client still
@@ -49,32 +66,50 @@ const ROOM_TIME: Duration = Duration::from_millis(500);
 const PAUSE: Duration = Duration::from_millis(10);
 const LONGEST_PAUSE: Duration = Duration::from_secs(1);
 
+/// How far the server is on its way out.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Phase {
+    Serving,
+    Draining,
+    /// The grace period is over: what is left ends now.
+    Cut,
+    /// Nothing is left: connections close.
+    Closing,
+}
+
 #[derive(Clone)]
-pub(super) enum Spoken {
-    /// The services, over HTTP/2.
+pub enum Protocol {
+    /// Services over HTTP/2.
     Grpc(Arc<Grpc>),
-    /// The HTTP interface, over HTTP/1.1 and HTTP/2.
+    /// A router over HTTP/1.1 and HTTP/2.
     Web(Router),
 }
 
-/// The services and the counters of their calls.
-pub(super) struct Grpc {
-    pub(super) routes: Guarded,
-    pub(super) calls: Calls,
+/// Services of gRPC, as connections need them.
+pub struct Grpc {
+    /// Answers a request.
+    pub routes: Routes,
+    pub calls: Calls,
+    /// The start of the paths that take uploads; messages to other paths are small.
+    pub uploads: &'static str,
+    /// The status of a rejection.
+    pub status: fn(Rejection) -> Status,
 }
 
-/// What all ports share: there is one room for connections, whatever is spoken.
+pub type Routes = Box<dyn Fn(Request<Body>) -> BoxFuture<'static, Response<Body>> + Send + Sync>;
+
+/// State that all ports of a server share: connections are limited together.
 #[derive(Clone)]
-pub(super) struct Ground {
+pub struct Shared {
     places: Arc<Places<State>>,
-    limits: Limits,
+    limits: ConnectionLimits,
     budget: Budget,
-    metrics: Metrics,
+    counters: Counters,
     tls: Option<Arc<Tls>>,
 }
 
-impl Ground {
-    pub(super) fn new(limits: Limits, budget: Budget, metrics: Metrics, tls: Option<Arc<Tls>>) -> Self {
+impl Shared {
+    pub fn new(limits: ConnectionLimits, budget: Budget, counters: Counters, tls: Option<Arc<Tls>>) -> Self {
         let most = connections(limits.max_connections);
         if most < limits.max_connections {
             tracing::warn!(
@@ -84,31 +119,36 @@ impl Ground {
             );
         }
         let places = Places::new(most, limits.max_connections_per_peer);
-        Self { places, limits, budget, metrics, tls }
+        Self { places, limits, budget, counters, tls }
     }
 }
 
+/// Locks a mutex whose content is never left half changed, so that it is good even after a panic.
+fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
 struct Common {
-    limits: Limits,
+    limits: ConnectionLimits,
     budget: Budget,
     handshakes: Option<Handshakes>,
-    metrics: Metrics,
+    counters: Counters,
     /// Connections that were closed for breaking a limit.
     closed: Seldom,
 }
 
-/// Serves what is `spoken` until `phase` says that connections close; they have `closing` to do so.
-pub(super) async fn serve(
+/// Serves `protocol` on `listener` until `phase` is [`Phase::Closing`]; connections then have the time of `closing` to close.
+pub async fn serve(
     listener: TcpListener,
-    spoken: Spoken,
-    ground: Ground,
+    protocol: Protocol,
+    shared: Shared,
     phase: watch::Receiver<Phase>,
     closing: watch::Receiver<Duration>,
 ) {
-    let Ground { places, limits, budget, metrics, tls } = ground;
-    let is_web = matches!(spoken, Spoken::Web(_));
-    let handshakes = tls.map(|tls| Handshakes::new(tls, limits.transport, is_web));
-    let common = Arc::new(Common { limits, budget, metrics, handshakes, closed: Seldom::default() });
+    let Shared { places, limits, budget, counters, tls } = shared;
+    let is_web = matches!(protocol, Protocol::Web(_));
+    let handshakes = tls.map(|tls| Handshakes::new(tls, limits, is_web));
+    let common = Arc::new(Common { limits, budget, counters, handshakes, closed: Seldom::default() });
     let following = {
         let common = Arc::clone(&common);
         async move {
@@ -122,7 +162,7 @@ pub(super) async fn serve(
     let accepting = Accepting {
         listener,
         places: Arc::clone(&places),
-        spoken,
+        protocol,
         common,
         phase: phase.clone(),
         refused: Seldom::default(),
@@ -146,7 +186,7 @@ pub(super) async fn serve(
 struct Accepting {
     listener: TcpListener,
     places: Arc<Places<State>>,
-    spoken: Spoken,
+    protocol: Protocol,
     common: Arc<Common>,
     phase: watch::Receiver<Phase>,
     refused: Seldom,
@@ -195,21 +235,21 @@ impl Accepting {
         match place {
             Ok(place) => {
                 let (common, phase) = (Arc::clone(&self.common), self.phase.clone());
-                let spoken = self.spoken.clone();
-                let open = self.common.metrics.connection();
+                let protocol = self.protocol.clone();
+                let open = self.common.counters.connection();
                 tokio::spawn(async move {
                     let _open = open;
                     if let Some(line) = establish(stream, &state, &common, phase.clone()).await {
-                        match spoken {
-                            Spoken::Grpc(grpc) => connection::serve(line, state, common, grpc, phase).await,
-                            Spoken::Web(router) => connection::serve_web(line, state, common, router, phase).await,
+                        match protocol {
+                            Protocol::Grpc(grpc) => connection::serve(line, state, common, grpc, phase).await,
+                            Protocol::Web(router) => connection::serve_web(line, state, common, router, phase).await,
                         }
                     }
                     drop(place);
                 });
             }
             Err(full) => {
-                self.common.metrics.refused(Refused::Connections);
+                self.common.counters.refused.inc();
                 if let Some(times) = self.refused.count() {
                     tracing::warn!(%peer, times, ?full, "refused connections: all that are open are in use");
                 }

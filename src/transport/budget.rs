@@ -8,7 +8,7 @@
 use std::sync::Arc;
 use std::sync::atomic::{AtomicI64, Ordering};
 
-use super::RequestError;
+use super::rejection::Rejection;
 
 #[derive(Clone, Debug)]
 pub struct Budget {
@@ -62,11 +62,11 @@ pub struct Share {
 
 impl Share {
     /// Takes `bytes` more, if they are left.
-    pub fn grow(&mut self, bytes: u64) -> Result<(), RequestError> {
+    pub fn grow(&mut self, bytes: u64) -> Result<(), Rejection> {
         let take = |left: i64| left.checked_sub(signed(bytes)).filter(|left| *left >= 0);
         self.budget.left.fetch_update(Ordering::AcqRel, Ordering::Acquire, take).map_err(|left| {
             let left_bytes = u64::try_from(left).unwrap_or(0);
-            RequestError::Memory { needed_bytes: bytes, left_bytes }
+            Rejection::Memory { needed_bytes: bytes, left_bytes }
         })?;
         self.budget.held.fetch_add(signed(bytes), Ordering::AcqRel);
         self.taken += bytes;
@@ -101,7 +101,7 @@ mod tests {
         let mut one = budget.share();
         one.grow(60).unwrap();
         let mut two = budget.share();
-        assert!(matches!(two.grow(50), Err(RequestError::Memory { left_bytes: 40, .. })));
+        assert!(matches!(two.grow(50), Err(Rejection::Memory { left_bytes: 40, .. })));
         drop(one);
         two.grow(100).unwrap();
     }
@@ -113,7 +113,7 @@ mod tests {
         result.grow(30).unwrap();
         result.hold(150);
         assert!(!budget.has(1));
-        assert!(matches!(budget.share().grow(1), Err(RequestError::Memory { left_bytes: 0, .. })));
+        assert!(matches!(budget.share().grow(1), Err(Rejection::Memory { left_bytes: 0, .. })));
         drop(result);
         assert!(budget.has(100) && !budget.has(101));
         assert_eq!(budget.held.load(Ordering::Acquire), 0);

@@ -15,13 +15,11 @@ use tokio::sync::{OwnedSemaphorePermit, Semaphore, watch};
 use tokio_rustls::TlsAcceptor;
 use tokio_rustls::server::TlsStream;
 
-use super::super::Phase;
 use super::connection::State;
 use super::places::Guest;
 use super::socket::Socket;
 use super::tls::Tls;
-use crate::config::Transport;
-use jobs::lock;
+use super::{ConnectionLimits, Phase, lock};
 use telemetry::Seldom;
 
 /// A handshake that has had this long may be given up for a newcomer. An honest one takes a few round trips.
@@ -37,7 +35,7 @@ const LOOK_EVERY: Duration = Duration::from_millis(50);
 pub(super) struct Handshakes {
     pub(super) tls: Arc<Tls>,
     web: bool,
-    limits: Transport,
+    limits: ConnectionLimits,
     turns: Arc<Semaphore>,
     open: Mutex<Open>,
     failed: Seldom,
@@ -59,7 +57,7 @@ struct Turn<'a> {
 }
 
 impl Handshakes {
-    pub(super) fn new(tls: Arc<Tls>, limits: Transport, web: bool) -> Self {
+    pub(super) fn new(tls: Arc<Tls>, limits: ConnectionLimits, web: bool) -> Self {
         let turns = Arc::new(Semaphore::new(limits.handshakes));
         Self { tls, web, limits, turns, open: Mutex::default(), failed: Seldom::default(), given_up: Seldom::default() }
     }

@@ -12,7 +12,7 @@ use std::time::Duration;
 
 use tokio::sync::Notify;
 
-use jobs::lock;
+use super::lock;
 
 /// How long a connection must have been without a request before it may be asked to go.
 const IDLE: Duration = Duration::from_secs(1);
@@ -129,10 +129,10 @@ impl<G> Drop for Place<G> {
 
 /// The address that counts as one peer, for request handlers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) struct Peer(IpAddr);
+pub struct Peer(IpAddr);
 
 impl Peer {
-    pub(crate) fn of(address: SocketAddr) -> Self {
+    pub fn of(address: SocketAddr) -> Self {
         Self(network(address.ip()))
     }
 }

@@ -17,7 +17,7 @@ use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 use tokio::net::TcpStream;
 
 use super::exchange::Flag;
-use jobs::lock;
+use super::lock;
 
 /// Bytes that may wait in the system for the peer's window.
 #[cfg(any(target_os = "linux", target_os = "android"))]

@@ -17,7 +17,7 @@ use tokio::sync::Notify;
 use tonic::Extensions;
 use tonic::codegen::{Body, Bytes, http::HeaderMap};
 
-use super::super::budget::Budget;
+use super::budget::Budget;
 
 /// A state that is reached once.
 #[derive(Debug, Default)]
@@ -35,7 +35,7 @@ impl Flag {
 }
 
 #[derive(Debug)]
-pub(crate) struct Exchange {
+pub struct Exchange {
     began: Instant,
     budget: Budget,
     /// Milliseconds from `began` to the last byte that moved.
@@ -51,7 +51,7 @@ pub(crate) struct Exchange {
     /// Its work has ended. Bytes may still wait.
     pub(super) ended: Flag,
     /// The server reset it, since its client took nothing.
-    pub(crate) stalled: Flag,
+    pub(super) stalled: Flag,
     /// The server reset it, for any reason.
     pub(super) is_cut: Flag,
     /// Notified once its work has to end.
@@ -76,8 +76,13 @@ impl Exchange {
     }
 
     /// Marks the request with these extensions as admitted.
-    pub(crate) fn admit(extensions: &Extensions) {
+    pub fn admit(extensions: &Extensions) {
         extensions.get::<Arc<Self>>().map(|exchange| exchange.admitted.set());
+    }
+
+    /// Whether it was reset since its client took nothing.
+    pub fn is_stalled(&self) -> bool {
+        self.stalled.is_set()
     }
 
     pub(super) fn age(&self) -> Duration {

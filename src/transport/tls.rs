@@ -19,16 +19,25 @@ use tokio::sync::Notify;
 use x509_parser::certificate::{Validity, X509Certificate};
 use x509_parser::prelude::FromDer;
 
-use crate::config::TlsFiles;
-use crate::keys::read_regular;
-use jobs::blob::Digest;
-use jobs::lock;
+use super::{lock, read_regular};
 
 /// The log warns of a certificate that ends within this time.
 const WARN_BEFORE: Duration = Duration::from_secs(14 * 24 * 3600);
 
 /// Time between two such warnings.
 const WARN_EVERY: Duration = Duration::from_secs(24 * 3600);
+
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct TlsFiles {
+    /// The server's certificate and its chain.
+    pub cert: PathBuf,
+    /// The certificate's private key.
+    pub key: PathBuf,
+    /// The authorities of clients, if these need a certificate.
+    pub client_ca: Option<PathBuf>,
+    /// Between two looks at the files.
+    pub reload: Duration,
+}
 
 #[derive(Debug)]
 pub struct Tls {
@@ -43,25 +52,25 @@ struct State {
     /// Configuration that offers HTTP/1.1 too.
     web: Arc<ServerConfig>,
     validity: Option<Validity>,
-    /// Digest of the files in use.
-    active: Digest,
-    /// Digest of the files of the last complaint in the log.
-    complained: Option<Digest>,
+    /// Content of the files in use.
+    active: Material,
+    /// Content of the files of the last complaint in the log, or why they could not be read.
+    complained: Option<Result<Material, String>>,
     warned: Option<Instant>,
+}
+
+impl State {
+    fn new(active: Material, config: ServerConfig, validity: Option<Validity>) -> Self {
+        let web = with_http1(&config);
+        Self { config: Arc::new(config), web, validity, active, complained: None, warned: None }
+    }
 }
 
 impl Tls {
     pub fn load(files: TlsFiles) -> Result<Self, TlsError> {
         let material = Material::read(&files)?;
         let (config, validity) = material.config(&files)?;
-        let state = State {
-            web: with_http1(&config),
-            config: Arc::new(config),
-            validity,
-            active: material.digest(),
-            complained: None,
-            warned: None,
-        };
+        let state = State::new(material, config, validity);
         let tls = Self { files, state: Mutex::new(state), asked: Notify::new() };
         tls.warn();
         Ok(tls)
@@ -98,11 +107,8 @@ impl Tls {
     /// Uses the files' current content, if it is valid and new.
     fn reload(&self) {
         let read = Material::read(&self.files);
-        let digest = match &read {
-            Ok(material) => material.digest(),
-            Err(error) => Digest::of(error.to_string().as_bytes()),
-        };
-        if lock(&self.state).active == digest {
+        let seen = read.as_ref().map(Clone::clone).map_err(TlsError::to_string);
+        if seen.as_ref().is_ok_and(|material| *material == lock(&self.state).active) {
             lock(&self.state).complained = None;
             return;
         }
@@ -110,19 +116,18 @@ impl Tls {
             let (config, validity) = material.config(&self.files)?;
             match validity.as_ref().is_some_and(|validity| !validity.is_valid()) {
                 true => Err(TlsError::OutOfDate { file: self.files.cert.clone() }),
-                false => Ok((config, validity)),
+                false => Ok(State::new(material, config, validity)),
             }
         });
         let mut state = lock(&self.state);
         match made {
-            Ok((config, validity)) => {
-                let until = validity.as_ref().map(until);
-                let (web, config, active) = (with_http1(&config), Arc::new(config), digest);
-                *state = State { config, web, validity, active, complained: None, warned: None };
+            Ok(made) => {
+                *state = made;
+                let until = state.validity.as_ref().map(until);
                 tracing::info!(until, "new connections get the new certificate");
             }
-            Err(error) if state.complained != Some(digest) => {
-                state.complained = Some(digest);
+            Err(error) if state.complained.as_ref() != Some(&seen) => {
+                state.complained = Some(seen);
                 tracing::error!(%error, "the new files of TLS cannot be used; the old certificate stays");
             }
             Err(_) => {}
@@ -177,22 +182,24 @@ pub enum TlsError {
     OutOfDate { file: PathBuf },
 }
 
+#[derive(Clone, PartialEq)]
 struct Material {
     cert: Vec<u8>,
     key: Vec<u8>,
     client_ca: Option<Vec<u8>>,
 }
 
+/// Shows no key.
+impl std::fmt::Debug for Material {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Material").finish_non_exhaustive()
+    }
+}
+
 impl Material {
     fn read(files: &TlsFiles) -> Result<Self, TlsError> {
         let client_ca = files.client_ca.as_deref().map(bytes).transpose()?;
         Ok(Self { cert: bytes(&files.cert)?, key: bytes(&files.key)?, client_ca })
-    }
-
-    fn digest(&self) -> Digest {
-        let parts = [Some(&self.cert), Some(&self.key), self.client_ca.as_ref()];
-        let digests = parts.map(|part| part.map(|bytes| Digest::of(bytes).to_string()));
-        Digest::of(format!("{digests:?}").as_bytes())
     }
 
     /// The configuration of handshakes, and the validity of the certificate if readable.
@@ -273,12 +280,9 @@ mod tests {
         write(&files.key, &signing_key.serialize_pem());
         write(files.client_ca.as_deref().unwrap(), &other.cert.pem());
         made(&files).unwrap();
-        let digest = Material::read(&files).unwrap().digest();
-        assert_eq!(digest, Material::read(&files).unwrap().digest());
 
         write(&files.key, &other.signing_key.serialize_pem());
         assert!(made(&files).unwrap_err().contains("do not belong together"));
-        assert_ne!(digest, Material::read(&files).unwrap().digest());
         write(&files.key, &cert.pem());
         assert!(made(&files).unwrap_err().contains("no private key"));
         write(&files.key, &signing_key.serialize_pem());

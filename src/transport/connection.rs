@@ -19,19 +19,17 @@ use hyper_util::rt::{TokioIo, TokioTimer};
 use hyper_util::server::conn::auto;
 use hyper_util::service::TowerToHyperService;
 use tokio::sync::{Notify, watch};
-use tonic::Status;
 use tonic::body::Body;
 use tonic::codegen::http::{HeaderMap, Request, Response};
 
-use super::super::{Phase, RequestError, status};
 use super::account::Account;
 use super::arriving::Arriving;
 use super::exchange::{Answer, Ending, Exchange, Farewell};
 use super::frames::Meter;
 use super::places::{Guest, Peer, Standing};
+use super::rejection::Rejection;
 use super::socket::{Line, Tapped, Traffic};
-use super::{Common, Grpc, LINGER};
-use crate::config::{Limits, Transport};
+use super::{Common, ConnectionLimits, Grpc, LINGER, Phase, unread};
 use telemetry::trace;
 
 /// Flow-control windows of uploads, bytes: per stream and per connection.
@@ -40,9 +38,6 @@ const CONNECTION_WINDOW: u32 = 4 << 20;
 
 /// Bytes of a stream's answer that may wait for the socket.
 const SEND_BUFFER: usize = 128 << 10;
-
-/// How the paths of the services begin that take uploads.
-const OURS: &str = "/tessera.v1.";
 
 const ENCODING: &str = "grpc-encoding";
 
@@ -99,7 +94,7 @@ impl State {
     }
 
     fn lock(&self) -> MutexGuard<'_, Streams> {
-        jobs::lock(&self.streams)
+        super::lock(&self.streams)
     }
 }
 
@@ -145,27 +140,26 @@ pub(super) async fn serve(
 }
 
 /// A line whose control frames are counted. HTTP/1.1 has none.
-pub(super) fn metered(line: Line, limits: &Limits, state: &State) -> TokioIo<Tapped<Line, Meter>> {
-    let tap = Meter::new(limits.transport.control_frames, Arc::clone(&state.traffic));
+pub(super) fn metered(line: Line, limits: &ConnectionLimits, state: &State) -> TokioIo<Tapped<Line, Meter>> {
+    let tap = Meter::new(limits.control_frames, Arc::clone(&state.traffic));
     TokioIo::new(Tapped { stream: line, tap })
 }
 
 /// A builder of connections with the limits of HTTP/2.
-pub(super) fn builder(limits: &Limits, state: &Arc<State>) -> auto::Builder<Spawner> {
-    let transport = limits.transport;
+pub(super) fn builder(limits: &ConnectionLimits, state: &Arc<State>) -> auto::Builder<Spawner> {
     let mut builder = auto::Builder::new(Spawner(Arc::clone(state)));
     builder
         .http2()
         .timer(TokioTimer::new())
         .initial_stream_window_size(STREAM_WINDOW)
         .initial_connection_window_size(CONNECTION_WINDOW)
-        .max_concurrent_streams(streams(limits))
+        .max_concurrent_streams(limits.streams)
         .max_send_buf_size(SEND_BUFFER)
-        .max_header_list_size(transport.header_bytes)
-        .max_pending_accept_reset_streams(transport.pending_resets)
-        .max_local_error_reset_streams(transport.fault_resets)
-        .keep_alive_interval(transport.ping_every)
-        .keep_alive_timeout(limits.stall.max(transport.ping_timeout));
+        .max_header_list_size(limits.header_bytes)
+        .max_pending_accept_reset_streams(limits.pending_resets)
+        .max_local_error_reset_streams(limits.fault_resets)
+        .keep_alive_interval(limits.ping_every)
+        .keep_alive_timeout(limits.stall.max(limits.ping_timeout));
     builder
 }
 
@@ -182,9 +176,8 @@ pub(super) async fn run<C, E>(
     E: fmt::Display,
 {
     let limits = &common.limits;
-    let transport = limits.transport;
     tokio::pin!(connection);
-    let look_every = [limits.stall, limits.first_request, limits.idle_connection, transport.first_byte]
+    let look_every = [limits.stall, limits.first_request, limits.idle, limits.first_byte]
         .into_iter()
         .map(|limit| limit / 8)
         .fold(LOOK_EVERY, Duration::min)
@@ -231,12 +224,6 @@ impl Common {
             tracing::info!(times, why, "closed connections that broke a limit");
         }
     }
-}
-
-/// Streams that a client may have open.
-fn streams(limits: &Limits) -> u32 {
-    let all = limits.max_streams.saturating_add(Transport::EXTRA_STREAMS);
-    limits.transport.streams.unwrap_or(u32::try_from(all).unwrap_or(u32::MAX))
 }
 
 /// How far a connection is on its way out.
@@ -295,13 +282,13 @@ impl Leaving {
             }
             return Verdict::Stays;
         }
-        if !state.traffic.received.is_set() && state.opened.elapsed() >= limits.transport.first_byte {
+        if !state.traffic.received.is_set() && state.opened.elapsed() >= limits.first_byte {
             return Verdict::Close("nothing came");
         }
         if streams.requests == 0 && state.opened.elapsed() >= limits.first_request {
             return Verdict::Close("no request came");
         }
-        if streams.requests > 0 && !open && streams.last.elapsed() >= limits.idle_connection {
+        if streams.requests > 0 && !open && streams.last.elapsed() >= limits.idle {
             return Verdict::Finish("idle for too long");
         }
         Verdict::Stays
@@ -363,29 +350,29 @@ impl hyper::service::Service<Request<Incoming>> for Answerer {
     type Future = Pin<Box<dyn Future<Output = Result<Self::Response, Infallible>> + Send>>;
 
     fn call(&self, mut request: Request<Incoming>) -> Self::Future {
-        let uploads = request.uri().path().starts_with(OURS);
+        let uploads = request.uri().path().starts_with(self.grpc.uploads);
         let exchange = Arc::new(Exchange::new(self.common.budget.clone(), !uploads));
         let (account, trace) = Account::open(&self.grpc.calls, &request, &exchange);
         self.state.take(&exchange);
         request.extensions_mut().insert(Arc::clone(&exchange));
         request.extensions_mut().insert(self.state.peer);
         let encoding = request.headers().get(ENCODING).map(|value| value.as_bytes().to_vec());
-        let most = if uploads { self.common.limits.transport.message_bytes as u64 } else { QUESTION };
+        let most = if uploads { self.common.limits.message_bytes as u64 } else { QUESTION };
         let budget = self.common.budget.clone();
-        let routes = self.grpc.routes.clone();
+        let grpc = Arc::clone(&self.grpc);
         let mut phase = self.phase.clone();
         let span = account.span.clone();
         let work = async move {
-            let response =
-                routes.call(request.map(|body| Body::new(Arriving::new(body, budget, most, encoding)))).await;
-            let response = if exchange.admitted.is_set() { response } else { status::of_unread(response) };
+            let arriving = |body| Body::new(Arriving::new(body, budget, grpc.status, most, encoding));
+            let response = (grpc.routes)(request.map(arriving)).await;
+            let response = if exchange.admitted.is_set() { response } else { unread::answer(response) };
             exchange.answered.set();
             account.begun(response.status(), response.headers());
             let farewell = (!exchange.admitted.is_set()).then(|| Farewell {
                 time: Box::pin(async move {
                     let _ = phase.wait_for(|now| *now >= Phase::Draining).await;
                 }),
-                trailers: farewell(),
+                trailers: farewell(&grpc),
             });
             Ok(response.map(|body| Answer::new(body, exchange, farewell).with_ending(account)))
         };
@@ -394,10 +381,10 @@ impl hyper::service::Service<Request<Incoming>> for Answerer {
 }
 
 /// The end of answers without work, such as health watches, when the server drains.
-fn farewell() -> HeaderMap {
+fn farewell(grpc: &Grpc) -> HeaderMap {
     let mut trailers = HeaderMap::new();
     // A status that is no header cannot be: its text is plain.
-    let _ = Status::from(RequestError::Draining).add_header(&mut trailers);
+    let _ = (grpc.status)(Rejection::Draining).add_header(&mut trailers);
     trailers
 }
 
@@ -418,8 +405,8 @@ pub(super) async fn serve_web(
     builder
         .http1()
         .timer(TokioTimer::new())
-        .header_read_timeout(limits.idle_connection.max(limits.first_request))
-        .max_buf_size(LEAST_HEAD.max(limits.transport.header_bytes as usize));
+        .header_read_timeout(limits.idle.max(limits.first_request))
+        .max_buf_size(LEAST_HEAD.max(limits.header_bytes as usize));
     let served = builder.serve_connection(metered(line, limits, &state), entrance);
     run(served, auto::Connection::graceful_shutdown, &state, &common, phase).await;
 }
