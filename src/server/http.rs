@@ -35,7 +35,7 @@ use self::schema::{BYTES, EVENTS, JSON, digest, job_id, labels, text, whole};
 use crate::keys::Role;
 use crate::service::{Desk, Door, Kind};
 
-/// A route: its method, its path, the role that it needs, the limits that it has, and what a client must know of it.
+/// A route, as the router serves it and as clients see it.
 #[derive(Clone, Copy, Debug)]
 pub struct Route {
     /// In capitals.
@@ -43,6 +43,7 @@ pub struct Route {
     /// As OpenAPI writes it.
     pub path: &'static str,
     pub role: Role,
+    /// The places that it takes, and its limit of time.
     pub kind: Kind,
     handler: fn() -> MethodRouter<Desk>,
     /// The name of the operation in generated clients.
@@ -56,7 +57,7 @@ pub struct Route {
     answers: &'static [Answer],
 }
 
-/// A route that takes nothing and of which nothing is said yet.
+/// A route without parameters, bodies and texts. [`ROUTES`] adds them.
 const fn route(
     method: &'static str,
     path: &'static str,
