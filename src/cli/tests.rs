@@ -116,8 +116,8 @@ fn no_interface_lacks_an_option() {
         let name = &*field.name;
         let default = field.schema().get("default").cloned().unwrap_or_default();
         let parameter = query.iter().find(|parameter| parameter["name"] == name);
-        assert_eq!(parameter.unwrap()["schema"], field.schema(), "openapi.json: /v1/remesh lists {name} by hand");
-        assert_eq!(object[name], field.schema(), "openapi.json: the schema Options has {name} by hand");
+        assert_eq!(parameter.unwrap()["schema"], field.schema(), "OpenAPI: /v1/remesh has another {name}");
+        assert_eq!(object[name], field.schema(), "OpenAPI: the schema Options has another {name}");
         if name != "max_deviation_length" {
             assert!(python.contains(&format!("\n    {name}: ")), "calls.py: remesh has no keyword {name}");
             assert!(engine.contains(&format!("\"{name}\"")), "clients/python/src/options.rs does not read {name}");

@@ -1,10 +1,12 @@
 //! Options by their names and as text, as a query has them.
 //!
 //! Purpose: [`Fields`] takes the options of a remesh one by one and gives the message; [`all`] lists them for documents. Both
-//! are read from the schema, so that an option of the message needs nothing here.
+//! are read from the schema, so that an option of the message needs nothing here. [`schema`] says the
+//! same of a field of any message.
 //! Invariant: an option has the name of its field; those of the density lie beside the others, and its source is `density`.
 //! An enum's value is its last word in lower case. Must not know: what an option does, which values make sense together.
 
+use prost::Name;
 use prost_reflect::{DynamicMessage, FieldDescriptor, Kind, Value};
 use serde_json::json;
 
@@ -48,22 +50,14 @@ impl Field {
         Self { name: name.to_owned(), help, descriptor, in_density }
     }
 
-    /// The words of an enum, but for the one that says nothing.
+    /// The words of an enum, except the unspecified value.
     fn words(&self) -> Vec<String> {
-        let Kind::Enum(values) = self.descriptor.kind() else { return Vec::new() };
-        let all: Vec<_> = values.values().map(|value| value.name().to_owned()).collect();
-        let prefix = all.first().map_or(0, |none| none.len() - "UNSPECIFIED".len());
-        all.iter().skip(1).map(|name| name[prefix..].to_ascii_lowercase()).collect()
+        words(&self.descriptor)
     }
 
     /// Its type as a schema of JSON, with the library's default.
     pub fn schema(&self) -> serde_json::Value {
-        let mut schema = match self.descriptor.kind() {
-            Kind::Enum(_) => json!({ "type": "string", "enum": self.words() }),
-            Kind::Uint32 | Kind::Uint64 => json!({ "type": "integer", "minimum": 0 }),
-            _ => json!({ "type": "number" }),
-        };
-        schema["description"] = self.help.as_str().into();
+        let mut schema = type_of(&self.descriptor);
         // Points are no option's default: the caller says them.
         let usual = to_value(&of_remesh(&Options::usual()));
         let usual = if self.in_density { &usual[DENSITY] } else { &usual };
@@ -101,6 +95,34 @@ impl Field {
             _ => "a number".to_owned(),
         })
     }
+}
+
+/// The words of an enum, except the unspecified value; none for other types.
+fn words(field: &FieldDescriptor) -> Vec<String> {
+    let Kind::Enum(values) = field.kind() else { return Vec::new() };
+    let all: Vec<_> = values.values().map(|value| value.name().to_owned()).collect();
+    let prefix = all.first().map_or(0, |none| none.len() - "UNSPECIFIED".len());
+    all.iter().skip(1).map(|name| name[prefix..].to_ascii_lowercase()).collect()
+}
+
+/// The type and the comment of a field. A duration is a number of seconds.
+fn type_of(field: &FieldDescriptor) -> serde_json::Value {
+    let mut schema = match field.kind() {
+        Kind::Enum(_) => json!({ "type": "string", "enum": words(field) }),
+        Kind::Uint32 | Kind::Uint64 => json!({ "type": "integer", "minimum": 0 }),
+        Kind::Int32 => json!({ "type": "integer" }),
+        Kind::Bool => json!({ "type": "boolean" }),
+        Kind::String => json!({ "type": "string" }),
+        _ => json!({ "type": "number" }),
+    };
+    schema["description"] = comment(field).into();
+    schema
+}
+
+/// The type of a field as a schema of JSON, with its comment; null if the message has no such field.
+pub fn schema<M: Name>(name: &str) -> serde_json::Value {
+    let field = descriptor::<M>().and_then(|message| message.get_field_by_name(name));
+    field.as_ref().map(type_of).unwrap_or_default()
 }
 
 #[derive(Debug)]

@@ -58,7 +58,6 @@ async fn every_format_comes_and_goes() {
 #[test]
 fn documents_and_fuzz_targets_name_every_format() {
     assert_eq!(OPENAPI.matches("\"meshb\"").count(), 4);
-    assert!(!OPENAPI.contains("$formats") && !OPENAPI.contains("$media_types"));
     let root = std::path::Path::new(env!("CARGO_MANIFEST_DIR"));
     let read = |path: &str| std::fs::read_to_string(root.join(path)).unwrap();
     let (formats, http, fuzz) = (read("docs/formats.md"), read("docs/http.md"), read("tests/fuzz/Cargo.toml"));

@@ -500,6 +500,26 @@ fn the_document_has_every_route_and_no_other() {
     references(&document, &document);
 }
 
+#[tokio::test(flavor = "multi_thread")]
+async fn routes_read_the_parameters_of_the_document_and_no_other() {
+    let house = House::open().await;
+    let document: Value = serde_json::from_str(&OPENAPI).unwrap();
+    for route in ROUTES {
+        let operation = &document["paths"][route.path][route.method.to_ascii_lowercase()];
+        let parameters = operation["parameters"].as_array().unwrap();
+        assert!(parameters.iter().all(|one| one["description"].as_str().is_some_and(|text| text.ends_with('.'))));
+        let place = route.path.replace("{id}", &"0".repeat(32)).replace("{digest}", &"0".repeat(64));
+        let names = parameters.iter().filter(|one| one["in"] == "query").map(|one| one["name"].as_str().unwrap());
+        let names: Vec<&str> = names.collect();
+        for name in names.iter().chain(names.first().map(|_| &"other")) {
+            let answer = ask(&house, route.method, &format!("{place}?{name}=0"), &[], b"").await;
+            let is_refused = String::from_utf8_lossy(&answer.body).contains("is no option");
+            assert_eq!(is_refused, *name == "other", "{} {name}: {answer:?}", route.path);
+        }
+    }
+    house.stop().await;
+}
+
 /// Whatever is referred to is there.
 fn references(document: &Value, part: &Value) {
     match part {

@@ -16,18 +16,29 @@ use axum::http::header::{
 use axum::http::{HeaderMap, HeaderValue, StatusCode};
 use axum::response::IntoResponse;
 use futures_util::{StreamExt as _, TryStreamExt as _};
+use schemars::JsonSchema;
+use serde::Serialize;
 use serde_json::json;
 
 use super::body::{Arriving, Coding, coding, length, whole};
 use super::guard::Whose;
 use super::options::Asked;
 use super::problem::{Answered, wrong};
+use super::schema::{self, BYTES, JSON};
 use crate::service::{Caller, Desk, EmptyUpload, RequestError, check_owned, timely};
 use jobs::blob::{BlobError, BlobInfo, BlobStore, Chunk, Digest, Owner, UploadId, put_of};
 use transport::Share;
 
 /// Bytes of an upload that are stored at once.
 const PIECE: usize = 1 << 20;
+
+/// A stored blob, as answers have it.
+#[derive(Serialize, JsonSchema)]
+pub(super) struct Blob {
+    #[schemars(schema_with = "schema::digest")]
+    digest: Digest,
+    size_bytes: u64,
+}
 
 fn digest(text: &str) -> Result<Digest, RequestError> {
     text.parse().map_err(|error: jobs::blob::DigestError| wrong("digest", format!("is no digest: {error}")))
@@ -55,9 +66,8 @@ pub(super) async fn upload(State(desk): State<Desk>, Extension(client): Whose, r
         }
     };
     let BlobInfo { digest, size_bytes } = info;
-    let headers = [(LOCATION, format!("/v1/blobs/{digest}")), (CONTENT_TYPE, "application/json".to_owned())];
-    let body = json!({ "digest": digest.to_string(), "size_bytes": size_bytes }).to_string();
-    Ok((StatusCode::CREATED, headers, body).into_response())
+    let headers = [(LOCATION, format!("/v1/blobs/{digest}")), (CONTENT_TYPE, JSON.to_owned())];
+    Ok((StatusCode::CREATED, headers, json!(Blob { digest, size_bytes }).to_string()).into_response())
 }
 
 /// Keeps a body as a blob; gives its first bytes too.
@@ -120,7 +130,7 @@ pub(super) async fn read(
     request: Request,
 ) -> Answered {
     Asked::of_query(request.uri().query())?.finish()?;
-    send(&desk, &client.tenant, digest(&named)?, request.headers(), "application/octet-stream", ()).await
+    send(&desk, &client.tenant, digest(&named)?, request.headers(), BYTES, ()).await
 }
 
 pub(super) async fn remove(State(desk): State<Desk>, Extension(client): Whose, Path(named): Path<String>) -> Answered {

@@ -3,6 +3,7 @@
 //! Invariant: every question is asked in the name of the caller's tenant. Events come once and in order, and go on after the
 //! number that a client says it has. Must not know: how jobs are done, where they are kept.
 
+use std::collections::BTreeMap;
 use std::convert::Infallible;
 use std::fmt::Display;
 use std::time::Duration;
@@ -12,6 +13,8 @@ use axum::extract::{Extension, Path, Request, State};
 use axum::http::header::{CACHE_CONTROL, CONTENT_LENGTH, CONTENT_TYPE, HeaderName, LOCATION};
 use axum::http::{HeaderMap, StatusCode};
 use axum::response::{IntoResponse, Response};
+use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
+use serde::Serialize;
 use serde_json::{Value, json};
 use tokio::sync::mpsc;
 
@@ -19,13 +22,16 @@ use super::blobs::send;
 use super::guard::Whose;
 use super::options::{Asked, format_names, media_type};
 use super::problem::{Answered, Problem, wrong};
+use super::schema::{BYTES, EVENTS, JSON, digest, job_id as job_id_schema, named, word, word_or_null};
 use crate::service::{self, Caller, Desk, Detail, Fault, FaultKind, RequestError, job_id, to_the_end};
+use jobs::blob::Digest;
 use jobs::record::event::{Event, Progress, What};
 use jobs::record::state::State as JobState;
 use jobs::record::{Cause, Failure, FailureKind, Job, JobId, Outcome, ResultFormat, Spec};
 use jobs::store::Query;
 use telemetry::trace;
 use transport::Phase;
+use wire::{fields, proto};
 
 /// The longest specification, bytes.
 const SPEC_BYTES: usize = 1 << 20;
@@ -35,35 +41,104 @@ const WAITING_EVENTS: usize = 16;
 /// Between two events or signs of life, for what stands between here and the client.
 const ALIVE_EVERY: Duration = Duration::from_secs(15);
 
-pub(super) fn answer(status: StatusCode, body: &Value) -> Response {
-    (status, [(CONTENT_TYPE, "application/json")], body.to_string()).into_response()
+fn answer(status: StatusCode, body: &impl Serialize) -> Response {
+    (status, [(CONTENT_TYPE, JSON)], json!(body).to_string()).into_response()
 }
 
-pub(super) fn told(job: &Job) -> Value {
-    let status = &job.status;
-    let (mut failure, mut results, mut expired_by) = (Value::Null, json!({}), Value::Null);
-    match &status.outcome {
-        None => {}
-        Some(Outcome::Succeeded(set)) => {
-            results = set.blobs.iter().map(|(name, digest)| (name.clone(), json!(digest.to_string()))).collect();
+/// A job, as answers have it.
+#[derive(Serialize, JsonSchema)]
+#[schemars(rename = "Job", transform = describe)]
+pub(super) struct JobBody<'a> {
+    #[schemars(schema_with = "job_id_schema")]
+    id: JobId,
+    #[schemars(schema_with = "word::<JobState>")]
+    state: JobState,
+    created_ms: u64,
+    started_ms: Option<u64>,
+    changed_ms: u64,
+    attempts: u32,
+    crashes: u32,
+    #[schemars(schema_with = "specification_schema")]
+    spec: Value,
+    failure: Option<FailureBody<'a>>,
+    /// Digests by name.
+    #[schemars(schema_with = "digests")]
+    results: BTreeMap<&'a str, Digest>,
+    #[schemars(schema_with = "word_or_null::<Cause>")]
+    expired_by: Option<Cause>,
+    request_id: &'a str,
+}
+
+#[derive(Serialize, JsonSchema)]
+#[schemars(inline)]
+struct FailureBody<'a> {
+    #[schemars(schema_with = "word::<FailureKind>")]
+    kind: FailureKind,
+    message: &'a str,
+}
+
+/// A page of jobs.
+#[derive(Serialize, JsonSchema)]
+#[schemars(inline)]
+pub(super) struct Page<'a> {
+    jobs: Vec<JobBody<'a>>,
+    next_page_token: Option<String>,
+}
+
+fn specification_schema(_: &mut SchemaGenerator) -> Schema {
+    named("JobSpec")
+}
+
+fn digests(schemas: &mut SchemaGenerator) -> Schema {
+    json_schema!({ "type": "object", "additionalProperties": digest(schemas) })
+}
+
+/// The body of [`create`].
+pub(super) fn request(_: &mut SchemaGenerator) -> Schema {
+    json_schema!({ "oneOf": [named("Options"), named("JobSpec")] })
+}
+
+/// Adds the comments that the protobuf schema has on the fields of a job.
+fn describe(schema: &mut Schema) {
+    let properties = schema.get_mut("properties").and_then(Value::as_object_mut);
+    for (name, property) in properties.into_iter().flatten() {
+        let (field, unit) =
+            name.strip_suffix("_ms").map_or((&**name, ""), |field| (field, " Milliseconds since 1970."));
+        if let Some(text) = fields::schema::<proto::Job>(field)["description"].as_str()
+            && property.get("description").is_none()
+        {
+            property["description"] = format!("{text}{unit}").into();
         }
-        Some(Outcome::Failed(Failure { kind, message })) => failure = json!({ "kind": kind, "message": message }),
-        Some(Outcome::Expired(cause)) => expired_by = json!(cause),
     }
-    json!({
-        "id": job.id,
-        "state": status.state,
-        "created_ms": status.created,
-        "started_ms": status.started,
-        "changed_ms": status.changed,
-        "attempts": status.attempts,
-        "crashes": status.crashes,
-        "spec": wire::json::to_value(job.spec.message()),
-        "failure": failure,
-        "results": results,
-        "expired_by": expired_by,
-        "request_id": job.spec.request_id,
-    })
+}
+
+impl<'a> JobBody<'a> {
+    fn of(job: &'a Job) -> Self {
+        let status = &job.status;
+        let (mut failure, mut results, mut expired_by) = (None, BTreeMap::new(), None);
+        match &status.outcome {
+            None => {}
+            Some(Outcome::Succeeded(set)) => {
+                results = set.blobs.iter().map(|(name, digest)| (name.as_str(), *digest)).collect();
+            }
+            Some(Outcome::Failed(Failure { kind, message })) => failure = Some(FailureBody { kind: *kind, message }),
+            Some(Outcome::Expired(cause)) => expired_by = Some(*cause),
+        }
+        Self {
+            id: job.id,
+            state: status.state,
+            created_ms: status.created.0,
+            started_ms: status.started.map(|time| time.0),
+            changed_ms: status.changed.0,
+            attempts: status.attempts,
+            crashes: status.crashes,
+            spec: wire::json::to_value(job.spec.message()),
+            failure,
+            results,
+            expired_by,
+            request_id: &job.spec.request_id,
+        }
+    }
 }
 
 pub(super) async fn create(State(desk): State<Desk>, Extension(client): Whose, request: Request) -> Answered {
@@ -74,7 +149,7 @@ pub(super) async fn create(State(desk): State<Desk>, Extension(client): Whose, r
     let spec = specification(&bytes, &client.tenant)?;
     let created = service::create(desk.api.clone(), &*desk.blobs, client.bytes, spec).await?;
     let status = if created.existed { StatusCode::OK } else { StatusCode::CREATED };
-    let mut response = answer(status, &told(&created.job));
+    let mut response = answer(status, &JobBody::of(&created.job));
     if let Ok(place) = format!("/v1/jobs/{}", created.job.id).parse() {
         response.headers_mut().insert(LOCATION, place);
     }
@@ -126,19 +201,19 @@ pub(super) async fn list(State(desk): State<Desk>, Extension(client): Whose, req
     };
     asked.finish()?;
     let page = desk.api.list(query).await?;
-    let jobs: Vec<Value> = page.jobs.iter().map(told).collect();
-    let next = page.next.map(|token| token.to_string());
-    Ok(answer(StatusCode::OK, &json!({ "jobs": jobs, "next_page_token": next })))
+    let jobs = page.jobs.iter().map(JobBody::of).collect();
+    let next_page_token = page.next.map(|token| token.to_string());
+    Ok(answer(StatusCode::OK, &Page { jobs, next_page_token }))
 }
 
 pub(super) async fn one(State(desk): State<Desk>, Extension(client): Whose, Path(id): Path<String>) -> Answered {
-    Ok(answer(StatusCode::OK, &told(&desk.api.get(&client.tenant, job_id(&id)?).await?)))
+    Ok(answer(StatusCode::OK, &JobBody::of(&desk.api.get(&client.tenant, job_id(&id)?).await?)))
 }
 
 pub(super) async fn cancel(State(desk): State<Desk>, Extension(client): Whose, Path(id): Path<String>) -> Answered {
     let id = job_id(&id)?;
     let job = to_the_end(async move { desk.api.cancel(&client.tenant, id).await }).await?;
-    Ok(answer(StatusCode::OK, &told(&job)))
+    Ok(answer(StatusCode::OK, &JobBody::of(&job)))
 }
 
 pub(super) async fn remove(State(desk): State<Desk>, Extension(client): Whose, Path(id): Path<String>) -> Answered {
@@ -178,8 +253,8 @@ pub(super) async fn send_result(
     };
     let media_type = match (name, job.spec.task().result) {
         (MESH, ResultFormat::File(format)) => media_type(format),
-        ("report", _) => "application/json",
-        _ => "application/octet-stream",
+        ("report", _) => JSON,
+        _ => BYTES,
     };
     send(desk, &client.tenant, *digest, headers, media_type, until).await
 }
@@ -248,7 +323,7 @@ pub(super) async fn events(
         };
         Some((Ok::<_, Infallible>(frame), receiver))
     });
-    let headers = [(CONTENT_TYPE, "text/event-stream"), (CACHE_CONTROL, "no-store")];
+    let headers = [(CONTENT_TYPE, EVENTS), (CACHE_CONTROL, "no-store")];
     Ok((headers, Body::from_stream(frames)).into_response())
 }
 
@@ -301,11 +376,11 @@ const WAIT: Duration = Duration::from_secs(20);
 /// Bytes that are handed to the connection at once.
 const PIECE: usize = 64 << 10;
 
-/// How many steps have been taken.
-const STEPS: HeaderName = HeaderName::from_static("tessera-steps");
+/// Header: steps taken.
+pub(super) const STEPS: &str = "tessera-steps";
 
-/// Whether the job has ended: there will be no more.
-const ENDED: HeaderName = HeaderName::from_static("tessera-ended");
+/// Header: the job has ended, and no seeds will follow.
+pub(super) const ENDED: &str = "tessera-ended";
 
 /// `GET /v1/jobs/{id}/seeds`: the newest seeds, after more steps than the caller has seen; steps between may be left out.
 pub(super) async fn seeds(
@@ -328,7 +403,8 @@ pub(super) async fn seeds(
         Ok(Ok(shown)) => shown.clone(),
         // The job has ended.
         Ok(Err(_)) => {
-            return Ok((StatusCode::NO_CONTENT, [uncached, (ENDED, "true".to_owned())]).into_response());
+            return Ok((StatusCode::NO_CONTENT, [uncached, (HeaderName::from_static(ENDED), "true".to_owned())])
+                .into_response());
         }
         Err(_) => return Ok((StatusCode::NO_CONTENT, [uncached]).into_response()),
     };
@@ -338,9 +414,9 @@ pub(super) async fn seeds(
     share.grow(bytes.len() as u64)?;
     let headers = [
         uncached,
-        (CONTENT_TYPE, "application/octet-stream".to_owned()),
+        (CONTENT_TYPE, BYTES.to_owned()),
         (CONTENT_LENGTH, bytes.len().to_string()),
-        (STEPS, preview.steps.to_string()),
+        (HeaderName::from_static(STEPS), preview.steps.to_string()),
     ];
     let pieces = futures_util::stream::unfold((bytes, share), |(mut rest, share)| async move {
         let piece: Bytes = rest.split_to(rest.len().min(PIECE));

@@ -1,6 +1,7 @@
 //! What is asked for, as a query and as JSON have it.
 //!
 //! Purpose: [`Asked`] is names and values, whichever way they came; [`Asked::remesh`] makes a job's message of them.
+//! [`all`] has the schema of each option, for the OpenAPI document.
 //! Invariant: an option has one name, that of the command line; one that is not known, is there twice or cannot be read is
 //! refused by its name. What is not given stays so. Must not know: whether a specification makes sense.
 
@@ -8,15 +9,17 @@ use std::collections::BTreeMap;
 use std::time::Duration;
 
 use form_urlencoded::parse;
-use serde_json::Value;
+use serde_json::{Map, Value, json};
 
 use super::problem::wrong;
+use super::schema::{BYTES, named};
 use crate::service::RequestError;
 use geometry::mesh::io::Format;
 use jobs::blob::Digest;
 use wire::fields::{Fields, whole};
 use wire::proto::{
-    ArrayForm, ArrayRef, BackendChoice, JobArrays, JobSpec, MeshFile, job_mesh, job_spec, result_format,
+    ArrayForm, ArrayRef, BackendChoice, CreateJobRequest, JobArrays, JobSpec, MeshFile, job_mesh, job_spec,
+    result_format,
 };
 use wire::{fields, proto};
 
@@ -46,7 +49,7 @@ impl Asked {
     }
 
     /// From an object of JSON with the same names; `labels` is an object of texts.
-    pub(super) fn of_json(object: serde_json::Map<String, Value>) -> Read<Self> {
+    pub(super) fn of_json(object: Map<String, Value>) -> Read<Self> {
         let mut asked = Self::default();
         for (name, value) in object {
             let text = match value {
@@ -151,8 +154,56 @@ impl Asked {
     }
 }
 
+/// The options that a query and an object of JSON have in common, each with its schema. Types and texts are those of the protobuf
+/// schema where it has the same field.
+pub(super) fn all() -> Map<String, Value> {
+    let described = |text: &str, mut schema: Value| {
+        schema["description"] = text.into();
+        schema
+    };
+    let format = |text: &str| described(text, json!({ "type": "string", "enum": Format::ALL.map(Format::extension) }));
+    let list = |text: &str| described(text, named("Digest").into());
+    let of_spec = fields::schema::<JobSpec>;
+    let seconds = |name: &str| {
+        let mut schema = of_spec(name);
+        schema["exclusiveMinimum"] = 0.into();
+        described(&format!("Seconds. {}", schema["description"].as_str().unwrap_or_default()), schema)
+    };
+    let mut priority = of_spec("priority");
+    (priority["minimum"], priority["maximum"]) = ((-100).into(), 100.into());
+    let own = [
+        ("format", format("Format of the mesh. `/v1/remesh` without it: by Content-Type, else by the first bytes.")),
+        ("to", format("Format of the result. Not given: by Accept, else that of the mesh.")),
+        ("sizes", list("Digest of a blob of text with the target edge length of each vertex, one a line.")),
+        (
+            "creases",
+            list("Digest of a blob of text with edges that are creases whatever their angle: two vertices a line."),
+        ),
+        ("attributes", fields::schema::<MeshFile>("attributes")),
+        ("backend", of_spec("backend")),
+        ("priority", priority),
+        ("queue_deadline_s", seconds("queue_deadline")),
+        ("run_deadline_s", seconds("run_deadline")),
+        ("request_id", fields::schema::<CreateJobRequest>("request_id")),
+    ];
+    let of_remesh = fields::all().into_iter().map(|field| (field.name.clone(), field.schema()));
+    own.map(|(name, schema)| (name.to_owned(), schema)).into_iter().chain(of_remesh).collect()
+}
+
+/// The schema of an object of JSON with the options of a job.
+pub(super) fn schema() -> Value {
+    let mut options = all();
+    let labels = fields::schema::<JobSpec>("labels")["description"].take();
+    options.insert("mesh".to_owned(), named("Digest").into());
+    options.insert(
+        "labels".to_owned(),
+        json!({ "type": "object", "additionalProperties": { "type": "string" }, "description": labels }),
+    );
+    json!({ "type": "object", "required": ["mesh", "format"], "additionalProperties": false, "properties": options })
+}
+
 pub(super) fn media_type(format: Format) -> &'static str {
-    format.media_types().first().copied().unwrap_or("application/octet-stream")
+    format.media_types().first().copied().unwrap_or(BYTES)
 }
 
 /// All names, for a message.

@@ -8,14 +8,44 @@ use std::time::Duration;
 use axum::http::header::{CONTENT_TYPE, RETRY_AFTER, WWW_AUTHENTICATE};
 use axum::http::{HeaderMap, HeaderValue, StatusCode};
 use axum::response::{IntoResponse, Response};
-use serde_json::{Map, Value, json};
+use schemars::JsonSchema;
+use serde::Serialize;
+use serde_json::{Value, json};
 
+use super::schema::PROBLEM;
 use crate::metrics::Refused;
 use crate::service::{Detail, Fault, FaultKind, RequestError};
 use wire::{WireError, names};
 
 #[derive(Debug)]
 pub(super) struct Problem(pub(super) Fault);
+
+/// The body of an answer that is a problem.
+#[derive(Serialize, JsonSchema)]
+#[schemars(rename = "Problem")]
+pub(super) struct ProblemBody {
+    r#type: String,
+    /// The name of the status.
+    title: &'static str,
+    status: u16,
+    /// For people.
+    detail: String,
+    /// For programs: the word that the gRPC details have for the same error, else the name of its code.
+    reason: &'static str,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(with = "f64")]
+    retry_after_s: Option<f64>,
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    field_violations: Vec<Violation>,
+}
+
+#[derive(Serialize, JsonSchema)]
+#[schemars(inline)]
+struct Violation {
+    /// The option or field, as the request names it.
+    field: String,
+    description: String,
+}
 
 pub(super) type Answered = Result<Response, Problem>;
 
@@ -76,31 +106,27 @@ impl Problem {
 
     pub(super) fn json(&self, status: StatusCode) -> Value {
         let reason = self.0.reason();
-        let mut body = Map::new();
-        let mut add = |key: &str, value: Value| body.insert(key.to_owned(), value);
-        add("type", json!(format!("urn:tessera:problem:{reason}")));
-        add("title", json!(status.canonical_reason().unwrap_or_default()));
-        add("status", json!(status.as_u16()));
-        add("detail", json!(self.0.text));
-        add("reason", json!(reason));
-        if let Some(after) = self.retry() {
-            add("retry_after_s", json!(after.as_secs_f64()));
-        }
         let violations = self.0.details.iter().filter_map(|detail| match detail {
-            Detail::Field { path, description } => Some(json!({ "field": path, "description": description })),
+            Detail::Field { path, description } => {
+                Some(Violation { field: path.clone(), description: description.clone() })
+            }
             _ => None,
         });
-        let violations: Vec<Value> = violations.collect();
-        if !violations.is_empty() {
-            add("field_violations", Value::Array(violations));
-        }
-        Value::Object(body)
+        json!(ProblemBody {
+            r#type: format!("urn:tessera:problem:{reason}"),
+            title: status.canonical_reason().unwrap_or_default(),
+            status: status.as_u16(),
+            detail: self.0.text.clone(),
+            reason,
+            retry_after_s: self.retry().map(|after| after.as_secs_f64()),
+            field_violations: violations.collect(),
+        })
     }
 
     /// The answer, with a status that says more than the fault does.
     pub(super) fn with_status(self, status: StatusCode) -> Response {
         let mut headers = HeaderMap::new();
-        headers.insert(CONTENT_TYPE, HeaderValue::from_static("application/problem+json"));
+        headers.insert(CONTENT_TYPE, HeaderValue::from_static(PROBLEM));
         if let Some(after) = self.retry() {
             let seconds = after.as_secs_f64().ceil().max(1.0) as u64;
             headers.insert(RETRY_AFTER, HeaderValue::from(seconds));
