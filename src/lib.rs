@@ -105,8 +105,8 @@ pub mod remesh {
 
     #[doc(inline)]
     pub use geometry::remesh::{
-        Observer, Placement, Provenance, Refine, Remesh, RemeshError, RemeshOptions, Report, Seeds, Tolerance, remesh,
-        report,
+        Observer, Placement, Provenance, Refine, Remesh, RemeshError, RemeshOptions, Report, Seeds, Tolerance, Warning,
+        remesh, report,
     };
 }
 

@@ -19,6 +19,7 @@ use geometry::mesh::attributes::Attributes;
 use geometry::mesh::io::lists::{FileVertices, NO_NUMBERS};
 use geometry::mesh::io::{DataError, FileError, Format};
 use geometry::mesh::{TriMesh, io};
+use geometry::remesh::Warning;
 use geometry::token::Token;
 
 /// Where a surface is read or written: a file, or `-` for the standard input or output.
@@ -74,16 +75,16 @@ impl Surface {
         let bytes = self.bytes()?;
         let io::Loaded { mesh, attributes, left_aside } =
             io::decode_with_attributes(format, &bytes).map_err(|cause| self.refused(&cause))?;
-        let notes = left_aside.iter().map(|reason| format!("tessera: {self}: left aside: {reason}")).collect();
-        Ok(Loaded { mesh, attributes: Some(attributes).filter(|attributes| !attributes.is_empty()), notes })
+        let warnings = left_aside.iter().map(Warning::left_aside).collect();
+        Ok(Loaded { mesh, attributes: Some(attributes).filter(|attributes| !attributes.is_empty()), warnings })
     }
 
     fn refused(&self, cause: &DataError) -> BadInput {
         BadInput(format!("{self}: {cause}"))
     }
 
-    /// Writes a surface and what it carries; returns a line if the format cannot hold all of that.
-    pub(crate) fn write(&self, mesh: &TriMesh, attributes: Option<&Attributes>) -> Result<Option<String>> {
+    /// Writes a surface and what it carries. Warns of what the format cannot hold.
+    pub(crate) fn write(&self, mesh: &TriMesh, attributes: Option<&Attributes>) -> Result<Option<Warning>> {
         let format = self.format(OUTPUT_FORMAT)?;
         let encoded = match attributes {
             Some(attributes) => io::encode_with_attributes(format, mesh, attributes),
@@ -97,8 +98,7 @@ impl Surface {
                 write(&self.path, |out| out.write_all(&bytes))?;
             }
         }
-        let all = left_out.join(", ");
-        Ok((!all.is_empty()).then(|| format!("tessera: {self}: this format cannot hold: {all}")))
+        Ok(Warning::not_held(&left_out))
     }
 
     /// Refuses an output whose format is not known or which cannot be written, before any work is done.
@@ -140,7 +140,7 @@ pub(crate) fn read_mesh(path: &Path) -> Result<TriMesh> {
 pub(crate) struct Loaded {
     pub(crate) mesh: TriMesh,
     pub(crate) attributes: Option<Attributes>,
-    pub(crate) notes: Vec<String>,
+    pub(crate) warnings: Vec<Warning>,
 }
 
 fn unread(error: FileError) -> anyhow::Error {

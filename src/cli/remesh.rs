@@ -11,6 +11,7 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use anyhow::{Context, Result};
+use args::flag;
 pub(crate) use args::{DensityArg, RemeshArgs};
 use serde_json::{Value, json};
 use summary::Told;
@@ -25,7 +26,7 @@ use super::{backends, files, interrupt, remote, say};
 use geometry::cvt::density::{DensityOptions, DensitySource};
 use geometry::mesh::TriMesh;
 use geometry::remesh::report::to_json;
-use geometry::remesh::{RemeshOptions, Seeds, remesh};
+use geometry::remesh::{RemeshOptions, Seeds, Warning, remesh};
 use geometry::rvd::Backend;
 use geometry::token::Token;
 use jobs::memory;
@@ -80,8 +81,6 @@ impl Worker {
 
 struct Remeshed {
     report: Value,
-    /// What the format of the output cannot hold.
-    left_out: Option<String>,
     total_ms: f64,
 }
 
@@ -89,7 +88,7 @@ fn alone(args: &RemeshArgs, task: &Task, mut worker: Worker) -> Result<()> {
     let mut progress = Progress::begin(task.input.path(), args.say.quiet);
     let done = one(args, task, &mut worker, &mut progress, true)?;
     drop(progress);
-    done.left_out.iter().for_each(|note| errln!("{note}"));
+    warnings(task, &done.report).for_each(|line| errln!("{line}"));
     if args.say.json {
         say::json(&done.report)?;
     }
@@ -99,7 +98,6 @@ fn alone(args: &RemeshArgs, task: &Task, mut worker: Worker) -> Result<()> {
             input: task.input.path(),
             output: task.output.path(),
             endpoint: args.at.endpoint.as_ref().map(ServerUrl::as_str),
-            bounded: args.size.max_deviation.is_some(),
             total_ms: done.total_ms,
         };
         told.print()?;
@@ -110,11 +108,10 @@ fn alone(args: &RemeshArgs, task: &Task, mut worker: Worker) -> Result<()> {
 /// Reads, remeshes and writes a file. Ctrl-C ends the process until the work begins, if `listen` says that no handler is there yet.
 fn one(args: &RemeshArgs, task: &Task, worker: &mut Worker, progress: &mut Progress, listen: bool) -> Result<Remeshed> {
     let start = Instant::now();
-    let Loaded { mesh, attributes, notes } = match args.files.no_attributes {
-        true => Loaded { mesh: task.input.read_mesh()?, attributes: None, notes: Vec::new() },
+    let Loaded { mesh, attributes, warnings } = match args.files.no_attributes {
+        true => Loaded { mesh: task.input.read_mesh()?, attributes: None, warnings: Vec::new() },
         false => task.input.read_loaded()?,
     };
-    notes.iter().for_each(|note| progress.note(note));
     let asked = args.options(&mesh, attributes)?;
     let options = &asked.1;
     let read_ms = ms(start);
@@ -126,7 +123,7 @@ fn one(args: &RemeshArgs, task: &Task, worker: &mut Worker, progress: &mut Progr
     let RemeshDone { mesh, curve_edges, mut report, attributes } = worker.remesh(args, &mesh, &asked, progress)?;
     let writing = Instant::now();
     progress.stage("write", 0, 0);
-    let left_out = task.output.write(&mesh, attributes.as_ref())?;
+    let unheld = task.output.write(&mesh, attributes.as_ref())?;
     drop(attributes);
     args.picture.draw(&mesh, &curve_edges)?;
     // A server's report stays as it is.
@@ -135,10 +132,25 @@ fn one(args: &RemeshArgs, task: &Task, worker: &mut Worker, progress: &mut Progr
         (timings["read"], timings["write"], timings["total"]) = (read_ms.into(), ms(writing).into(), ms(start).into());
         report["memory"]["host_peak_bytes"] = memory::peak_memory_bytes().into();
     }
+    let of_work = report["warnings"].take();
+    let of_files = |warnings: Vec<Warning>| warnings.into_iter().map(|warning| json!(warning));
+    let all = of_files(warnings).chain(of_work.as_array().cloned().unwrap_or_default());
+    report["warnings"] = all.chain(of_files(unheld.into_iter().collect())).collect();
     if let Some(path) = &args.files.report {
         files::write_json(path, &report)?;
     }
-    Ok(Remeshed { report, left_out, total_ms: ms(start) })
+    Ok(Remeshed { report, total_ms: ms(start) })
+}
+
+/// The warnings of a report, a line each, with options as the command names them.
+fn warnings<'a>(task: &'a Task, report: &'a Value) -> impl Iterator<Item = String> + 'a {
+    let all = report["warnings"].as_array().map(Vec::as_slice).unwrap_or_default();
+    all.iter().map(move |warning| {
+        let text = say::plain(warning["message"].as_str().unwrap_or_default());
+        let text = text.split('`').enumerate().map(|(k, part)| if k % 2 == 1 { flag(part) } else { part.to_owned() });
+        let file = if warning["code"] == "not_held" { &task.output } else { &task.input };
+        format!("tessera: warning: {file}: {}", text.collect::<String>())
+    })
 }
 
 /// About how many points there will be.
@@ -203,7 +215,7 @@ fn size(task: &Task) -> u64 {
 }
 
 fn told(args: &RemeshArgs, task: &Task, done: &Remeshed, progress: &Progress) -> Result<(), NotWritten> {
-    done.left_out.iter().for_each(|note| progress.note(note));
+    warnings(task, &done.report).for_each(|line| progress.note(&line));
     if args.say.json {
         let mut line = json!({ "input": task.input.to_string(), "output": task.output.to_string() });
         line["report"] = done.report.clone();

@@ -16,6 +16,7 @@ mod manifold;
 mod pipeline;
 pub mod report;
 mod triangle;
+mod warnings;
 
 use glam::DVec3;
 
@@ -31,6 +32,7 @@ use crate::token::Stopped;
 pub use attributes::Provenance;
 pub use pipeline::remesh;
 pub use report::Report;
+pub use warnings::Warning;
 
 /// Most of what a remesh does may fail so.
 type Result<T, E = RemeshError> = std::result::Result<T, E>;

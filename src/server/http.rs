@@ -79,6 +79,11 @@ const IF_NONE_MATCH: Parameter = Parameter::header("If-None-Match", "ETags that 
 const IF_RANGE: Parameter =
     Parameter::header("If-Range", "Send the range only if the ETag is this one, else all bytes.", text);
 const ETAG: Parameter = Parameter::header("ETag", "The digest, in quotes.", text);
+const WARNING: Parameter = Parameter::header(
+    remesh::WARNING,
+    "A warning of the report, as `CODE: MESSAGE`. There is one header for each, at most 16.",
+    text,
+);
 const LOCATION: Parameter = Parameter::header("Location", "The path of the new resource.", text);
 
 const FILE: Content = Content::Plain(BYTES);
@@ -101,7 +106,7 @@ pub const ROUTES: &[Route] = &[
         parameters: &[LABEL],
         takes_options: true,
         body: Content::Mesh,
-        answers: &[Answer::new(200, "The remesh.", Content::Mesh).with(&[ETAG])],
+        answers: &[Answer::new(200, "The remesh.", Content::Mesh).with(&[ETAG, WARNING])],
         ..route("POST", "/v1/remesh", Role::Submit, Kind::Stream, || post(remesh::remesh))
     },
     Route {

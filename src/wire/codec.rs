@@ -9,6 +9,7 @@ use super::WireError;
 use super::options::choice;
 use super::proto::{self, SeedsWanted};
 use geometry::cvt::{Iteration, SeedEdit, StepKind};
+use geometry::remesh::Warning;
 use geometry::remesh::report::{RefineEnd, RvdFigures};
 use geometry::rvd::{BackendChoice, BackendKind};
 
@@ -104,6 +105,15 @@ pub fn refinement_end(ended: RefineEnd) -> proto::RefinementEnd {
         RefineEnd::Reached => proto::RefinementEnd::Reached,
         RefineEnd::Budget => proto::RefinementEnd::Budget,
         RefineEnd::NoProgress => proto::RefinementEnd::NoProgress,
+    }
+}
+
+pub fn warning(warning: &Warning) -> proto::Warning {
+    proto::Warning {
+        code: warning.code.to_owned(),
+        message: warning.message.clone(),
+        count: warning.count.map(|count| count as u64),
+        places: warning.places.iter().map(|&[x, y, z]| proto::Point { x, y, z }).collect(),
     }
 }
 

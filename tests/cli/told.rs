@@ -135,18 +135,46 @@ fn what_is_no_surface_is_told_with_what_to_do() {
     std::fs::write(folder.path().join("sizes.txt"), lengths).unwrap();
     write("scan.ply", &Scan::RAW.of(Shape::Torus, 8000, 5));
     for (file, more, words) in [
-        ("volume", "", ["facets lie between others", "remesh the boundary of it"]),
-        ("book", "", ["edges have more than two facets", "cut the input"]),
+        ("volume", "", ["facets of the input lie between others", "remesh its boundary"]),
+        ("book", "", ["edges of the input have more than two facets", "cut the input"]),
         ("torus", " --sizes sizes.txt --gradation 5", ["lengths that no triangles can follow", "lower --gradation"]),
         ("scan", "", ["parts of the input", "more points"]),
     ] {
         let line = format!("remesh {file}.ply -o {file}.off --points 300 --newton 0{more}");
-        let (out, said, told) = run(&mut command(folder.path(), &line));
-        assert!(out.status.success(), "{told}");
-        assert!(words.iter().all(|word| said.contains(word)), "{file}: {said}");
+        for way in ["", " --quiet", " --json"] {
+            let (out, said, told) = run(&mut command(folder.path(), &format!("{line}{way}")));
+            assert!(out.status.success(), "{told}");
+            let warned = format!("tessera: warning: {file}.ply: ");
+            assert!(words.iter().all(|word| told.contains(word)) && told.contains(&warned), "{file}: {told}");
+            let report: serde_json::Value = serde_json::from_str(&said).unwrap_or_default();
+            let count = report["warnings"].as_array().map_or(0, Vec::len);
+            assert!(way != " --json" || count == told.matches("warning: ").count(), "{file}: {said}");
+        }
     }
-    let (_, said, _) = run(&mut command(folder.path(), "remesh torus.ply -o even.ply --points 300 --newton 0"));
-    assert!(!["lost", "more than two", "in the place", "removed"].iter().any(|word| said.contains(word)), "{said}");
+    let (_, _, told) = run(&mut command(folder.path(), "remesh torus.ply -o even.ply --points 300 --newton 0"));
+    assert_eq!(told, "");
+}
+
+/// What was asked for and missed, and what does not fit into the output.
+#[test]
+fn a_missed_bound_and_lost_data_are_warnings() {
+    let folder = tempfile::tempdir().unwrap();
+    let torus = Shape::Torus.build(2000);
+    let scalar = (0..torus.positions().len()).map(|i| i as f64).collect();
+    let mut attributes = tessera::mesh::attributes::Attributes::default();
+    attributes.add_scalar("height", scalar).unwrap();
+    let (bytes, _) = io::encode_with_attributes(io::Format::Ply, &torus, &attributes).unwrap();
+    std::fs::write(folder.path().join("in.ply"), bytes).unwrap();
+    let line = "remesh in.ply -o out.stl --points 60 --newton 0 --max-deviation 0.001 --max-points 80 --quiet";
+    let (out, said, told) = run(&mut command(folder.path(), line));
+    assert!(out.status.success() && said.is_empty(), "{told}");
+    for words in [
+        "in.ply: the bound on the deviation is missed",
+        "a larger --max-points",
+        "out.stl: this format cannot hold: scalar height",
+    ] {
+        assert!(told.contains(words), "{told}");
+    }
 }
 
 /// Mesa's device selection layer asks for a desktop, which a container has not.

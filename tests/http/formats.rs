@@ -5,7 +5,8 @@ use std::io::Write as _;
 
 use serde_json::Value;
 use server::http::OPENAPI;
-use tessera::mesh::io::{Format, decode, encode};
+use tessera::mesh::attributes::Attributes;
+use tessera::mesh::io::{Format, decode, encode, encode_with_attributes};
 use tessera::mesh::shapes::Shape;
 
 use crate::client::{self, Answer, House, get, post};
@@ -77,6 +78,21 @@ fn documents_and_fuzz_targets_name_every_format() {
 fn refusal(answer: &Answer) -> (u16, String) {
     assert_eq!(answer.header("content-type"), Some("application/problem+json"), "{answer:?}");
     (answer.status, answer.json()["reason"].as_str().unwrap().to_owned())
+}
+
+/// The job is gone with the answer, and its report too.
+#[tokio::test(flavor = "multi_thread")]
+async fn warnings_come_with_the_answer() {
+    let house = House::open().await;
+    let mesh = Shape::Torus.build(500);
+    let mut attributes = Attributes::default();
+    attributes.add_scalar("height", vec![1.0; mesh.positions().len()]).unwrap();
+    let (file, _) = encode_with_attributes(Format::Ply, &mesh, &attributes).unwrap();
+    let kept = post(&house, REMESH, &[], &file).await;
+    assert_eq!((kept.status, kept.header("tessera-warning")), (200, None));
+    let lost = post(&house, &format!("{REMESH}&to=stl"), &[], &file).await;
+    assert_eq!(lost.header("tessera-warning"), Some("not_held: this format cannot hold: scalar height"), "{lost:?}");
+    house.stop().await;
 }
 
 #[tokio::test(flavor = "multi_thread")]

@@ -73,7 +73,12 @@ export class Figures {
     put("hausdorff_percent", percent);
     const total = (report["timings_ms"] as Readonly<Record<string, unknown>> | undefined)?.["total"];
     if (typeof total === "number") this.set("time", "result", duration(total));
-    this.note.textContent = remarks(report);
+    const lines = remarks(report).map((text) => {
+      const line = document.createElement("p");
+      line.textContent = text;
+      return line;
+    });
+    this.note.replaceChildren(...lines);
   }
 
   private clearColumn(column: Column): void {
@@ -92,10 +97,16 @@ function percent(x: number): string {
   return `${x >= 10 ? x.toFixed(1) : figure(x, 2)} %`;
 }
 
-/** Changes of the topology. */
-function remarks(report: Readonly<Record<string, unknown>>): string {
-  const changes = report["topology_changes"];
-  if (!Array.isArray(changes)) return "";
-  if (changes.length === 0) return "Components, holes and handles are as in the input.";
-  return `The topology differs from that of the input: ${changes.map(String).join("; ")}.`;
+/** The topology if it is kept, and the warnings of the report; a sentence each. */
+function remarks(report: Readonly<Record<string, unknown>>): string[] {
+  const [changes, warnings] = [report["topology_changes"], report["warnings"]];
+  const kept = Array.isArray(changes) && changes.length === 0;
+  const messages = Array.isArray(warnings) ? warnings.map((warning: { message?: unknown }) => sentence(warning.message)) : [];
+  return [...(kept ? ["Components, holes and handles are as in the input."] : []), ...messages];
+}
+
+/** A message as a sentence. */
+function sentence(message: unknown): string {
+  const text = String(message).replaceAll("`", "");
+  return `${text.charAt(0).toUpperCase()}${text.slice(1)}.`;
 }

@@ -71,6 +71,17 @@ def test_the_same_bits_by_the_command(surface, program, tmp_path: Path):
     assert np.array_equal(written.cells_dict["triangle"], here.faces)
 
 
+def test_warnings_are_the_same_here_and_there(surface, endpoint):
+    options = {"points": 60, "max_deviation": 1e-3, "max_points": 80, "backend": "serial"}
+    with pytest.warns(tessera_remesh.RemeshWarning, match="the bound on the deviation is missed") as here:
+        result = tessera_remesh.remesh(*surface, **options)
+    with pytest.warns(tessera_remesh.RemeshWarning) as there:
+        tessera_remesh.remesh(*surface, **options, endpoint=endpoint)
+    assert [str(w.message) for w in here] == [str(w.message) for w in there]
+    assert [w["message"] for w in result.report.warnings] == [str(w.message) for w in here]
+    assert {w.filename for w in (*here, *there)} == {__file__}
+
+
 def test_all_attributes_travel(surface, endpoint):
     vertices, faces = surface
     attributes = Attributes(

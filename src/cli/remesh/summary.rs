@@ -9,36 +9,11 @@ use serde_json::Value;
 
 use crate::exit::NotWritten;
 
-/// Lost parts that are named, at most; the report has more.
-const NAMED_PARTS: usize = 3;
-
-/// Lines about the input, each behind a count of the report.
-const INPUT: &[(&str, &str)] = &[
-    ("stitched_vertices", "vertices of its boundaries were nearly in the same place as others and moved there"),
-    (
-        "outlier_vertices",
-        "vertices are far from all others: check their coordinates, most points go to the spikes there",
-    ),
-    ("degenerate_facets", "facets have no area and do not count"),
-    ("coincident_facets", "facets lay on others, corner on corner, and were left out"),
-    ("reoriented_facets", "facets were oriented unlike their neighbours and turned over"),
-];
-const VOLUME: &[(&str, &str)] = &[(
-    "enclosed_facets",
-    "facets lie between others: this is a mesh of a volume, no surface; remesh the boundary of it",
-)];
-const SURFACE: &[(&str, &str)] = &[
-    ("back_to_back_facets", "facets lie on others, back to back, and enclose nothing: remesh one side of them"),
-    ("non_manifold_edges", "edges have more than two facets; the result is cut there: to choose where, cut the input"),
-];
-
 pub(super) struct Told<'a> {
     pub(super) report: &'a Value,
     pub(super) input: &'a Path,
     pub(super) output: &'a Path,
     pub(super) endpoint: Option<&'a str>,
-    /// Whether it was said how far the result may be.
-    pub(super) bounded: bool,
     pub(super) total_ms: f64,
 }
 
@@ -51,7 +26,6 @@ impl Told<'_> {
         let mut lines = Vec::new();
         self.who(&mut lines);
         self.surfaces(&mut lines);
-        self.lost(&mut lines);
         self.steps(&mut lines);
         self.quality(&mut lines);
         self.costs(&mut lines);
@@ -72,97 +46,7 @@ impl Told<'_> {
             format!("{vertices} vertices, {facets} facets{}", euler.map(|n| format!(", χ {n}")).unwrap_or_default())
         };
         lines.push(format!("input       {}: {}", self.input.display(), surface("/input")));
-        let of_kind = if self.at("/input/kind") == "volume" { VOLUME } else { SURFACE };
-        for (what, text) in INPUT.iter().chain(of_kind) {
-            let count = self.count(&format!("/input/{what}"));
-            lines.extend((count > 0).then(|| format!("            {count} {text}")));
-        }
         lines.push(format!("result      {}: {}", self.output.display(), surface("/result")));
-        let why = match text(self.at("/vertex_count/reason"), "") {
-            "given_seeds" => "seeds are given, and none is left out or added",
-            "parts" => "the input has so many parts that they need more",
-            "close_sheets" => "sheets or parts are nearer to each other than an edge is long",
-            "small_parts" => "parts of the input are too small for a facet and were left out; more --points keep them",
-            "no_thickness" => "parts of the input have no thickness",
-            _ => "",
-        };
-        if !why.is_empty() {
-            lines.push(format!("            {} vertices were asked for: {why}", self.count("/vertex_count/asked")));
-        }
-        self.removed(lines);
-        let dropped_curves = self.count("/features/dropped_curves");
-        if dropped_curves > 0 && self.count("/features/creases") == 0 {
-            let what = if self.count("/features/boundaries") == 0 { " and boundaries" } else { "" };
-            lines.push(format!(
-                "            {dropped_curves} creases{what} were given up: they are too close together for so few points"
-            ));
-        }
-        let [without, further] =
-            ["seeds_without_vertex", "extra_vertices"].map(|what| self.count(&format!("/result/repair/{what}")));
-        if without + further > 0 {
-            lines.push(format!(
-                "            {without} points have no vertex, {further} vertices share one: the surface is thin there"
-            ));
-        }
-    }
-
-    /// What the result lacks, or has twice in one place.
-    fn removed(&self, lines: &mut Vec<String>) {
-        let repair = |what: &str| self.count(&format!("/result/repair/{what}"));
-        let [pairs, crowded] = ["closed_facet_pairs", "non_manifold_facets"].map(repair);
-        let what = if self.at("/input/kind") == "surface" {
-            "the surface is thinner than an edge there; more points keep more"
-        } else {
-            "the input is no manifold there; cut it where its parts meet, or give more points"
-        };
-        let pairs = (pairs > 0).then(|| format!("{pairs} pairs of facets lay back to back"));
-        let crowded = (crowded > 0).then(|| format!("{crowded} facets were too many at an edge"));
-        let removed: Vec<String> = pairs.into_iter().chain(crowded).collect();
-        if !removed.is_empty() {
-            lines.push(format!("            {} and were removed: {what}", removed.join(", ")));
-        }
-        let coincident = self.count("/result/coincident_vertices");
-        if coincident > 0 {
-            lines.push(format!(
-                "            {coincident} vertices are in the place of others, where parts touch: join no vertices by their places"
-            ));
-        }
-    }
-
-    /// Parts of the input that the result lacks: how many, and the largest ones.
-    fn lost(&self, lines: &mut Vec<String>) {
-        let count = self.count("/result/lost/count");
-        if count == 0 {
-            return;
-        }
-        let area = self.at("/result/lost/area_percent").as_f64().unwrap_or(0.0);
-        lines.push(format!(
-            "lost        {count} parts of the input, {area:.2} % of its area, are farther than an edge away:"
-        ));
-        let parts = self.at("/result/lost/parts").as_array().map(Vec::as_slice).unwrap_or_default();
-        for part in parts.iter().take(NAMED_PARTS) {
-            let number = |key: &str| part[key].as_f64().unwrap_or(0.0);
-            let place: Vec<String> = part["place"]
-                .as_array()
-                .into_iter()
-                .flatten()
-                .map(|x| format!("{:.4}", x.as_f64().unwrap_or(0.0)))
-                .collect();
-            let why = match part["reason"].as_str() {
-                Some("component") => {
-                    "a component of its own, too small for its share of points; remove it, or give more points"
-                }
-                Some("non_manifold") => "it hangs on an edge of more than two facets; cut it off, or give more points",
-                Some("boundary") => "narrower than an edge, at a boundary; more points keep it, or close the hole",
-                _ => "thinner than an edge; more points keep it",
-            };
-            lines.push(format!(
-                "            at {}: {:.3} % of the area, {:.2} % of the diagonal away: {why}",
-                place.join(" "),
-                number("area_percent"),
-                number("distance_percent")
-            ));
-        }
     }
 
     fn steps(&self, lines: &mut Vec<String>) {
@@ -174,12 +58,6 @@ impl Told<'_> {
         if let (Some(least), Some(median), Some(largest)) = (edge("least"), edge("median"), edge("largest")) {
             let source = text(self.at("/density/source"), "?");
             lines.push(format!("lengths     {source}: target {least:.4e} to {largest:.4e}, median {median:.4e}"));
-        }
-        if let Some(noise) = self.at("/density/noise_percent").as_f64().filter(|&share| share > 0.0) {
-            lines.push(format!(
-                "            {noise:.0} % of the surface had lengths that no triangles can follow: they were evened out \
-                 between neighbours; smooth them, or give a lower --gradation"
-            ));
         }
         if self.count("/refine/closed_ball_rounds") > 0 {
             lines.push("            shorter where the surface is too thin for others".to_owned());
@@ -211,37 +89,14 @@ impl Told<'_> {
         lines.push(format!(
             "topology    {rim} boundary edges, {edges} non-manifold edges, {vertices} non-manifold vertices"
         ));
-        let changes = self.at("/topology_changes").as_array().map(Vec::as_slice).unwrap_or_default();
-        if !changes.is_empty() {
-            let odd = self.count("/input/non_manifold_edges") + self.count("/input/non_manifold_vertices");
-            let why = if odd > 0 { "the input is no manifold, as the result is" } else { "more points keep more" };
-            let changes: Vec<&str> = changes.iter().filter_map(Value::as_str).collect();
-            lines.push(format!("changed     {}; {why}", changes.join(", ")));
-        }
-        let (added, missed) = (self.count("/refine/added_seeds"), self.count("/refine/out_of_tolerance"));
+        let added = self.count("/refine/added_seeds");
         if added > 0 {
             lines.push(format!("added       {added} points, where the result was too far from the input"));
         }
-        if self.bounded {
+        if text(self.at("/refine/ended"), "") == "reached" {
             let deviation = self.at("/refine/deviation_percent").as_f64();
             let deviation = deviation.map(|d| format!("{d:.4} % of the diagonal, ")).unwrap_or_default();
-            let far = format!("{deviation}{missed} samples are farther than asked");
-            match text(self.at("/refine/ended"), "") {
-                "reached" => lines.push(format!("deviation   reached: {deviation}both ways")),
-                "budget" => {
-                    lines.push(format!("deviation   {far}: all points are used"));
-                    lines.push("            a larger --max-points brings the result nearer".to_owned());
-                }
-                "no_progress" => {
-                    lines.push(format!("deviation   {far}: more points did not bring the result nearer"));
-                    lines.push(
-                        "            check the input for folds and for sheets that touch; a smaller --crease-angle keeps more edges"
-                            .to_owned(),
-                    );
-                }
-                _ if missed > 0 => lines.push(format!("deviation   {missed} places are farther than asked")),
-                _ => {}
-            }
+            lines.push(format!("deviation   reached: {deviation}both ways"));
         }
     }
 

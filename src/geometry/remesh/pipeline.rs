@@ -31,7 +31,9 @@ use glam::DVec3;
 
 use super::attributes::{self, Provenance};
 use super::report::{CountFigures, InputFigures, MemoryFigures, Report, ResultFigures, Timings};
-use super::{Limits, Observer, Placement, Refine, Remesh, RemeshError, RemeshOptions, Result, Seeds, Tolerance};
+use super::{
+    Limits, Observer, Placement, Refine, Remesh, RemeshError, RemeshOptions, Result, Seeds, Tolerance, warnings,
+};
 use crate::cvt::density::{Count, DensitySource, Plan};
 use crate::mesh::TriMesh;
 use crate::mesh::adjacency::Adjacency;
@@ -63,7 +65,7 @@ pub fn remesh(
         RemeshOptions { refine: Some(Refine { tolerance, ..refine }), ..options.clone() }
     });
     let options = measured.as_ref().unwrap_or(options);
-    on_threads_of(backend, || match run_stages(given, options, backend, observer, token) {
+    let mut done = on_threads_of(backend, || match run_stages(given, options, backend, observer, token) {
         // Far vertices take all the points: without their spikes, which are put back afterwards. Given seeds stay.
         Err(error @ (RemeshError::TooFewSeeds { .. } | RemeshError::Rvd(RvdError::NoArea))) => {
             let near = draw_in(given).filter(|_| !matches!(options.seeds, Seeds::Given(_)));
@@ -73,7 +75,9 @@ pub fn remesh(
             Ok(done)
         }
         done => done,
-    })
+    })?;
+    done.report.warnings = warnings::of(&done.report);
+    Ok(done)
 }
 
 /// On the present threads.
@@ -238,6 +242,7 @@ fn measure(
         memory: MemoryFigures { host_peak_bytes: None, device_bytes },
         result,
         density: plan.figures,
+        warnings: Vec::new(),
     };
     Ok(Remesh {
         mesh: built.mesh,

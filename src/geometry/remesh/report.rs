@@ -6,6 +6,7 @@
 
 use serde::Serialize;
 
+use super::warnings::Warning;
 use crate::cvt::density::DensityFigures;
 pub use crate::cvt::figures::{DeviceFigures, FinalFigures, IterationFigures};
 pub use crate::mesh::comparison::{LostPart, LostParts, LostReason};
@@ -54,6 +55,8 @@ pub struct Report {
     pub topology_changes: Vec<String>,
     /// Target edge lengths.
     pub density: DensityFigures,
+    /// Data that changed or was dropped, and requests that were missed.
+    pub warnings: Vec<Warning>,
 }
 
 /// Old names of keys, for one release: where, now, before.

@@ -14,9 +14,9 @@ use crate::blob::{BlobError, Digest};
 use crate::executor::prepared::Input;
 use crate::record::{ArrayRef, AttributeRef, Failure, FailureKind, MeshSource, Task};
 use geometry::cvt::density::Count;
-use geometry::mesh::attributes::Attributes;
+use geometry::mesh::attributes::{AttributeError, Attributes};
 use geometry::mesh::io::lists::{FileVertices, most_edges, points};
-use geometry::mesh::io::{self, DataError};
+use geometry::mesh::io::{self, DataError, Loaded};
 use geometry::mesh::{MeshError, TriMesh};
 use geometry::remesh::{RemeshOptions, Seeds};
 use geometry::token::Token;
@@ -108,6 +108,8 @@ const CREASES: &str = "spec.arrays.creases";
 struct Surface {
     mesh: TriMesh,
     attributes: Option<Attributes>,
+    /// What its file holds and the reader leaves aside.
+    left_aside: Vec<AttributeError>,
     vertices: FileVertices,
 }
 
@@ -236,11 +238,12 @@ impl Reader<'_> {
                 let bytes = self.blobs.read(FILE, *blob)?;
                 self.token.check()?;
                 let wrong = |error| bad(FILE, error);
-                let (mesh, attributes) = if *attributes {
-                    let loaded = io::decode_with_attributes(format, &bytes).map_err(wrong)?;
-                    (loaded.mesh, Some(loaded.attributes).filter(|attributes| !attributes.is_empty()))
+                let (mesh, attributes, left_aside) = if *attributes {
+                    let Loaded { mesh, attributes, left_aside } =
+                        io::decode_with_attributes(format, &bytes).map_err(wrong)?;
+                    (mesh, Some(attributes).filter(|attributes| !attributes.is_empty()), left_aside)
                 } else {
-                    (io::decode(format, &bytes).map_err(wrong)?, None)
+                    (io::decode(format, &bytes).map_err(wrong)?, None, Vec::new())
                 };
                 // Lists that are text go by the numbers of the file's vertices.
                 let lists = [task.arrays.edge_lengths, task.arrays.creases];
@@ -248,7 +251,7 @@ impl Reader<'_> {
                     true => FileVertices::of(format, &bytes, &mesh).map_err(wrong)?,
                     false => FileVertices::of_arrays(&mesh),
                 };
-                Surface { mesh, attributes, vertices }
+                Surface { mesh, attributes, left_aside, vertices }
             }
             MeshSource::Arrays { positions, facets, attributes } => {
                 let points = self.points(&format!("{ARRAYS}.positions"), positions, u64::MAX)?;
@@ -257,7 +260,7 @@ impl Reader<'_> {
                 let mesh = TriMesh::new(points, triples).map_err(|error: MeshError| bad(ARRAYS, error))?;
                 let attributes = self.attributes(&mesh, attributes)?;
                 let vertices = FileVertices::of_arrays(&mesh);
-                Surface { mesh, attributes, vertices }
+                Surface { mesh, attributes, left_aside: Vec::new(), vertices }
             }
         };
         self.token.check()?;
@@ -279,13 +282,13 @@ impl Reader<'_> {
         Ok(Input { mesh, density: density.clone(), seeds: seeds.clone(), creases: Vec::new(), attributes: None })
     }
 
-    /// Reads everything that a remesh needs.
+    /// Reads everything that a remesh needs; and what of the file is left aside.
     pub(crate) fn remesh(
         &self,
         task: &Task,
         mut options: RemeshOptions,
-    ) -> Result<(TriMesh, RemeshOptions), WorkError> {
-        let Surface { mesh, attributes, vertices } = self.surface(task)?;
+    ) -> Result<(TriMesh, RemeshOptions, Vec<AttributeError>), WorkError> {
+        let Surface { mesh, attributes, left_aside, vertices } = self.surface(task)?;
         self.fill(&mut options, task, &vertices)?;
         let (steps, most) = (options.lloyd + options.newton, self.bounds.max_iterations);
         if steps > most as usize {
@@ -300,6 +303,6 @@ impl Reader<'_> {
         if let Some(array) = &task.arrays.creases {
             options.creases = self.edges(CREASES, array, &vertices, mesh.facets().len())?;
         }
-        Ok((mesh, options))
+        Ok((mesh, options, left_aside))
     }
 }

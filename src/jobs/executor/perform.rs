@@ -20,7 +20,7 @@ use geometry::cvt::{Cvt, StepKind};
 use geometry::mesh::attributes::{Attributes, ColourDepth, Colours, Normals};
 use geometry::mesh::io::{self, Format};
 use geometry::remesh::report::{IterationFigures, to_json};
-use geometry::remesh::{Observer, Remesh, RemeshOptions, remesh};
+use geometry::remesh::{Observer, Remesh, RemeshOptions, Warning, remesh};
 use geometry::rvd::cells::CellWriter;
 use geometry::token::Token;
 use wire::options;
@@ -47,14 +47,19 @@ pub(crate) fn perform(task: &Task, context: &JobContext<'_>) -> Result<Parts, Wo
 }
 
 fn of_remesh(task: &Task, options: &RemeshOptions, context: &JobContext<'_>) -> Result<Parts, WorkError> {
-    let (mesh, options) = context.reader.remesh(task, options.clone())?;
+    let (mesh, options, left_aside) = context.reader.remesh(task, options.clone())?;
     let backend = Arc::clone(context.backends.choose(task.backend)?);
     let mut observer = context.activity;
-    let done = remesh(&mesh, &options, backend.as_ref(), &mut observer, context.token)?;
+    let mut done = remesh(&mesh, &options, backend.as_ref(), &mut observer, context.token)?;
+    done.report.warnings.splice(0..0, left_aside.iter().map(Warning::left_aside));
     drop((mesh, options));
     context.token.enter("write");
     let mut parts = match task.result {
-        ResultFormat::File(format) => vec![("mesh".to_owned(), file(format, &done)?)],
+        ResultFormat::File(format) => {
+            let (bytes, left_out) = file(format, &done)?;
+            done.report.warnings.extend(Warning::not_held(&left_out));
+            vec![("mesh".to_owned(), bytes)]
+        }
         ResultFormat::Arrays => arrays(&done),
     };
     parts.push(("report".to_owned(), json_bytes(&done.report)));
@@ -67,13 +72,15 @@ fn json_bytes(report: &impl serde::Serialize) -> Bytes {
     bytes.into()
 }
 
-fn file(format: Format, done: &Remesh) -> Result<Bytes, WorkError> {
+/// The file of a result, and the names of what the format cannot hold.
+fn file(format: Format, done: &Remesh) -> Result<(Bytes, Vec<String>), WorkError> {
     let encoded = match &done.attributes {
-        Some(attributes) => io::encode_with_attributes(format, &done.mesh, attributes).map(|(bytes, _)| bytes),
-        None => io::encode(format, &done.mesh),
+        Some(attributes) => io::encode_with_attributes(format, &done.mesh, attributes),
+        None => io::encode(format, &done.mesh).map(|bytes| (bytes, Vec::new())),
     };
-    let bytes = encoded.map_err(|error| failure(FailureKind::BadInput, format!("spec.result.file: {error}")))?;
-    Ok(bytes.into())
+    let (bytes, left_out) =
+        encoded.map_err(|error| failure(FailureKind::BadInput, format!("spec.result.file: {error}")))?;
+    Ok((bytes.into(), left_out))
 }
 
 fn numbers(values: &[f64]) -> Bytes {

@@ -235,8 +235,9 @@ pub(super) async fn result(
     send_result(&desk, &client, &job, &name, request.headers(), ()).await
 }
 
-/// The surface among the results of a job.
+/// The surface and the figures among the results of a job.
 pub(super) const MESH: &str = "mesh";
+pub(super) const REPORT: &str = "report";
 
 pub(super) async fn send_result(
     desk: &Desk,
@@ -253,7 +254,7 @@ pub(super) async fn send_result(
     };
     let media_type = match (name, job.spec.task().result) {
         (MESH, ResultFormat::File(format)) => media_type(format),
-        ("report", _) => JSON,
+        (REPORT, _) => JSON,
         _ => BYTES,
     };
     send(desk, &client.tenant, *digest, headers, media_type, until).await

@@ -13,7 +13,7 @@ from ._engine import BackendError, Cancelled, InputError, TesseraError, TooLarge
 from .calls import cvt, remesh, rvd
 from .meshes import Attributes
 from .progress import Progress
-from .results import CvtStep, Remesh, Report, Rvd
+from .results import CvtStep, Remesh, RemeshWarning, Report, Rvd
 
 __all__ = [
     "Attributes",
@@ -23,6 +23,7 @@ __all__ = [
     "InputError",
     "Progress",
     "Remesh",
+    "RemeshWarning",
     "Report",
     "Rvd",
     "TesseraError",

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import inspect
+import sys
+import warnings
 from collections.abc import Iterator
 from typing import Any, Literal, get_args
 
@@ -12,7 +14,7 @@ from numpy.typing import ArrayLike
 from . import _engine, meshes
 from .meshes import Attributes, Surface
 from .progress import ProgressLike, listener
-from .results import CvtStep, Remesh, Report, Rvd
+from .results import CvtStep, Remesh, RemeshWarning, Report, Rvd
 
 Density = Literal["uniform", "curvature", "lfs"]
 
@@ -172,12 +174,23 @@ OPTIONS = {
 def to_remesh(surface: Surface, done: dict[str, Any]) -> Remesh:
     """What the engine or a server gave back."""
     attributes = done.pop("attributes", None)
+    report = Report.from_json(done.pop("report"))
+    for warning in report.warnings:
+        warnings.warn(warning["message"], RemeshWarning, stacklevel=_caller())
     return Remesh(
-        report=Report.from_json(done.pop("report")),
+        report=report,
         attributes=None if attributes is None else Attributes._from_engine(attributes),
         library=surface.library,
         **done,
     )
+
+
+def _caller() -> int:
+    """How far up the stack the caller of this package is, seen from the function that asks."""
+    frame, level = sys._getframe(1), 1
+    while frame.f_back is not None and frame.f_globals.get("__name__", "").startswith(__package__):
+        frame, level = frame.f_back, level + 1
+    return level
 
 
 def _no_server(server: dict[str, Any]) -> None:

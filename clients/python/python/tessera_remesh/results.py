@@ -16,6 +16,10 @@ from .meshes import Attributes
 Array = NDArray[Any]
 
 
+class RemeshWarning(UserWarning):
+    """Something of the input was changed or dropped, or a request was missed. `Report.warnings` has all of a remesh."""
+
+
 @dataclass(frozen=True)
 class Report:
     """How a remesh came about, and how good it is. `raw` has all figures, as `tessera remesh --report` writes them."""
@@ -34,6 +38,8 @@ class Report:
     boundary_loops: int
     #: What is not as in the input, one sentence each.
     topology_changes: list[str]
+    #: What changed, was dropped or missed: each a `code`, a `message`, and where it applies a `count` and `places`.
+    warnings: list[dict[str, Any]]
     #: Least quality of a triangle, 6/√3 · area / (half perimeter · longest edge): 1 is equilateral. None if not measured.
     q_min: float | None
     #: Mean quality.
@@ -64,6 +70,8 @@ class Report:
             components=result["components"],
             boundary_loops=result["boundary_loops"],
             topology_changes=list(raw["topology_changes"]),
+            # A server of an earlier version has none.
+            warnings=list(raw.get("warnings", [])),
             q_min=result.get("q_min"),
             q_mean=result.get("q_avg"),
             smallest_angle=result.get("theta_min_deg"),

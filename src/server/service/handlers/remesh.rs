@@ -152,6 +152,7 @@ async fn send_result(
         report_json,
         topology_changes: result.report.topology_changes.clone(),
         refinement_end: result.report.refine.ended.map(codec::refinement_end).unwrap_or_default().into(),
+        warnings: result.report.warnings.iter().map(codec::warning).collect(),
         attributes: carried,
     };
     outbox.send(wrap(response::Message::Done(done))).await

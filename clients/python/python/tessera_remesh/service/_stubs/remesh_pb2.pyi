@@ -618,8 +618,20 @@ class RemeshRequest(_message.Message):
     finish: Finish
     def __init__(self, header: _Optional[_Union[RemeshHeader, _Mapping]] = ..., chunk: _Optional[_Union[Chunk, _Mapping]] = ..., finish: _Optional[_Union[Finish, _Mapping]] = ...) -> None: ...
 
+class Warning(_message.Message):
+    __slots__ = ("code", "message", "count", "places")
+    CODE_FIELD_NUMBER: _ClassVar[int]
+    MESSAGE_FIELD_NUMBER: _ClassVar[int]
+    COUNT_FIELD_NUMBER: _ClassVar[int]
+    PLACES_FIELD_NUMBER: _ClassVar[int]
+    code: str
+    message: str
+    count: int
+    places: _containers.RepeatedCompositeFieldContainer[Point]
+    def __init__(self, code: _Optional[str] = ..., message: _Optional[str] = ..., count: _Optional[int] = ..., places: _Optional[_Iterable[_Union[Point, _Mapping]]] = ...) -> None: ...
+
 class RemeshDone(_message.Message):
-    __slots__ = ("backend", "adapter", "timing", "vertices", "facets", "seeds", "converged", "figures", "report_json", "topology_changes", "refinement_end", "attributes")
+    __slots__ = ("backend", "adapter", "timing", "vertices", "facets", "seeds", "converged", "figures", "report_json", "topology_changes", "refinement_end", "warnings", "attributes")
     BACKEND_FIELD_NUMBER: _ClassVar[int]
     ADAPTER_FIELD_NUMBER: _ClassVar[int]
     TIMING_FIELD_NUMBER: _ClassVar[int]
@@ -631,6 +643,7 @@ class RemeshDone(_message.Message):
     REPORT_JSON_FIELD_NUMBER: _ClassVar[int]
     TOPOLOGY_CHANGES_FIELD_NUMBER: _ClassVar[int]
     REFINEMENT_END_FIELD_NUMBER: _ClassVar[int]
+    WARNINGS_FIELD_NUMBER: _ClassVar[int]
     ATTRIBUTES_FIELD_NUMBER: _ClassVar[int]
     backend: str
     adapter: str
@@ -643,8 +656,9 @@ class RemeshDone(_message.Message):
     report_json: str
     topology_changes: _containers.RepeatedScalarFieldContainer[str]
     refinement_end: RefinementEnd
+    warnings: _containers.RepeatedCompositeFieldContainer[Warning]
     attributes: _containers.RepeatedCompositeFieldContainer[AttributeHeader]
-    def __init__(self, backend: _Optional[str] = ..., adapter: _Optional[str] = ..., timing: _Optional[_Union[Timing, _Mapping]] = ..., vertices: _Optional[int] = ..., facets: _Optional[int] = ..., seeds: _Optional[int] = ..., converged: bool = ..., figures: _Optional[_Union[RvdFigures, _Mapping]] = ..., report_json: _Optional[str] = ..., topology_changes: _Optional[_Iterable[str]] = ..., refinement_end: _Optional[_Union[RefinementEnd, str]] = ..., attributes: _Optional[_Iterable[_Union[AttributeHeader, _Mapping]]] = ...) -> None: ...
+    def __init__(self, backend: _Optional[str] = ..., adapter: _Optional[str] = ..., timing: _Optional[_Union[Timing, _Mapping]] = ..., vertices: _Optional[int] = ..., facets: _Optional[int] = ..., seeds: _Optional[int] = ..., converged: bool = ..., figures: _Optional[_Union[RvdFigures, _Mapping]] = ..., report_json: _Optional[str] = ..., topology_changes: _Optional[_Iterable[str]] = ..., refinement_end: _Optional[_Union[RefinementEnd, str]] = ..., warnings: _Optional[_Iterable[_Union[Warning, _Mapping]]] = ..., attributes: _Optional[_Iterable[_Union[AttributeHeader, _Mapping]]] = ...) -> None: ...
 
 class RemeshResponse(_message.Message):
     __slots__ = ("accepted", "progress", "iteration", "chunk", "done")

@@ -1,0 +1,196 @@
+//! What a caller should know of a remesh that succeeded: data that changed or was dropped, and requests that were missed.
+//!
+//! Purpose: [`of`] reads the figures of a report and makes its warnings; readers and writers of files add theirs by
+//! [`Warning::left_aside`] and [`Warning::not_held`]. Invariant: each condition has one code, which does not change, and one
+//! sentence, made here, with names of options in backticks; every interface shows the same list. Must not know: how the figures came about, where warnings are shown.
+
+use std::fmt;
+
+use serde::Serialize;
+
+use super::report::{CountReason, LostReason, RefineEnd, Report};
+use crate::mesh::duplicates::InputKind;
+
+/// A condition that a caller should know of.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Warning {
+    /// The name of the condition, for programs.
+    pub code: &'static str,
+    /// One sentence: what happened, and what helps.
+    pub message: String,
+    /// How many elements it is about; absent if it is about none or all.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub count: Option<usize>,
+    /// Where, caller's coordinates; the first places of many.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub places: Vec<[f64; 3]>,
+}
+
+impl Warning {
+    fn new(code: &'static str, count: Option<usize>, message: String) -> Self {
+        Self { code, message, count, places: Vec::new() }
+    }
+
+    /// Data of a file that the reader leaves aside.
+    pub fn left_aside(what: impl fmt::Display) -> Self {
+        Self::new("left_aside", None, format!("left aside: {what}"))
+    }
+
+    /// Data of the result that the format of the output cannot hold.
+    pub fn not_held(what: &[String]) -> Option<Self> {
+        let all = what.join(", ");
+        (!what.is_empty()).then(|| Self::new("not_held", Some(what.len()), format!("this format cannot hold: {all}")))
+    }
+}
+
+/// The warnings of a remesh, those of the input first.
+pub(super) fn of(report: &Report) -> Vec<Warning> {
+    let mut all = Vec::new();
+    of_input(report, &mut all);
+    of_count(report, &mut all);
+    of_repair(report, &mut all);
+    of_lost(report, &mut all);
+    of_shape(report, &mut all);
+    all
+}
+
+/// A warning about `count` elements, if there are any.
+fn counted(all: &mut Vec<Warning>, code: &'static str, count: usize, text: &str) {
+    if count > 0 {
+        all.push(Warning::new(code, Some(count), format!("{count} {text}")));
+    }
+}
+
+fn of_input(report: &Report, all: &mut Vec<Warning>) {
+    let input = &report.input;
+    let stitched = "vertices of the input's boundaries were nearly in the same place as others and moved there";
+    counted(all, "stitched_vertices", input.stitched_vertices, stitched);
+    let outliers = "vertices of the input are far from all others, and most points go to the spikes there; check their \
+                    coordinates";
+    counted(all, "outlier_vertices", input.outlier_vertices, outliers);
+    counted(all, "degenerate_facets", input.degenerate_facets, "facets of the input have no area and do not count");
+    let coincident = "facets of the input lay on others, corner on corner, and were left out";
+    counted(all, "coincident_facets", input.coincident_facets, coincident);
+    let turned = "facets of the input were oriented unlike their neighbours and turned over";
+    counted(all, "reoriented_facets", input.reoriented_facets, turned);
+    if input.kind == InputKind::Volume {
+        let text =
+            "facets of the input lie between others: this is a mesh of a volume, no surface; remesh its boundary";
+        counted(all, "enclosed_facets", input.enclosed_facets, text);
+        return;
+    }
+    let backs = "facets of the input lie on others, back to back, and enclose nothing; remesh one side of them";
+    counted(all, "back_to_back_facets", input.back_to_back_facets, backs);
+    let edges = "edges of the input have more than two facets; the result is cut there; to choose where, cut the input";
+    counted(all, "non_manifold_edges", input.topology.non_manifold_edges, edges);
+}
+
+/// Vertices and curves that there are more or fewer of than was asked for.
+fn of_count(report: &Report, all: &mut Vec<Warning>) {
+    let count = report.vertex_count;
+    if let Some(reason) = count.reason {
+        let why = match reason {
+            CountReason::GivenSeeds => "seeds are given, and none is left out or added",
+            CountReason::Parts => "the input has so many parts that they need more",
+            CountReason::CloseSheets => "sheets or parts are nearer to each other than an edge is long",
+            CountReason::SmallParts => {
+                "parts of the input are too small for a facet and were left out; more points keep them"
+            }
+            CountReason::NoThickness => "parts of the input have no thickness",
+        };
+        let (asked, vertices) = (count.asked, report.result.vertices);
+        let text = format!("{asked} vertices were asked for, and the result has {vertices}: {why}");
+        all.push(Warning::new("vertex_count", Some(vertices), text));
+    }
+    let features = report.features;
+    if features.dropped_curves > 0 {
+        let curves = features.boundaries + features.creases + features.dropped_curves;
+        let text = format!(
+            "{} of {curves} creases and boundaries were dropped: they are too close together for so few points; more points \
+             keep more",
+            features.dropped_curves
+        );
+        all.push(Warning::new("dropped_curves", Some(features.dropped_curves), text));
+    }
+    let broken = "edges of creases or boundaries are missing in the result; more points may keep them";
+    counted(all, "missing_curve_edges", features.missing_segments, broken);
+}
+
+/// What the repair of the dual removed or doubled.
+fn of_repair(report: &Report, all: &mut Vec<Warning>) {
+    let repair = &report.result.repair;
+    let why = match report.input.kind {
+        InputKind::Surface => "the surface is thinner than an edge there; more points keep more",
+        _ => "the input is no manifold there; cut it where its parts meet, or give more points",
+    };
+    let pairs = format!("pairs of facets lay back to back and were removed: {why}");
+    counted(all, "closed_facet_pairs", repair.closed_facet_pairs, &pairs);
+    let surplus = format!("facets were too many at an edge and were removed: {why}");
+    counted(all, "non_manifold_facets", repair.non_manifold_facets, &surplus);
+    let touching =
+        "vertices of the result are in the place of others, where parts touch; join no vertices by their places";
+    counted(all, "coincident_vertices", report.result.coincident_vertices, touching);
+    let (without, extra) = (repair.seeds_without_vertex, repair.extra_vertices);
+    if without + extra > 0 {
+        let text = format!("{without} points have no vertex, {extra} vertices share one: the surface is thin there");
+        all.push(Warning::new("shared_points", Some(without + extra), text));
+    }
+}
+
+/// Parts of the input that the result lacks.
+fn of_lost(report: &Report, all: &mut Vec<Warning>) {
+    let Some(lost) = report.result.lost.as_ref().filter(|lost| lost.count > 0) else { return };
+    let mut text = format!(
+        "{} parts of the input, {:.2} % of its area, are farther than an edge from the result",
+        lost.count, lost.area_percent
+    );
+    if let Some(largest) = lost.parts.first() {
+        let [x, y, z] = largest.place;
+        let why = match largest.reason {
+            LostReason::Component => {
+                "a component of its own, too small for its share of points; remove it, or give more points"
+            }
+            LostReason::NonManifold => "it hangs on an edge of more than two facets; cut it off, or give more points",
+            LostReason::Boundary => "narrower than an edge, at a boundary; more points keep it, or close the hole",
+            LostReason::Thin => "thinner than an edge; more points keep it",
+        };
+        let (area, far) = (largest.area_percent, largest.distance_percent);
+        text += &format!(
+            "; the largest, {area:.3} % of the area, is {far:.2} % of the diagonal away at {x:.4} {y:.4} {z:.4}: {why}"
+        );
+    }
+    let places = lost.parts.iter().map(|part| part.place).collect();
+    all.push(Warning { places, ..Warning::new("lost_parts", Some(lost.count), text) });
+}
+
+/// Lengths, topology and distance that are not as asked for.
+fn of_shape(report: &Report, all: &mut Vec<Warning>) {
+    let noise = report.density.noise_percent;
+    if noise > 0.0 {
+        let text = format!(
+            "{noise:.0} % of the surface had lengths that no triangles can follow; they were evened out between neighbours; \
+             smooth them, or give a lower `gradation`"
+        );
+        all.push(Warning::new("uneven_lengths", None, text));
+    }
+    if !report.topology_changes.is_empty() {
+        let odd = report.input.topology.non_manifold_edges + report.input.topology.non_manifold_vertices > 0;
+        let why = if odd { "the input is no manifold, as the result is" } else { "more points keep more" };
+        let text = format!("the topology changed: {}; {why}", report.topology_changes.join(", "));
+        all.push(Warning::new("topology_changed", None, text));
+    }
+    let refine = &report.refine;
+    let why = match refine.ended {
+        Some(RefineEnd::Budget) => "all points are used; a larger `max_points` brings the result nearer",
+        Some(RefineEnd::NoProgress) => {
+            "more points did not bring the result nearer; check the input for folds and for sheets that touch; a smaller \
+             `crease_angle` keeps more edges"
+        }
+        Some(RefineEnd::Reached) | None => return,
+    };
+    let (missed, far) = (refine.out_of_tolerance, refine.deviation_percent.unwrap_or(0.0));
+    let text = format!(
+        "the bound on the deviation is missed: {missed} samples are farther than asked, up to {far:.4} % of the diagonal; {why}"
+    );
+    all.push(Warning::new("deviation_missed", Some(missed), text));
+}
