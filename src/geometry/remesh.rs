@@ -31,8 +31,7 @@ use crate::token::Stopped;
 
 pub use attributes::Provenance;
 pub use pipeline::remesh;
-pub use report::Report;
-pub use warnings::Warning;
+pub use report::{Report, Warning};
 
 /// Most of what a remesh does may fail so.
 type Result<T, E = RemeshError> = std::result::Result<T, E>;

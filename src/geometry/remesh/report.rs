@@ -4,9 +4,10 @@
 //! Invariant: a name that scripts read does not change.
 //! Must not know: how the figures came about.
 
+use std::fmt;
+
 use serde::Serialize;
 
-use super::warnings::Warning;
 use crate::cvt::density::DensityFigures;
 pub use crate::cvt::figures::{DeviceFigures, FinalFigures, IterationFigures};
 pub use crate::mesh::comparison::{LostPart, LostParts, LostReason};
@@ -85,6 +86,38 @@ pub fn to_json(report: &impl Serialize) -> serde_json::Result<serde_json::Value>
         }
     }
     Ok(json)
+}
+
+/// A condition that a caller should know of.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Warning {
+    /// The name of the condition, for programs.
+    pub code: &'static str,
+    /// One sentence: what happened, and what helps.
+    pub message: String,
+    /// How many elements it is about; absent if it is about none or all.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub count: Option<usize>,
+    /// Where, caller's coordinates; the first places of many.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub places: Vec<[f64; 3]>,
+}
+
+impl Warning {
+    pub(super) fn new(code: &'static str, count: Option<usize>, message: String) -> Self {
+        Self { code, message, count, places: Vec::new() }
+    }
+
+    /// Data of a file that the reader leaves aside.
+    pub fn left_aside(what: impl fmt::Display) -> Self {
+        Self::new("left_aside", None, format!("left aside: {what}"))
+    }
+
+    /// Data of the result that the format of the output cannot hold.
+    pub fn not_held(what: &[String]) -> Option<Self> {
+        let all = what.join(", ");
+        (!what.is_empty()).then(|| Self::new("not_held", Some(what.len()), format!("this format cannot hold: {all}")))
+    }
 }
 
 /// What was done after the iterations: curves cleared, seeds moved that had no vertex or added where the result was far.

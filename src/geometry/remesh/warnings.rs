@@ -1,47 +1,12 @@
 //! What a caller should know of a remesh that succeeded: data that changed or was dropped, and requests that were missed.
 //!
 //! Purpose: [`of`] reads the figures of a report and makes its warnings; readers and writers of files add theirs by
-//! [`Warning::left_aside`] and [`Warning::not_held`]. Invariant: each condition has one code, which does not change, and one
-//! sentence, made here, with names of options in backticks; every interface shows the same list. Must not know: how the figures came about, where warnings are shown.
+//! `Warning::left_aside` and `Warning::not_held`. Invariant: each condition has one code, which does not change, and one
+//! sentence, made here, with names of options in backticks; every interface shows the same list. Must not know: how the figures
+//! came about, where warnings are shown.
 
-use std::fmt;
-
-use serde::Serialize;
-
-use super::report::{CountReason, LostReason, RefineEnd, Report};
+use super::report::{CountReason, LostReason, RefineEnd, Report, Warning};
 use crate::mesh::duplicates::InputKind;
-
-/// A condition that a caller should know of.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Warning {
-    /// The name of the condition, for programs.
-    pub code: &'static str,
-    /// One sentence: what happened, and what helps.
-    pub message: String,
-    /// How many elements it is about; absent if it is about none or all.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub count: Option<usize>,
-    /// Where, caller's coordinates; the first places of many.
-    #[serde(skip_serializing_if = "Vec::is_empty")]
-    pub places: Vec<[f64; 3]>,
-}
-
-impl Warning {
-    fn new(code: &'static str, count: Option<usize>, message: String) -> Self {
-        Self { code, message, count, places: Vec::new() }
-    }
-
-    /// Data of a file that the reader leaves aside.
-    pub fn left_aside(what: impl fmt::Display) -> Self {
-        Self::new("left_aside", None, format!("left aside: {what}"))
-    }
-
-    /// Data of the result that the format of the output cannot hold.
-    pub fn not_held(what: &[String]) -> Option<Self> {
-        let all = what.join(", ");
-        (!what.is_empty()).then(|| Self::new("not_held", Some(what.len()), format!("this format cannot hold: {all}")))
-    }
-}
 
 /// The warnings of a remesh, those of the input first.
 pub(super) fn of(report: &Report) -> Vec<Warning> {
