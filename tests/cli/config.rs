@@ -213,7 +213,8 @@ fn what_makes_no_sense_is_refused_before_anything_is_done() {
         ("otlp_endpoint = \"https://a\"", "", &["--otlp-endpoint is https://a (c.toml:1)"]),
         ("otlp_ratio = 2", "", &["--otlp-ratio is 2 (c.toml:1)"]),
         ("listen = \"0.0.0.0:0\"", "", &["other machines", "--insecure"]),
-        ("ephemeral = true", "--data-dir d", &["--ephemeral is given beside --data-dir"]),
+        ("ephemeral = true\ndata_dir = \"d\"", "", &["--ephemeral is given beside --data-dir (c.toml:1)"]),
+        ("", "--ephemeral --data-dir d", &["--ephemeral is given beside --data-dir"]),
         ("max_streams = 8", "--max-streams=0", &["--max-streams is 0; it must be"]),
     ] {
         write(file);
@@ -231,6 +232,17 @@ fn what_makes_no_sense_is_refused_before_anything_is_done() {
     let state = [("TESSERA_CONFIG".to_owned(), "c.toml".to_owned())];
     let out = tessera(folder.path(), &words("config check --insecure --ephemeral=false"), &state);
     assert_eq!(text(&out.stdout), "good\n", "{}", text(&out.stderr));
+    // The command line is stronger than a variable, and a variable than the file.
+    write("ephemeral = true");
+    let data = ("TESSERA_DATA_DIR".to_owned(), "d".to_owned());
+    for (line, variables) in [
+        ("config check --config c.toml --data-dir d", vec![]),
+        ("config check --config c.toml", vec![data.clone()]),
+        ("config check --ephemeral", vec![data]),
+    ] {
+        let out = tessera(folder.path(), &words(line), &variables);
+        assert_eq!(text(&out.stdout), "good\n", "{line}: {}", text(&out.stderr));
+    }
     let left: Vec<_> = std::fs::read_dir(folder.path()).unwrap().map(|entry| entry.unwrap().file_name()).collect();
     assert_eq!(left, ["c.toml"], "no folder was made");
 }

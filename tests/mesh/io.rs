@@ -230,8 +230,37 @@ fn stl_dialects() {
     assert!(matches!(cut, Err(DataError::Truncated(_))), "{cut:?}");
     binary[80..84].fill(0xff);
     assert!(matches!(decode(Format::Stl, &binary), Err(DataError::Truncated(_))));
+    binary_stl_dialects();
     let wide = TriMesh::new(vec![DVec3::ZERO, DVec3::X * 1e40, DVec3::Y * 1e40], vec![[0, 1, 2]]).unwrap();
     assert!(matches!(encode(Format::Stl, &wide), Err(DataError::SinglePrecision { vertex: 1, .. })));
+}
+
+/// Other counts in the header than there are facets, and bytes behind one or all of them.
+fn binary_stl_dialects() {
+    let mesh = Shape::Sphere.build(400);
+    let file = encode(Format::Stl, &mesh).unwrap();
+    let whole = decode(Format::Stl, &file).unwrap();
+    let count = whole.facets().len();
+    let read = |bytes: &[u8]| decode(Format::Stl, bytes).unwrap();
+    for declared in [0, 1, count / 2, count - 1] {
+        let mut other = file.clone();
+        other[80..84].copy_from_slice(&(declared as u32).to_le_bytes());
+        assert_eq!(read(&other), whole, "{declared} of {count} declared");
+    }
+    for behind in [1, 49, 92, 100, 5000] {
+        assert_eq!(read(&[&file[..], &vec![0xff; behind]].concat()), whole, "{behind} bytes behind the last");
+    }
+    // Bytes of a program behind each facet, as many as the facet says.
+    for most in [1, 4, 300] {
+        let records = file[84..].as_chunks::<50>().0.iter().enumerate().flat_map(|(k, record)| {
+            let own = k % (most + 1);
+            [&record[..48], &(own as u16).to_le_bytes(), &vec![0xee; own]].concat()
+        });
+        let extended: Vec<u8> = file[..84].iter().copied().chain(records).collect();
+        assert_eq!(read(&extended), whole, "up to {most} bytes behind each");
+    }
+    let cut = decode(Format::Stl, &file[..file.len() - 60]).unwrap_err().to_string();
+    assert!(cut.contains(&format!("{count} facets are declared and {} are there", count - 2)), "{cut}");
 }
 
 #[test]

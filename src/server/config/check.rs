@@ -3,11 +3,12 @@
 //! Purpose: makes a [`ServeConfig`] of [`ServeArgs`]. Invariant: a `ServeConfig` exists only if every value is usable,
 //! alone and in combination; it is made before any port is bound. Must not know: the source of a value.
 
+use std::cmp::Ordering;
 use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::time::Duration;
 
-use super::args::{BackendArgs, DeviceRules, ServeArgs};
+use super::args::{BackendArgs, DeviceRules, ServeArgs, Source};
 use super::limits::Limits;
 use jobs::Ceilings;
 use transport::{ConnectionLimits, TlsFiles};
@@ -63,10 +64,8 @@ impl ServeArgs {
     fn check_all(&self) -> Result<ServeConfig, ConfigError> {
         self.backend.check()?;
         self.watching.traces()?;
-        if self.ephemeral && self.data_dir.is_some() {
-            return Err(ConfigError::new("--ephemeral", "given beside --data-dir", "one of the two"));
-        }
-        if self.ephemeral && self.security.require_keys {
+        let is_ephemeral = self.is_ephemeral()?;
+        if is_ephemeral && self.security.require_keys {
             let must = "absent: keys lie in the data folder";
             return Err(ConfigError::new("--ephemeral", "given beside --require-keys", must));
         }
@@ -95,10 +94,10 @@ impl ServeArgs {
             nice: within("--nice", self.nice, 0..=19)?,
             start: seconds("--start-s", self.start_s)?,
             admin: self.watching.admin(self.security.insecure)?,
-            bucket: self.bucket()?,
+            bucket: self.bucket(is_ephemeral)?,
             disk_reserve_bytes: within("--disk-reserve-mib", self.disk_reserve_mib, 0..=1 << 24)? << 20,
             requires_keys: self.security.require_keys,
-            data_dir: if self.ephemeral { None } else { Some(data_dir(self.data_dir.as_ref())?) },
+            data_dir: if is_ephemeral { None } else { Some(data_dir(self.data_dir.as_ref())?) },
             keep: (self.keep_results, self.keep_jobs),
             blob_bytes: within("--blobs-mib", self.blobs_mib, 1..=1 << 30)? << 20,
             waiting_jobs: within("--waiting-jobs", self.waiting_jobs, 1..=10_000_000)?,
@@ -138,13 +137,30 @@ impl ServeArgs {
         })
     }
 
-    fn bucket(&self) -> Result<Option<String>, ConfigError> {
+    /// Whether nothing is kept. Of --ephemeral and --data-dir the one of the stronger source counts: command line, variable,
+    /// file.
+    fn is_ephemeral(&self) -> Result<bool, ConfigError> {
+        let rank = |option: &str| match self.sources.of(option) {
+            Some(Source::File { .. }) => 0,
+            Some(_) => 1,
+            None => 2,
+        };
+        if !self.ephemeral || self.data_dir.is_none() {
+            return Ok(self.ephemeral);
+        }
+        match rank("--ephemeral").cmp(&rank("--data-dir")) {
+            Ordering::Equal => Err(ConfigError::new("--ephemeral", "given beside --data-dir", "one of the two")),
+            order => Ok(order == Ordering::Greater),
+        }
+    }
+
+    fn bucket(&self, is_ephemeral: bool) -> Result<Option<String>, ConfigError> {
         let Some(url) = &self.blobs else { return Ok(None) };
         let wrong = |must: &'static str| ConfigError::new("--blobs", format!("{url:?}"), must);
         if !cfg!(feature = "s3") {
             return Err(wrong("absent: this program was built without the feature s3"));
         }
-        if self.ephemeral {
+        if is_ephemeral {
             return Err(wrong("absent beside --ephemeral: results would outlive the jobs that name them"));
         }
         match url.strip_prefix("s3://").map(|rest| rest.split('/').next().unwrap_or_default()) {

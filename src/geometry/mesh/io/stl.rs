@@ -56,11 +56,16 @@ fn decode(bytes: &[u8], _wanted: bool) -> Result<Soup, DataError> {
     } else {
         let short = || DataError::Truncated("it ends inside the header".to_owned());
         let declared = declared_facets(bytes).ok_or_else(short)?;
-        let held = bytes.len().saturating_sub(HEADER) / RECORD;
-        if declared > held {
-            return Err(DataError::Truncated(format!("{declared} facets are declared and {held} are there")));
+        match layout(bytes, declared) {
+            Layout::Plain(count) => {
+                let records = bytes[HEADER..].as_chunks::<RECORD>().0;
+                records.iter().take(count).for_each(|record| welder.take(record));
+            }
+            Layout::Extended => extended(bytes).for_each(|record| welder.take(record)),
+            Layout::Short(held) => {
+                return Err(DataError::Truncated(format!("{declared} facets are declared and {held} are there")));
+            }
         }
-        bytes[HEADER..].as_chunks::<RECORD>().0.iter().take(declared).for_each(|record| welder.take(record));
     }
     Ok(welder.soup)
 }
@@ -71,7 +76,12 @@ fn counts(bytes: &[u8]) -> Option<Counts> {
         let begins = |line: &&[u8]| line.trim_ascii_start().get(..5).is_some_and(|w| w.eq_ignore_ascii_case(b"facet"));
         bytes.split(|&b| b == b'\n').filter(begins).count()
     } else {
-        declared_facets(bytes).filter(|&declared| declared <= bytes.len().saturating_sub(HEADER) / RECORD)?
+        let declared = declared_facets(bytes)?;
+        match layout(bytes, declared) {
+            Layout::Plain(count) => count,
+            Layout::Extended => declared,
+            Layout::Short(_) => return None,
+        }
     } as u64;
     Some(Counts { vertices: 3 * facets, facets, made_bytes: 0 })
 }
@@ -100,6 +110,60 @@ fn encode(mesh: &TriMesh, _held: &Held<'_>) -> Result<Vec<u8>, DataError> {
 fn declared_facets(bytes: &[u8]) -> Option<usize> {
     let count = bytes.get(80..HEADER)?.first_chunk::<4>()?;
     Some(u32::from_le_bytes(*count) as usize)
+}
+
+/// How the facets of a binary file lie.
+enum Layout {
+    /// This many, one record after the other.
+    Plain(usize),
+    /// Each record is followed by as many bytes as its last two bytes say.
+    Extended,
+    /// There are fewer than declared.
+    Short(usize),
+}
+
+/// A count in the header may be of an earlier state of the file, and bytes of other programs may follow each record or the
+/// last one. The rest counts as facets if it is a whole number of records whose coordinates are near those before.
+fn layout(bytes: &[u8], declared: usize) -> Layout {
+    let body = bytes.len().saturating_sub(HEADER);
+    let held = body / RECORD;
+    if declared > held {
+        return Layout::Short(held);
+    }
+    if declared == held || body == 0 {
+        return Layout::Plain(declared);
+    }
+    let ends: Vec<&[u8; RECORD]> = extended(bytes).take(declared).collect();
+    let length: usize = ends.iter().map(|record| RECORD + trailing(record)).sum();
+    if ends.len() == declared && length == body && length > RECORD * declared {
+        return Layout::Extended;
+    }
+    let (known, rest) = bytes[HEADER..].as_chunks::<RECORD>().0.split_at(declared);
+    let most = known.iter().flat_map(corners).flatten().fold(f32::MIN_POSITIVE, |most, x| most.max(x.abs()));
+    // Without declared facets any finite coordinates will do.
+    let bound = if declared == 0 { f32::MAX } else { 1000.0 * most };
+    let are_facets = || rest.iter().all(|record| corners(record).as_flattened().iter().all(|x| x.abs() <= bound));
+    Layout::Plain(if body % RECORD == 0 && are_facets() { held } else { declared })
+}
+
+/// The records of a file whose records are followed by further bytes.
+fn extended(bytes: &[u8]) -> impl Iterator<Item = &[u8; RECORD]> {
+    let mut rest = bytes.get(HEADER..).unwrap_or_default();
+    std::iter::from_fn(move || {
+        let (record, behind) = rest.split_first_chunk::<RECORD>()?;
+        rest = behind.get(trailing(record)..).unwrap_or_default();
+        Some(record)
+    })
+}
+
+/// The number in the last two bytes of a record.
+fn trailing(record: &[u8; RECORD]) -> usize {
+    usize::from(u16::from_le_bytes([record[RECORD - 2], record[RECORD - 1]]))
+}
+
+fn corners(record: &[u8; RECORD]) -> [[f32; 3]; 3] {
+    let mut numbers = record.as_chunks::<4>().0.iter().map(|&bytes| f32::from_le_bytes(bytes)).skip(3);
+    [(); 3].map(|()| [(); 3].map(|()| numbers.next().unwrap_or(f32::NAN)))
 }
 
 /// Text begins with "solid" and has not exactly the size that a binary file of its count would have.
@@ -161,10 +225,7 @@ impl Welder {
 
     /// A binary file's facet: its normal, its corners, two bytes that mean nothing.
     fn take(&mut self, record: &[u8; RECORD]) {
-        let mut numbers = record.as_chunks::<4>().0.iter().map(|&bytes| f32::from_le_bytes(bytes)).skip(3);
-        let mut corner = || [0; 3].map(|_| numbers.next().unwrap_or(f32::NAN));
-        let corners = [corner(), corner(), corner()];
-        let facet = corners.map(|position| self.number(position));
+        let facet = corners(record).map(|position| self.number(position));
         self.soup.facets.push(facet);
     }
 
