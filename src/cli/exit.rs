@@ -145,6 +145,7 @@ fn of_remesh(error: &RemeshError) -> u8 {
     match error {
         RemeshError::Rvd(error) => of_rvd(error),
         RemeshError::TooFewSeeds { .. }
+        | RemeshError::EdgeTooLong { .. }
         | RemeshError::NoThickness
         | RemeshError::Feature(_)
         | RemeshError::Density(_)

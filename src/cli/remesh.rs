@@ -191,7 +191,12 @@ fn all(args: &RemeshArgs, tasks: &[Task], mut worker: Worker) -> Result<()> {
                     return Err(error);
                 }
                 failed += 1;
-                progress.note(&format!("tessera: {}: {}", task.input, say::plain_lines(&format!("{error:#}"))));
+                let (file, text) = (task.input.to_string(), say::plain_lines(&format!("{error:#}")));
+                // Errors of a file begin with its name.
+                match text.starts_with(&file) {
+                    true => progress.note(&format!("tessera: {text}")),
+                    false => progress.note(&format!("tessera: {file}: {text}")),
+                }
                 if args.say.json {
                     let line =
                         json!({ "input": task.input.to_string(), "error": format!("{error:#}"), "exit_code": code });

@@ -273,6 +273,14 @@ pub enum RemeshError {
     /// Every facet of the surface lies back to back with another, and so does every triangle of the dual.
     #[error("the surface lies back to back with itself and has no thickness; remesh one of its sides")]
     NoThickness,
+    /// As [`Self::TooFewSeeds`], where an edge length says how many seeds there are.
+    #[error("an edge length of {length} is too long for this surface; give a shorter one, for example {fits:.2e}")]
+    EdgeTooLong {
+        /// As given, caller's units.
+        length: f64,
+        /// One that fits.
+        fits: f64,
+    },
     /// The dual has no triangle, or only such as lie back to back: too few seeds for this surface.
     #[error(
         "the number of points, {seeds}, is too small for this surface: no triangulation of its topology has fewer than \
@@ -310,10 +318,18 @@ impl RemeshError {
         Self::TooFewSeeds { seeds, least: 3 }
     }
 
-    /// The same error, for a surface of this topology.
-    fn for_surface(self, surface: &Topology) -> Self {
+    /// The same error, for a surface of this topology and area, and edges of this length if points are not counted.
+    fn for_surface(self, surface: &Topology, area: f64, edge_length: Option<f64>) -> Self {
         match self {
-            Self::TooFewSeeds { seeds, .. } => Self::TooFewSeeds { seeds, least: surface.fewest_vertices() },
+            Self::TooFewSeeds { seeds, .. } => {
+                let least = surface.fewest_vertices();
+                // N equilateral triangles around vertices have the area N √3/2 h².
+                let fits = (2.0 / 3f64.sqrt() * area / (10 * least) as f64).sqrt();
+                match edge_length {
+                    Some(length) => Self::EdgeTooLong { length, fits },
+                    None => Self::TooFewSeeds { seeds, least },
+                }
+            }
             error => error,
         }
     }

@@ -155,6 +155,17 @@ fn what_is_no_surface_is_told_with_what_to_do() {
     assert_eq!(told, "");
 }
 
+#[test]
+fn an_edge_that_is_too_long_is_told_as_a_length() {
+    let folder = sphere();
+    let run =
+        |length: &str| run(&mut command(folder.path(), &format!("remesh in.ply -o out.ply --edge-length {length} -q")));
+    let (out, _, told) = run("50");
+    assert!(out.status.code() == Some(65) && told.contains("an edge length of 50 is too long"), "{told}");
+    let fits = told.trim_end().rsplit(' ').next().unwrap();
+    assert!(run(fits).0.status.success(), "{told}");
+}
+
 /// What was asked for and missed, and what does not fit into the output.
 #[test]
 fn a_missed_bound_and_lost_data_are_warnings() {

@@ -67,7 +67,11 @@ pub fn remesh(
     let options = measured.as_ref().unwrap_or(options);
     let mut done = on_threads_of(backend, || match run_stages(given, options, backend, observer, token) {
         // Far vertices take all the points: without their spikes, which are put back afterwards. Given seeds stay.
-        Err(error @ (RemeshError::TooFewSeeds { .. } | RemeshError::Rvd(RvdError::NoArea))) => {
+        Err(
+            error @ (RemeshError::TooFewSeeds { .. }
+            | RemeshError::EdgeTooLong { .. }
+            | RemeshError::Rvd(RvdError::NoArea)),
+        ) => {
             let near = draw_in(given).filter(|_| !matches!(options.seeds, Seeds::Given(_)));
             let Some(near) = near else { return Err(error) };
             let mut done = run_stages(&near, options, backend, observer, token)?;
@@ -137,7 +141,9 @@ fn run_stages(
         (Some(limits), _) => prepared.and_then(|prepared| job.add(prepared, options, limits)),
         (None, _) => prepared.and_then(|prepared| job.attempt(prepared, options, None)),
     };
-    let mut attempt = attempt.map_err(|error| error.for_surface(&input.topology))?;
+    let counted = matches!(options.seeds.count(), Count::Points(_));
+    let edge_length = options.density.edge_length.filter(|_| !counted);
+    let mut attempt = attempt.map_err(|error| error.for_surface(&input.topology, input.area, edge_length))?;
 
     token.check()?;
     let result = &mut attempt.built.mesh;

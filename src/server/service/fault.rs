@@ -192,6 +192,7 @@ fn of_remesh(error: &RemeshError) -> Fault {
         RemeshError::Feature(FeatureError::BadAngle(_)) => "header.options.crease_angle".to_owned(),
         RemeshError::Feature(FeatureError::Stopped(reason)) => return of_stopped(*reason),
         RemeshError::TooFewSeeds { .. } => "seeds".to_owned(),
+        RemeshError::EdgeTooLong { .. } => "header.options.density.edge_length".to_owned(),
         RemeshError::Density(error) => return of_density(error),
         RemeshError::RefineUnfitted => "header.options.max_deviation".to_owned(),
         RemeshError::RefineLimit { .. } => "header.options.max_points".to_owned(),
