@@ -172,7 +172,7 @@ fn a_missed_bound_and_lost_data_are_warnings() {
     let folder = tempfile::tempdir().unwrap();
     let torus = Shape::Torus.build(2000);
     let scalar = (0..torus.positions().len()).map(|i| i as f64).collect();
-    let mut attributes = tessera::mesh::attributes::Attributes::default();
+    let mut attributes = tessera::mesh::attributes::Attributes::new(&torus);
     attributes.add_scalar("height", scalar).unwrap();
     let (bytes, _) = io::encode_with_attributes(io::Format::Ply, &torus, &attributes).unwrap();
     std::fs::write(folder.path().join("in.ply"), bytes).unwrap();

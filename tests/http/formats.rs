@@ -85,7 +85,7 @@ fn refusal(answer: &Answer) -> (u16, String) {
 async fn warnings_come_with_the_answer() {
     let house = House::open().await;
     let mesh = Shape::Torus.build(500);
-    let mut attributes = Attributes::default();
+    let mut attributes = Attributes::new(&mesh);
     attributes.add_scalar("height", vec![1.0; mesh.positions().len()]).unwrap();
     let (file, _) = encode_with_attributes(Format::Ply, &mesh, &attributes).unwrap();
     let kept = post(&house, REMESH, &[], &file).await;

@@ -153,7 +153,7 @@ async fn what_is_wrong_is_named() {
     assert_eq!(field(ask(&mut client, far).await.unwrap_err()), "mesh.attributes[1].corners[5][1]");
     let nan = scalar(0, &bytes(points.iter().enumerate().map(|(i, p)| if i == 9 { f64::NAN } else { p.x })));
     let nan = request(both.clone(), [nan, uv.clone(), corners(2)].concat());
-    assert_eq!(field(ask(&mut client, nan).await.unwrap_err()), "mesh.attributes[0].values[9]");
+    assert!(ask(&mut client, nan).await.is_ok(), "a gap in a scalar is none in the surface");
     let strange = request(both.clone(), scalar(1, &bytes([1.0])));
     assert_eq!(field(ask(&mut client, strange).await.unwrap_err()), "chunk.kind");
     let unannounced = request(vec![], whole.clone());

@@ -150,6 +150,14 @@ def test_attributes_are_carried(surface):
     assert tessera_remesh.remesh(vertices, faces, points=100).attributes is None
 
 
+def test_gaps_of_a_scalar_stay_gaps(surface):
+    vertices, _ = surface
+    height = np.where(vertices[:, 0] > 0, np.nan, 1.0)
+    result = tessera_remesh.remesh(*surface, points=300, attributes={"height": height})
+    carried, x = result.attributes.scalars["height"], result.vertices[:, 0]
+    assert np.isnan(carried[x > 0.3]).all() and (carried[x < -0.3] == 1.0).all()
+
+
 def test_density_moves_points(surface):
     vertices, faces = surface
     weights = np.where(vertices[:, 0] > 0, 256.0, 1.0)

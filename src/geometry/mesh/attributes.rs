@@ -188,15 +188,16 @@ impl Attributes {
         Ok(())
     }
 
-    /// Takes colours.
-    pub fn set_colours(&mut self, colours: Colours) -> Result<(), AttributeError> {
+    /// Takes colours. Numbers from 0 to 255, as some programs write, are divided by 255.
+    pub fn set_colours(&mut self, mut colours: Colours) -> Result<(), AttributeError> {
         check_count(COLOURS, colours.values.len(), self.vertices, "vertices")?;
         check_finite(COLOURS, &colours.values, |c| c.iter().all(|x| x.is_finite()))?;
+        colours.divide_bytes();
         self.colours = Some(colours);
         Ok(())
     }
 
-    /// Takes one more scalar.
+    /// Takes one more scalar. Values may be NaN, where nothing was measured.
     pub fn add_scalar(&mut self, name: impl Into<String>, values: Vec<f64>) -> Result<(), AttributeError> {
         let name = name.into();
         check_name(&name)?;
@@ -205,7 +206,6 @@ impl Attributes {
         }
         let attribute = format!("scalar {name:?}");
         check_count(&attribute, values.len(), self.vertices, "vertices")?;
-        check_finite(&attribute, &values, |x| x.is_finite())?;
         self.scalars.push(Scalar { name, values });
         Ok(())
     }
@@ -256,6 +256,31 @@ impl Attributes {
             }
         }
         Ok(())
+    }
+}
+
+/// The least largest number of colours from 0 to 255: light may be a little brighter than 1.
+const LEAST_BYTE: f64 = 2.0;
+
+impl Colours {
+    /// Makes colours from 0 to 255 such from 0 to 1. Opacity may have either range.
+    fn divide_bytes(&mut self) {
+        let bounds = |from: usize, to: usize| {
+            let all = self.values.iter().flat_map(move |colour| colour[from..to].iter().copied());
+            all.fold((0.0f64, 0.0f64), |(least, most), x| (least.min(x), most.max(x)))
+        };
+        let are_bytes = |(least, most): (f64, f64)| least == 0.0 && (LEAST_BYTE..=255.0).contains(&most);
+        let (light, opacity) = (are_bytes(bounds(0, 3)), are_bytes(bounds(3, 4)));
+        if !light {
+            return;
+        }
+        let is_whole = |colour: &[f64; 4]| colour[..3].iter().all(|x| x.fract() == 0.0);
+        if self.values.iter().all(is_whole) {
+            self.depth = ColourDepth::Eight;
+        }
+        for colour in &mut self.values {
+            colour[..if opacity { 4 } else { 3 }].iter_mut().for_each(|x| *x /= 255.0);
+        }
     }
 }
 
@@ -332,11 +357,28 @@ mod tests {
         let nan = attributes.set_colours(Colours { values, depth: ColourDepth::Float }).unwrap_err();
         assert!(matches!(nan, AttributeError::NonFinite { index: 2, .. }));
         attributes.add_scalar("a", vec![0.0; 4]).unwrap();
+        attributes.add_scalar("gaps", vec![0.0, f64::NAN, 1.0, f64::INFINITY]).unwrap();
         for name in ["", "a", "a b", "ä", "1a", "a/b", &"x".repeat(129)] {
             assert!(matches!(attributes.add_scalar(name, vec![0.0; 4]), Err(AttributeError::Name { .. })), "{name}");
         }
         assert!(attributes.check_mesh(&mesh).is_ok());
         assert!(attributes.check_mesh(&Shape::Plane.build(500)).is_err());
+    }
+
+    #[test]
+    fn colours_up_to_255_are_divided() {
+        let mut attributes = Attributes::new(&Shape::Square.build(2));
+        let mut set = |values: [[f64; 4]; 4]| {
+            attributes.set_colours(Colours { values: values.to_vec(), depth: ColourDepth::Float }).unwrap();
+            let Colours { values, depth } = attributes.colours().unwrap().clone();
+            (values, depth)
+        };
+        let bytes = set([[255.0, 51.0, 0.0, 1.0]; 4]);
+        assert_eq!(bytes, (vec![[1.0, 0.2, 0.0, 1.0]; 4], ColourDepth::Eight));
+        assert_eq!(set([[127.5, 0.0, 0.0, 255.0]; 4]), (vec![[0.5, 0.0, 0.0, 1.0]; 4], ColourDepth::Float));
+        for kept in [[1.0, 0.2, 0.0, 1.0], [1.5, 0.0, 0.0, 1.0], [300.0, 0.0, 0.0, 1.0], [255.0, -1.0, 0.0, 1.0]] {
+            assert_eq!(set([kept; 4]).0, [kept; 4]);
+        }
     }
 
     #[test]

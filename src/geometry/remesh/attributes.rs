@@ -107,6 +107,10 @@ fn has_hard_edges(mesh: &TriMesh, normals: &[DVec3]) -> bool {
 /// Interpolated, and despite rounding not outside of what it is interpolated from.
 fn between(values: [f64; 3], weights: [f64; 3]) -> f64 {
     let [a, b, c] = values;
+    if !(a + b + c).is_finite() && !values.iter().all(|x| x.is_finite()) {
+        // A value counts where it has weight, and is a gap there.
+        return (0..3).filter(|&i| weights[i] > 0.0).map(|i| values[i] * weights[i]).sum();
+    }
     // Halves, so that a sum near the largest double does not overflow on its way.
     let half = (0.5 * a) * weights[0] + (0.5 * b) * weights[1] + (0.5 * c) * weights[2];
     (2.0 * half).clamp(a.min(b).min(c), a.max(b).max(c))
@@ -139,6 +143,9 @@ mod tests {
         assert_eq!(between([0.1, 0.1, 0.1], [third; 3]), 0.1);
         assert_eq!(between([0.3, 1e300, -7.0], [1.0, 0.0, 0.0]), 0.3);
         assert_eq!(between([f64::MAX; 3], [third, third, third + 1e-16]), f64::MAX);
+        assert_eq!(between([f64::NAN, 2.0, 4.0], [0.0, 0.5, 0.5]), 3.0);
+        assert!(between([f64::NAN, 2.0, 4.0], [0.1, 0.5, 0.4]).is_nan());
+        assert_eq!(between([f64::INFINITY, 2.0, 4.0], [0.1, 0.5, 0.4]), f64::INFINITY);
     }
 
     #[test]

@@ -194,17 +194,12 @@ def _take_scalars(attributes: Attributes, name: str, values: Array, vertices: in
     if len(values) != vertices or values.dtype.kind not in "fiub":
         return
     if values.ndim == 1:
-        attributes.scalars[scalar_name(name)] = _finite(values)
+        attributes.scalars[scalar_name(name)] = _floats(values)
     elif values.ndim == 2 and values.dtype == np.uint8 and values.shape[1] in (3, 4) and attributes.colours is None:
         attributes.colours = values
     elif values.ndim == 2:
         for i in range(values.shape[1]):
-            attributes.scalars[scalar_name(f"{name}_{i}")] = _finite(values[:, i])
-
-
-def _finite(values: Array) -> Array:
-    floats = np.asarray(values, dtype=np.float64)
-    return np.where(np.isfinite(floats), floats, 0.0) if not np.isfinite(floats).all() else floats
+            attributes.scalars[scalar_name(f"{name}_{i}")] = _floats(values[:, i])
 
 
 def scalar_name(name: str) -> str:
