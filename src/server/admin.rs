@@ -23,7 +23,7 @@ use tokio::net::{TcpListener, TcpStream};
 use tokio::task::{AbortHandle, JoinSet};
 
 use crate::metrics::{Format, Metrics};
-use crate::readiness::{Readiness, Reason};
+use crate::readiness::Readiness;
 
 /// Connections at once: some scrapers and probes, each with one or two. One more ends the oldest, so that idle connections
 /// keep no probe out.
@@ -111,10 +111,8 @@ fn answer(status: StatusCode, value: &serde_json::Value) -> Response {
 
 async fn readiness(State(admin): State<Admin>) -> Response {
     let condition = admin.readiness.condition();
-    let reasons: Vec<&str> = condition.reasons().map(Reason::name).collect();
-    let degraded: Vec<&str> = condition.degraded().map(Reason::name).collect();
     let status = if condition.is_ready() { StatusCode::OK } else { StatusCode::SERVICE_UNAVAILABLE };
-    answer(status, &json!({ "ready": condition.is_ready(), "reasons": reasons, "degraded": degraded }))
+    answer(status, &condition.describe())
 }
 
 async fn version(State(admin): State<Admin>) -> Response {
@@ -126,6 +124,7 @@ mod tests {
     use tokio::io::{AsyncReadExt, AsyncWriteExt};
 
     use super::*;
+    use crate::readiness::Reason;
 
     struct Port {
         address: std::net::SocketAddr,

@@ -16,6 +16,7 @@ mod page;
 mod problem;
 mod remesh;
 mod schema;
+mod state;
 
 use std::sync::LazyLock;
 
@@ -31,7 +32,7 @@ use tokio::net::TcpListener;
 use self::guard::Open;
 use self::guard::{Guard, guard, unknown};
 use self::openapi::{Answer, Content, Parameter};
-use self::schema::{BYTES, EVENTS, JSON, digest, job_id, labels, text, whole};
+use self::schema::{BYTES, EVENTS, JSON, digest, job_id, labels, named, text, whole};
 use crate::keys::Role;
 use crate::service::{Desk, Door, Kind};
 
@@ -243,6 +244,13 @@ pub const ROUTES: &[Route] = &[
         ..route("GET", "/v1/jobs/{id}/result", Role::Read, Kind::Stream, || get(jobs::result))
     },
     Route {
+        id: "serverInfo",
+        summary: "The server",
+        description: "Version, readiness, backends, memory and limits.",
+        answers: &[Answer::new(200, "The server.", Content::json(|_| named("GetServerInfoResponse")))],
+        ..route("GET", "/v1/info", Role::Read, Kind::Call, || get(state::info))
+    },
+    Route {
         id: "openapi",
         summary: "This document",
         answers: &[Answer::new(200, "OpenAPI 3.1.", Content::Plain(JSON))],
@@ -279,6 +287,9 @@ fn routes(desk: Desk) -> Router {
     for route in ROUTES {
         let guarded = from_fn_with_state(Guard { desk: desk.clone(), route: *route }, guard);
         router = router.route(route.path, (route.handler)().route_layer(guarded));
+    }
+    for (path, handler) in state::OPEN {
+        router = router.route(path, handler());
     }
     router.fallback(unknown).method_not_allowed_fallback(unknown).with_state(desk)
 }

@@ -78,6 +78,13 @@ impl Condition {
         self.all().filter(|reason| reason.only_degrades())
     }
 
+    /// As `/readyz` answers.
+    pub fn describe(self) -> serde_json::Value {
+        let reasons: Vec<&str> = self.reasons().map(Reason::name).collect();
+        let degraded: Vec<&str> = self.degraded().map(Reason::name).collect();
+        serde_json::json!({ "ready": self.is_ready(), "reasons": reasons, "degraded": degraded })
+    }
+
     fn all(self) -> impl Iterator<Item = Reason> {
         Reason::ALL.iter().copied().filter(move |reason| self.has(*reason))
     }

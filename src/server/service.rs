@@ -30,7 +30,7 @@ pub(crate) use self::access::{Caller, Pass, Refusal};
 pub(crate) use self::convert::job_id;
 pub(crate) use self::desk::{DESK_TIME, Desk, EmptyUpload, check_owned, create, follow, tenant_of, timely, to_the_end};
 pub(crate) use self::fault::{Detail, Fault, Kind as FaultKind};
-pub use self::handlers::info::About;
+pub use self::handlers::info::{About, Info};
 use self::health::Told;
 pub(crate) use self::stream::{Gate, Kind};
 use crate::config::Limits;
@@ -191,7 +191,7 @@ pub async fn run(
     readiness.set(Reason::Starting, false);
     health.tell(readiness.condition()).await;
     let mut routes = Routes::new(health_service)
-        .add_service(proto::server_service_server::ServerServiceServer::new(info))
+        .add_service(proto::server_service_server::ServerServiceServer::new(info.clone()))
         .add_service(
             proto::remesh_service_server::RemeshServiceServer::new(handlers)
                 .max_decoding_message_size(message_bytes)
@@ -213,7 +213,7 @@ pub async fn run(
     let door = door.zip(jobs.as_ref()).map(|(door, Jobs { api, blobs })| {
         let (api, blobs, access) = (Arc::clone(api), Arc::clone(blobs), access.of(&door.listener));
         let (budget, gate, metrics) = (budget.clone(), gate.clone(), metrics.clone());
-        (door.listener, (door.open)(Desk { api, blobs, limits, budget, gate, access, metrics }))
+        (door.listener, (door.open)(Desk { api, blobs, limits, budget, gate, access, metrics, info: info.clone() }))
     });
     if let Some(jobs) = jobs {
         routes = with_jobs(routes, jobs, limits, &budget, &gate);

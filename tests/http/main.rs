@@ -421,6 +421,21 @@ async fn pages_of_other_sites_use_no_server_without_keys() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn the_server_says_how_it_is() {
+    let (house, keys) = House::with_keys().await;
+    for path in ["/healthz", "/readyz"] {
+        assert_eq!(get(&house, path, &[]).await.status, 200, "{path} needs no key");
+    }
+    assert_eq!(get(&house, "/readyz", &[]).await.json()["ready"], true);
+    assert_eq!(get(&house, "/v1/info", &[]).await.status, 401);
+    let key = keys.add("reader", Role::Read, KeyLimits::default());
+    house.reload().await;
+    let info = get(&house, "/v1/info", &[&format!("Authorization: Bearer {}", key.reveal())]).await;
+    assert_eq!((info.status, &info.json()["version"]), (200, &env!("CARGO_PKG_VERSION").into()));
+    house.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn requests_are_counted_and_http_2_is_spoken() {
     let house = House::open().await;
     assert_eq!(get(&house, "/v1/jobs", &[]).await.status, 200);

@@ -12,7 +12,7 @@ use super::problem::ProblemBody;
 use super::schema::{BYTES, JSON, PROBLEM, Shape, whole};
 use super::{Route, options};
 use geometry::mesh::io::Format;
-use wire::proto::JobSpec;
+use wire::proto::{GetServerInfoResponse, JobSpec};
 
 /// A parameter of a request, or a header of an answer.
 #[derive(Clone, Copy, Debug)]
@@ -156,6 +156,7 @@ pub(super) fn document(routes: &[Route]) -> Value {
     components.insert("Digest".to_owned(), json!({ "type": "string", "pattern": "^[0-9a-f]{64}$" }));
     components.insert("Options".to_owned(), options::schema());
     components.extend(wire::json::schemas::<JobSpec>("#/components/schemas/"));
+    components.extend(wire::json::schemas::<GetServerInfoResponse>("#/components/schemas/"));
     json!({
         "openapi": "3.1.0",
         "info": {
@@ -166,7 +167,7 @@ pub(super) fn document(routes: &[Route]) -> Value {
                             gRPC service.",
             "license": { "name": "MIT", "identifier": "MIT" },
         },
-        "servers": [{ "url": "http://127.0.0.1:8080" }],
+        "servers": [{ "url": "/" }],
         "paths": paths,
         "components": {
             "securitySchemes": {

@@ -12,6 +12,7 @@ use tonic::codegen::http::HeaderMap;
 
 use super::RequestError;
 use super::access::{Access, Caller, Refusal, TENANT, tenant};
+use super::handlers::info::Info;
 use super::stream::Gate;
 use crate::config::Limits;
 use crate::metrics::Metrics;
@@ -47,6 +48,7 @@ pub struct Desk {
     pub gate: Gate,
     pub access: Access,
     pub metrics: Metrics,
+    pub info: Info,
 }
 
 /// Creates a job for a tenant that may have `most` bytes of blobs.

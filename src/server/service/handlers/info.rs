@@ -14,23 +14,30 @@ use geometry::rvd::{BackendChoice, BackendKind};
 use jobs::{Engine, memory};
 use wire::proto::{self, GetServerInfoRequest, GetServerInfoResponse};
 
-pub(in crate::service) struct Info {
+#[derive(Clone)]
+pub struct Info {
     pub(in crate::service) engine: Engine,
     pub(in crate::service) limits: Limits,
-    pub(in crate::service) readiness: Readiness,
+    pub(crate) readiness: Readiness,
     pub(in crate::service) about: About,
 }
 
 #[tonic::async_trait]
 impl proto::server_service_server::ServerService for Info {
     async fn get_server_info(&self, _: Request<GetServerInfoRequest>) -> Reply<GetServerInfoResponse> {
+        Ok(Response::new(self.describe()))
+    }
+}
+
+impl Info {
+    pub(crate) fn describe(&self) -> GetServerInfoResponse {
         let condition = self.readiness.condition();
         let readiness = proto::Readiness {
             ready: condition.is_ready(),
             reasons: condition.reasons().map(|reason| reason.name().to_owned()).collect(),
             degraded: condition.degraded().map(|reason| reason.name().to_owned()).collect(),
         };
-        Ok(Response::new(GetServerInfoResponse {
+        GetServerInfoResponse {
             version: env!("CARGO_PKG_VERSION").to_owned(),
             revision: self.about.revision.unwrap_or_default().to_owned(),
             features: self.about.features.iter().map(|&name| name.to_owned()).collect(),
@@ -45,11 +52,9 @@ impl proto::server_service_server::ServerService for Info {
                 stream_limit_bytes: self.limits.memory_bytes,
             }),
             limits: Some(self.limits()),
-        }))
+        }
     }
-}
 
-impl Info {
     fn backends(&self) -> Vec<proto::BackendState> {
         let usual = self.engine.backend(BackendChoice::Auto).ok().map(|by| by.kind);
         let state = |kind: BackendKind| {
