@@ -37,6 +37,7 @@ mod surroundings;
 #[cfg(test)]
 mod tests;
 
+use std::io::IsTerminal as _;
 use std::process::ExitCode;
 
 use clap::{ArgAction, Parser, Subcommand};
@@ -122,8 +123,12 @@ fn run() -> u8 {
 fn execute() -> anyhow::Result<()> {
     let line: Vec<_> = std::env::args_os().collect();
     let Given { cli, options } = config::parse(&line)?;
+    let traces = |args: &ServeArgs| args.check().and_then(|_| args.watching.traces());
+    let is_text = cli.log_format == LogFormat::Text;
     let (filter, traces) = match &cli.command {
-        Command::Serve(args) => ("info", args.check().and_then(|_| args.watching.traces())?),
+        // A person at a terminal sees the addresses, and what goes wrong.
+        Command::Serve(args) if is_text && std::io::stderr().is_terminal() => ("warn", traces(args)?),
+        Command::Serve(args) => ("info", traces(args)?),
         _ => ("warn", None),
     };
     let _telemetry = telemetry::start(cli.log_format, filter, traces.as_ref())?;

@@ -64,7 +64,8 @@ impl Drop for Counted {
     fn drop(&mut self) {
         let Self { method, route, status, began, .. } = *self;
         let ms = began.elapsed().as_secs_f64() * 1e3;
-        match status < 400 {
+        // What a client does wrong is no event of the server.
+        match status < 500 {
             true => tracing::debug!(method, route, status, ms, "done"),
             false => tracing::info!(method, route, status, ms, "ended"),
         }
