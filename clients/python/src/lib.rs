@@ -9,6 +9,7 @@ mod arrays;
 mod backends;
 mod cvt;
 mod errors;
+mod files;
 mod options;
 mod remesh;
 mod running;
@@ -26,6 +27,8 @@ mod _engine {
     use crate::backends::backend;
     #[pymodule_export]
     use crate::cvt::Cvt;
+    #[pymodule_export]
+    use crate::files::{read, write};
     #[pymodule_export]
     use crate::remesh::remesh;
     #[pymodule_export]

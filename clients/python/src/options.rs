@@ -162,7 +162,7 @@ impl<'py> Options<'py> {
 }
 
 /// What `mesh` carries, of a dictionary of arrays.
-fn attributes(given: &Bound<'_, PyAny>, mesh: &TriMesh) -> PyResult<Attributes> {
+pub(crate) fn attributes(given: &Bound<'_, PyAny>, mesh: &TriMesh) -> PyResult<Attributes> {
     let dict = given.cast::<PyDict>().map_err(|_| input("attributes is no dictionary"))?;
     let options = Options::new(dict);
     let mut attributes = Attributes::new(mesh);

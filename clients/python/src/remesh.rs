@@ -54,7 +54,7 @@ fn result(py: Python<'_>, done: Remesh) -> PyResult<Bound<'_, PyDict>> {
     Ok(dict)
 }
 
-fn carried<'py>(py: Python<'py>, attributes: &Attributes) -> PyResult<Bound<'py, PyDict>> {
+pub(crate) fn carried<'py>(py: Python<'py>, attributes: &Attributes) -> PyResult<Bound<'py, PyDict>> {
     let dict = PyDict::new(py);
     match attributes.normals() {
         Some(Normals::PerVertex(values)) => dict.set_item("normals", arrays::of_points(py, values.clone())?)?,

@@ -150,6 +150,45 @@ def test_attributes_are_carried(surface):
     assert tessera_remesh.remesh(vertices, faces, points=100).attributes is None
 
 
+@pytest.mark.parametrize("points", [300.0, "300", "0.3k", "3e2", np.float64(300)])
+def test_counts_are_written_as_people_do(surface, points):
+    assert len(tessera_remesh.remesh(*surface, points=points, newton=0).seeds) == 300
+
+
+def test_a_share_of_the_vertices_is_a_count(surface):
+    half = tessera_remesh.remesh(*surface, points="50%", newton=0)
+    assert len(half.seeds) == len(surface[0]) // 2
+    for points in ("many", "10.5", "-3", 10.5, "5 %%"):
+        with pytest.raises(InputError, match="points"):
+            tessera_remesh.remesh(*surface, points=points)
+
+
+def test_files_come_and_go(surface, tmp_path):
+    result = tessera_remesh.remesh(*surface, points=300, newton=0, attributes={"height": surface[0][:, 2]})
+    for name in ("a.ply", "b.vtp", "c.ply.gz"):
+        result.save(tmp_path / name)
+        back = tessera_remesh.read(tmp_path / name)
+        assert np.array_equal(back.vertices, result.vertices) and np.array_equal(back.faces, result.faces)
+        assert np.array_equal(back.attributes.scalars["height"], result.attributes.scalars["height"])
+    with pytest.warns(tessera_remesh.RemeshWarning, match="cannot hold: scalar height") as caught:
+        result.save(tmp_path / "d.stl")
+    assert caught[0].filename == __file__
+    again = tessera_remesh.remesh(str(tmp_path / "a.ply"), points=100)
+    assert len(again.vertices) == 100 and "height" in again.attributes.scalars
+    with pytest.raises(OSError, match="none.ply"):
+        tessera_remesh.read(tmp_path / "none.ply")
+    (tmp_path / "bad.ply").write_text("no mesh")
+    with pytest.raises(ValueError, match="bad.ply"):
+        tessera_remesh.read(tmp_path / "bad.ply")
+
+
+def test_results_are_shown_in_a_line(surface):
+    result = tessera_remesh.remesh(*surface, points=300)
+    assert repr(result).startswith("Remesh(vertices 300, faces 600, mean quality 0.") and len(repr(result)) < 200
+    assert "<td>300</td>" in result._repr_html_() and repr(result.report).startswith("Report(vertices 300")
+    assert len(repr(tessera_remesh.rvd(*surface, points=50))) < 60
+
+
 def test_gaps_of_a_scalar_stay_gaps(surface):
     vertices, _ = surface
     height = np.where(vertices[:, 0] > 0, np.nan, 1.0)

@@ -11,9 +11,9 @@ one server, also for asyncio. A pyvista mesh has `mesh.tessera.remesh(10_000)` w
 
 from ._engine import BackendError, Cancelled, InputError, TesseraError, TooLargeError, __version__, backend
 from .calls import cvt, remesh, rvd
-from .meshes import Attributes
+from .meshes import Attributes, RemeshWarning, Surface, read
 from .progress import Progress
-from .results import CvtStep, Remesh, RemeshWarning, Report, Rvd
+from .results import CvtStep, Remesh, Report, Rvd
 
 __all__ = [
     "Attributes",
@@ -26,11 +26,13 @@ __all__ = [
     "RemeshWarning",
     "Report",
     "Rvd",
+    "Surface",
     "TesseraError",
     "TooLargeError",
     "__version__",
     "backend",
     "cvt",
+    "read",
     "remesh",
     "rvd",
 ]

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import inspect
-import sys
-import warnings
+import re
 from collections.abc import Iterator
 from typing import Any, Literal, get_args
 
@@ -12,9 +11,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from . import _engine, meshes
-from .meshes import Attributes, Surface
+from .meshes import Attributes, Surface, warn
 from .progress import ProgressLike, listener
-from .results import CvtStep, Remesh, RemeshWarning, Report, Rvd
+from .results import CvtStep, Remesh, Report, Rvd
 
 Density = Literal["uniform", "curvature", "lfs"]
 
@@ -48,6 +47,28 @@ def _edges(given: ArrayLike | None) -> Any:
     return None if given is None or np.size(given) == 0 else np.asarray(given)
 
 
+#: What a count may end with.
+_UNITS = {"": 1, "k": 1_000, "m": 1_000_000}
+
+
+def count(name: str, given: Any, vertices: int) -> Any:
+    """A whole number as people write it: 10000, 1e4, "10k", "10,000"; "50%" is of the vertices."""
+    if isinstance(given, (float, np.floating)) and float(given).is_integer():
+        return int(given)
+    if not isinstance(given, str):
+        return given
+    found = re.fullmatch(r"([0-9][0-9,_]*\.?[0-9]*(?:e[0-9]+)?)\s*(k|m|%|)", given.strip().lower())
+    if found is None:
+        raise _engine.InputError(f'{name} is {given!r}; a number is needed, as 10000, "10k" or "50%"')
+    number = float(re.sub("[,_]", "", found[1]))
+    if found[2] == "%":
+        return max(1, round(number / 100 * vertices))
+    number *= _UNITS[found[2]]
+    if not number.is_integer():
+        raise _engine.InputError(f"{name} is {given!r}; a whole number is needed")
+    return int(number)
+
+
 def _one_size(points: Any, edge_length: Any, sizes: Any) -> None:
     """Edges have one length, or one for each vertex; `points` may come with the latter."""
     if edge_length is not None and (points is not None or sizes is not None):
@@ -58,6 +79,8 @@ def _one_size(points: Any, edge_length: Any, sizes: Any) -> None:
 def remesh_options(surface: Surface, given: dict[str, Any]) -> tuple[dict[str, Any], Attributes | None]:
     """What the engine and the service take, and what the surface carries. `given` are the arguments of `remesh`."""
     given = dict(given)
+    for name in ("points", "max_points", "lloyd", "newton", "seed"):
+        given[name] = count(name, given[name], len(surface.vertices))
     _one_size(given["points"], given["edge_length"], given["sizes"])
     attributes = _carried(given.pop("attributes"), surface)
     given.update(_density(given.pop("density")))
@@ -69,7 +92,7 @@ def remesh_options(surface: Surface, given: dict[str, Any]) -> tuple[dict[str, A
 def remesh(
     mesh: Any,
     faces: ArrayLike | None = None,
-    points: int | None = None,
+    points: float | str | None = None,
     *,
     edge_length: float | None = None,
     density: Density | ArrayLike = "uniform",
@@ -77,7 +100,7 @@ def remesh(
     gradation: float | None = None,
     adaptivity: float | None = None,
     max_deviation: float | None = None,
-    max_points: int | None = None,
+    max_points: float | str | None = None,
     crease_angle: float | None = None,
     creases: ArrayLike | None = None,
     boundaries: Literal["keep", "free"] | None = None,
@@ -111,9 +134,10 @@ def remesh(
     server on the same backend.
 
     Args:
-        mesh: vertices, (n, 3) float; or an object of trimesh, pyvista or meshio.
+        mesh: vertices, (n, 3) float; the name of a file; or an object of trimesh, pyvista or meshio.
         faces: (m, 3) integer indices from 0, with vertices only.
-        points: number of seeds, about the number of vertices of the result. This, `edge_length`, `sizes` or `seeds` is needed.
+        points: number of seeds, about the number of vertices of the result: 10000, 1e4, "10k", or "50%" of the vertices. This,
+            `edge_length`, `sizes` or `seeds` is needed.
         edge_length: length of the edges in the mesh's units, instead of `points`.
         density: where short edges go: "uniform", "curvature" (where the surface bends), "lfs" (where it is thin, hollow or
             sharp); or (n,) float, a weight for each vertex, at least 0: an edge length h needs a weight proportional to h**-4.
@@ -176,21 +200,13 @@ def to_remesh(surface: Surface, done: dict[str, Any]) -> Remesh:
     attributes = done.pop("attributes", None)
     report = Report.from_json(done.pop("report"))
     for warning in report.warnings:
-        warnings.warn(warning["message"], RemeshWarning, stacklevel=_caller())
+        warn(warning["message"])
     return Remesh(
         report=report,
         attributes=None if attributes is None else Attributes._from_engine(attributes),
         library=surface.library,
         **done,
     )
-
-
-def _caller() -> int:
-    """How far up the stack the caller of this package is, seen from the function that asks."""
-    frame, level = sys._getframe(1), 1
-    while frame.f_back is not None and frame.f_globals.get("__name__", "").startswith(__package__):
-        frame, level = frame.f_back, level + 1
-    return level
 
 
 def _no_server(server: dict[str, Any]) -> None:

@@ -5,19 +5,35 @@ Each library is looked at only if the caller has imported it: an object of a lib
 
 from __future__ import annotations
 
+import os
 import sys
+import warnings
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from . import _engine
 from ._engine import InputError
 
 Array = NDArray[Any]
 
 
-@dataclass
+class RemeshWarning(UserWarning):
+    """Something of the input was changed or dropped, or a request was missed. `Report.warnings` has all of a remesh."""
+
+
+def warn(message: str) -> None:
+    """Warns at the line that calls this package."""
+    frame, level = sys._getframe(1), 2
+    while frame.f_back is not None and frame.f_globals.get("__name__", "").startswith(__package__):
+        frame, level = frame.f_back, level + 1
+    warnings.warn(message, RemeshWarning, stacklevel=level - 1)
+
+
+@dataclass(repr=False)
 class Attributes:
     """What a surface carries beside its shape. All arrays are optional.
 
@@ -36,6 +52,10 @@ class Attributes:
     colours: Array | None = None
     #: (n,) float each, under a name: ASCII letters, digits, _ and -, a letter or _ first.
     scalars: dict[str, Array] = field(default_factory=dict)
+
+    def __repr__(self) -> str:
+        named = [name for name in ("normals", "texture", "colours") if getattr(self, name) is not None]
+        return f"Attributes({', '.join([*named, *(f'scalar {name}' for name in self.scalars)])})"
 
     def _to_engine(self) -> dict[str, Any]:
         given: dict[str, Any] = {
@@ -63,15 +83,42 @@ class Attributes:
         return cls(**given)
 
 
-@dataclass
+@dataclass(repr=False)
 class Surface:
-    """A surface in arrays, what it carries, and the library that it came from."""
+    """A surface in arrays, what it carries, and the library that it came from. Unpacks into its two arrays."""
 
     vertices: Array
     faces: Array
     attributes: Attributes | None
     #: "arrays", "trimesh", "pyvista" or "meshio".
-    library: str
+    library: str = "arrays"
+
+    def __iter__(self) -> Iterator[Array]:
+        return iter((self.vertices, self.faces))
+
+    def __repr__(self) -> str:
+        return f"Surface({len(self.vertices):,} vertices, {len(self.faces):,} faces)"
+
+
+def read(path: str | os.PathLike[str]) -> Surface:
+    """A surface from a file: OBJ, PLY, STL, OFF, VTK, Gmsh, Medit or glTF, by the ending of its name; `.gz` is unpacked.
+
+    Warns of what is not read. Raises `InputError` for what is no surface, and `OSError` for a file that cannot be read.
+    """
+    read = _engine.read(path)
+    for what in read["left_aside"]:
+        warn(f"{os.fspath(path)}: left aside: {what}")
+    carried = read.get("attributes")
+    attributes = None if carried is None else Attributes._from_engine(carried)
+    return Surface(read["vertices"], read["faces"], attributes)
+
+
+def save(path: str | os.PathLike[str], surface: Surface) -> None:
+    """Writes a surface to a file, in the format of the name's ending. Warns of what the format cannot hold."""
+    carried = None if surface.attributes is None else surface.attributes._to_engine()
+    left_out = _engine.write(path, surface.vertices, surface.faces, carried)
+    if left_out:
+        warn(f"{os.fspath(path)}: this format cannot hold: {', '.join(left_out)}")
 
 
 def _floats(array: ArrayLike | None) -> Array | None:
@@ -87,7 +134,9 @@ def _floats(array: ArrayLike | None) -> Array | None:
 def surface(mesh: Any, faces: ArrayLike | None) -> Surface:
     """A surface of what a caller gives: vertices and faces, or an object of a library."""
     if faces is not None:
-        return Surface(_vertices(mesh), _faces(faces), None, "arrays")
+        return Surface(_vertices(mesh), _faces(faces), None)
+    if isinstance(mesh, (str, os.PathLike)):
+        return read(mesh)
     for library, read in (("trimesh", _from_trimesh), ("pyvista", _from_pyvista), ("meshio", _from_meshio)):
         # An object's library is imported.
         module = sys.modules.get(library)
@@ -98,7 +147,7 @@ def surface(mesh: Any, faces: ArrayLike | None) -> Surface:
         return mesh
     kind = type(mesh)
     raise InputError(
-        f"a {kind.__module__}.{kind.__qualname__} is no surface; give vertices and faces, "
+        f"a {kind.__module__}.{kind.__qualname__} is no surface; give vertices and faces, the name of a file, "
         "or a mesh of trimesh, pyvista or meshio"
     )
 

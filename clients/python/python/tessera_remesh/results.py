@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Any
@@ -16,11 +17,7 @@ from .meshes import Attributes
 Array = NDArray[Any]
 
 
-class RemeshWarning(UserWarning):
-    """Something of the input was changed or dropped, or a request was missed. `Report.warnings` has all of a remesh."""
-
-
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Report:
     """How a remesh came about, and how good it is. `raw` has all figures, as `tessera remesh --report` writes them."""
 
@@ -82,8 +79,28 @@ class Report:
             raw=raw,
         )
 
+    def _figures(self) -> dict[str, str]:
+        """The figures that tell most, as they are shown."""
+        figures = {"vertices": f"{self.vertices:,}", "faces": f"{self.faces:,}"}
+        if self.q_mean is not None:
+            figures["mean quality"] = f"{self.q_mean:.3f}"
+        if self.smallest_angle is not None:
+            figures["smallest angle"] = f"{self.smallest_angle:.1f}°"
+        if self.hausdorff_percent is not None:
+            figures["Hausdorff distance"] = f"{self.hausdorff_percent:.3f} % of the diagonal"
+        if self.warnings:
+            figures["warnings"] = str(len(self.warnings))
+        return figures
 
-@dataclass(frozen=True)
+    def __repr__(self) -> str:
+        return f"Report({', '.join(f'{name} {figure}' for name, figure in self._figures().items())})"
+
+    def _repr_html_(self) -> str:
+        rows = "".join(f"<tr><th>{name}</th><td>{figure}</td></tr>" for name, figure in self._figures().items())
+        return f"<table>{rows}</table>"
+
+
+@dataclass(frozen=True, repr=False)
 class Remesh:
     """A remesh. Unpacks into its two arrays: `vertices, faces = remesh(...)`."""
 
@@ -110,6 +127,16 @@ class Remesh:
 
     def __iter__(self) -> Iterator[Array]:
         return iter((self.vertices, self.faces))
+
+    def __repr__(self) -> str:
+        return f"Remesh({repr(self.report).removeprefix('Report(')}"
+
+    def _repr_html_(self) -> str:
+        return self.report._repr_html_()
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Writes it to a file, in the format of the name's ending. Warns of what the format cannot hold."""
+        meshes.save(path, meshes.Surface(self.vertices, self.faces, self.attributes))
 
     @property
     def mesh(self) -> Any:
@@ -158,7 +185,7 @@ class Remesh:
         return ax
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Rvd:
     """A restricted Voronoi diagram: sums over each cell, and the pieces in which cells meet faces."""
 
@@ -181,6 +208,10 @@ class Rvd:
     piece_offsets: Array | None = None
     #: (v, 3) float64: the pieces' vertices, counter-clockwise.
     piece_vertices: Array | None = None
+
+    def __repr__(self) -> str:
+        pieces = "" if self.piece_faces is None else f", {len(self.piece_faces):,} pieces"
+        return f"Rvd({len(self.seeds):,} seeds{pieces})"
 
     def to_pyvista(self) -> Any:
         """The pieces as a `pyvista.PolyData` of polygons, with the cell arrays `seed` and `face`."""
