@@ -10,6 +10,7 @@ mod desk;
 mod fault;
 mod handlers;
 mod health;
+mod info;
 mod status;
 mod stream;
 
@@ -30,8 +31,8 @@ pub(crate) use self::access::{Caller, Pass, Refusal};
 pub(crate) use self::convert::job_id;
 pub(crate) use self::desk::{DESK_TIME, Desk, EmptyUpload, check_owned, create, follow, tenant_of, timely, to_the_end};
 pub(crate) use self::fault::{Detail, Fault, Kind as FaultKind};
-pub use self::handlers::info::{About, Info};
 use self::health::Told;
+pub use self::info::{About, Info};
 pub(crate) use self::stream::{Gate, Kind};
 use crate::config::Limits;
 use crate::lifecycle::{self, Step};
@@ -180,7 +181,7 @@ pub async fn run(
     metrics.memory(engine.memory_outside_jobs(), limits.memory_bytes);
     let gate = Gate::new(limits, phase.subscribe(), metrics.clone());
     let handlers = handlers::Handlers::new(engine.clone(), limits, budget.clone(), gate.clone());
-    let info = handlers::info::Info { engine: engine.clone(), limits, readiness: readiness.clone(), about };
+    let info = Info { engine: engine.clone(), limits, readiness: readiness.clone(), about };
     let (health, health_service) = tonic_health::server::health_reporter();
     let names = names(jobs.is_some());
     let health = Arc::new(Told::new(health, names, metrics.clone()));

@@ -12,7 +12,7 @@ use tonic::codegen::http::HeaderMap;
 
 use super::RequestError;
 use super::access::{Access, Caller, Refusal, TENANT, tenant};
-use super::handlers::info::Info;
+use super::info::Info;
 use super::stream::Gate;
 use crate::config::Limits;
 use crate::metrics::Metrics;

@@ -19,7 +19,6 @@ macro_rules! wraps {
 pub(super) mod blobs;
 mod cvt;
 mod diagram;
-pub(super) mod info;
 pub(super) mod jobs;
 mod remesh;
 

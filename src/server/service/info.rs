@@ -5,9 +5,8 @@
 
 use std::time::{Duration, Instant};
 
-use tonic::{Request, Response};
+use tonic::{Request, Response, Status};
 
-use super::Reply;
 use crate::config::Limits;
 use crate::readiness::Readiness;
 use geometry::rvd::{BackendChoice, BackendKind};
@@ -24,7 +23,10 @@ pub struct Info {
 
 #[tonic::async_trait]
 impl proto::server_service_server::ServerService for Info {
-    async fn get_server_info(&self, _: Request<GetServerInfoRequest>) -> Reply<GetServerInfoResponse> {
+    async fn get_server_info(
+        &self,
+        _: Request<GetServerInfoRequest>,
+    ) -> Result<Response<GetServerInfoResponse>, Status> {
         Ok(Response::new(self.describe()))
     }
 }
