@@ -1,7 +1,7 @@
 //! What can be done with jobs, on tables.
 //!
 //! Purpose: one implementation for the stores of one process. Invariant: an operation reads and decides before it writes, so
-//! that one that is refused has written nothing; the indexes (`states`, `due`, `ended`, `terms`, `requests`) say the same as the heads.
+//! that one that is refused has written and pinned nothing; the indexes (`states`, `due`, `ended`, `terms`, `requests`) say the same as the heads.
 //! Must not know: files, threads, clocks.
 
 use std::ops::ControlFlow;
@@ -11,9 +11,10 @@ use serde::de::DeserializeOwned;
 use super::codec::{Head, decode, encode};
 use super::tables::{Entry, Live, Order, Table, Tables, TablesMut};
 use super::{Created, NewJob, Offer, Orphans, Page, Query, Recovered, Retention, StoreError, Swept};
+use crate::blob::{Digest, Owner};
 use crate::record::event::{Event, Events, Log, Progress, What};
 use crate::record::state::State;
-use crate::record::{Bytes, Cause, Change, Failure, FailureKind, Holder, Job, JobId, Spec, Status, Time};
+use crate::record::{Bytes, Cause, Change, Failure, FailureKind, Holder, Job, JobId, Outcome, Spec, Status, Time};
 
 /// Numbers of events that are reserved at once: the most that are skipped if the process goes down.
 const RESERVED: u64 = 1024;
@@ -135,6 +136,7 @@ pub(crate) fn create(tables: &mut dyn TablesMut, live: &mut Live, new: NewJob, n
         reserved_events: 2,
     };
     let (spec, log) = (encode("spec", &wanted)?, encode("log", &log)?);
+    live.pins.create(id, &wanted.tenant, &wanted.task().blobs())?;
     adopt(tables, id, &head, &spec, &log)?;
     tables.put(Table::Line, &line_key(&wanted, id), &[])?;
     live.touched.push(id);
@@ -278,6 +280,7 @@ pub(crate) fn change(
     let head = Head { status, next_event, reserved_events, ..before };
     put_head(tables, id, &head)?;
     tables.put(Table::Logs, &id.0, &encoded)?;
+    live.pins.change(id, head.status.state);
     Ok(Job { id, spec, status: head.status })
 }
 
@@ -392,6 +395,7 @@ pub(crate) fn delete(tables: &mut dyn TablesMut, live: &mut Live, id: JobId) -> 
     }
     live.jobs.remove(&id);
     live.touched.push(id);
+    live.pins.delete(id);
     Ok(())
 }
 
@@ -494,5 +498,29 @@ pub(crate) fn recover(
             tables.put(Table::Line, &key, &[])?;
         }
     }
+    if orphans == Orphans::All {
+        recovered.pinned = pin_again(tables, live, &recovered.queued)?;
+    }
     Ok(recovered)
+}
+
+/// Pins the input of all jobs that wait, and all results. Gives the blobs by owner.
+fn pin_again(tables: &dyn TablesMut, live: &Live, queued: &[JobId]) -> StoreResult<Vec<(Owner, Vec<Digest>)>> {
+    let mut pinned = Vec::new();
+    let mut pin = |id, state, tenant: &str, digests: Vec<Digest>| {
+        let owner = Owner::of(tenant);
+        live.pins.recover(id, state, owner, &digests);
+        pinned.push((owner, digests));
+    };
+    for id in in_state(tables, State::Succeeded)? {
+        let head = head(tables, id)?;
+        if let Some(Outcome::Succeeded(result)) = &head.status.outcome {
+            pin(id, State::Succeeded, &head.tenant, result.blobs.values().copied().collect());
+        }
+    }
+    for id in queued {
+        let spec = spec(tables, *id)?;
+        pin(*id, State::Queued, &spec.tenant, spec.task().blobs());
+    }
+    Ok(pinned)
 }
