@@ -355,8 +355,11 @@ impl Writer {
             }
             let outcome = match &self.broken {
                 Some(cause) => Err(StoreError::Broken { cause: cause.clone() }),
-                None => Ok(self.live.pins.settle()),
+                None => Ok(()),
             };
+            if outcome.is_ok() {
+                self.live.pins.settle();
+            }
             let touched = std::mem::take(&mut self.live.touched);
             self.publish(&touched);
             // Callers that are answered now are likely to come back with more.
