@@ -4,7 +4,7 @@
 //! them and stores their results; and it takes them up again after a restart.
 //! Invariant: an acknowledged job is in the store, which pins its input. A result is pinned from before it is visible. A
 //! job is done by the executor that claimed it: what becomes of one that was cancelled or expired meanwhile is thrown away.
-//! Must not know: messages, streams, which store.
+//! Must not know: messages, clients, which store.
 
 pub mod api;
 pub mod diagram;
@@ -14,6 +14,7 @@ pub mod prepared;
 mod running;
 pub mod session;
 mod storage;
+pub mod streams;
 
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
