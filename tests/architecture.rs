@@ -74,7 +74,7 @@ const HOUSES: &[House] = &[
             ("blob", &[]),
             ("memory", &[]),
             ("record", &["blob"]),
-            ("store", &["record"]),
+            ("store", &["record", "blob"]),
             ("observe", &["record"]),
             ("engine", &["observe", "record", "memory"]),
             ("admission", &["engine", "observe", "store", "record", "blob"]),

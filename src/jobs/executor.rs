@@ -2,9 +2,9 @@
 //!
 //! Purpose: [`Executor`] is the [`JobApi`] of one server: it keeps jobs in a [`JobStore`], queues them for the engine, does
 //! them and stores their results; and it takes them up again after a restart.
-//! Invariant: an acknowledged job is in the store. A job's input is pinned from before it is acknowledged until it has
-//! ended, and its result from before it is visible until it expires or is deleted. A job is done by the executor that claimed it: what
-//! becomes of one that was cancelled or expired meanwhile is thrown away. Must not know: messages, streams, which store.
+//! Invariant: an acknowledged job is in the store, which pins its input. A result is pinned from before it is visible. A
+//! job is done by the executor that claimed it: what becomes of one that was cancelled or expired meanwhile is thrown away.
+//! Must not know: messages, clients, which store.
 
 pub mod api;
 pub mod diagram;
@@ -14,6 +14,7 @@ pub mod prepared;
 mod running;
 pub mod session;
 mod storage;
+pub mod streams;
 
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -26,14 +27,13 @@ use tokio::sync::{mpsc, watch};
 
 use crate::admission::estimate::Counts;
 use crate::admission::forecast::{Forecast, must_fit};
-use crate::blob::{BlobError, BlobOptions, BlobStore, Digest, ObjectBlobs, Owner};
+use crate::blob::{BlobError, BlobOptions, BlobStore, ObjectBlobs, Owner};
 use crate::engine::{AdmissionRequest, Engine};
 use crate::executor::api::{Estimate, JobApi, JobApiError};
 use crate::observe::preview::{PreviewReceiver, Previews};
 use crate::record::Bytes;
 use crate::record::event::{Events, Progress};
-use crate::record::state::State;
-use crate::record::{Change, FailureKind, Job, JobId, Outcome, Spec, Time};
+use crate::record::{Change, FailureKind, Job, JobId, Spec};
 use crate::store::{
     Created, JobStore, MAX_CRASHES, MemoryStore, NewJob, Orphans, Page, Query, RedbOptions, RedbStore, Retention,
     StoreError,
@@ -89,7 +89,7 @@ impl Stores {
     /// In a folder, which is made if need be. Errors: `InUse` if another process has it, or why it cannot be used.
     pub async fn in_folder(folder: PathBuf, blobs: BlobOptions) -> Result<Self, JobApiError> {
         let jobs = journal(folder.clone()).await?;
-        let blobs = ObjectBlobs::local(folder.join("blobs"), blobs).await?;
+        let blobs = ObjectBlobs::local_with(jobs.books(), folder.join("blobs"), blobs).await?;
         Ok(Self { jobs, blobs: Arc::new(blobs) })
     }
 
@@ -100,7 +100,7 @@ impl Stores {
         #[cfg(feature = "s3")]
         {
             let jobs = journal(folder).await?;
-            let blobs = ObjectBlobs::s3(url, [], blobs).await?;
+            let blobs = ObjectBlobs::s3(jobs.books(), url, [], blobs).await?;
             Ok(Self { jobs, blobs: Arc::new(blobs) })
         }
         #[cfg(not(feature = "s3"))]
@@ -112,7 +112,9 @@ impl Stores {
 
     /// In memory, gone with the process.
     pub fn ephemeral(blobs: BlobOptions) -> Self {
-        Self { jobs: Arc::new(MemoryStore::default()), blobs: Arc::new(ObjectBlobs::in_memory(blobs)) }
+        let jobs = MemoryStore::default();
+        let blobs = ObjectBlobs::in_memory_with(jobs.books(), blobs);
+        Self { jobs: Arc::new(jobs), blobs: Arc::new(blobs) }
     }
 }
 
@@ -151,16 +153,6 @@ enum ProgressCommand {
     },
     /// All before it are kept.
     Flush(tokio::sync::oneshot::Sender<()>),
-}
-
-/// The name under which a job's input is pinned, from before the store gives the job's time.
-fn input_pin(id: JobId) -> String {
-    format!("input:{:x}", id.random())
-}
-
-/// The name under which a job's result is pinned.
-fn result_pin(id: JobId) -> String {
-    format!("result:{id}")
 }
 
 impl Executor {
@@ -238,46 +230,15 @@ impl Inner {
             let (again, failed) = (recovered.requeued.len(), recovered.failed.len());
             tracing::warn!(again, failed, "the process went down with jobs at work");
         }
-        let mut query = Query { states: vec![State::Succeeded], limit: Query::MAX_LIMIT, ..Query::default() };
-        loop {
-            let page = jobs.list(query.clone()).await?;
-            for job in &page.jobs {
-                let Some(Outcome::Succeeded(result)) = &job.status.outcome else { continue };
-                let digests: Vec<_> = result.blobs.values().copied().collect();
-                let owner = Owner::of(&job.spec.tenant);
-                self.pin_again(owner, &result_pin(job.id), &digests).await?;
-                // Blobs of earlier versions have no owner.
-                self.stores.blobs.claim(owner, &digests).await?;
-            }
-            query.token = page.next;
-            if query.token.is_none() {
-                break;
-            }
+        // Blobs of earlier versions have no owner.
+        for (owner, digests) in &recovered.pinned {
+            self.stores.blobs.claim(*owner, digests).await?;
         }
-        for id in &recovered.queued {
-            let job = jobs.get(*id).await?;
-            let (owner, digests) = (Owner::of(&job.spec.tenant), job.spec.task().blobs());
-            self.pin_again(owner, &input_pin(*id), &digests).await?;
-            self.stores.blobs.claim(owner, &digests).await?;
-        }
-        // Only now: a job that is done may evict what is not pinned.
         for id in &recovered.queued {
             self.enqueue(&jobs.get(*id).await?).await?;
         }
         if !recovered.queued.is_empty() {
             tracing::info!(jobs = recovered.queued.len(), "taken up again");
-        }
-        Ok(())
-    }
-
-    /// Pins what is there of some blobs. Those that are missing are found missing when they are needed.
-    async fn pin_again(&self, owner: Owner, name: &str, digests: &[Digest]) -> Result<(), JobApiError> {
-        for digest in digests {
-            match self.stores.blobs.pin_for(owner, name, &[*digest]).await {
-                Ok(()) => {}
-                Err(BlobError::NotFound { .. }) => tracing::warn!(name, %digest, "a blob that a job needs is gone"),
-                Err(error) => return Err(error.into()),
-            }
         }
         Ok(())
     }
@@ -326,8 +287,6 @@ impl Inner {
             for id in swept.expired.iter().chain(&swept.deleted) {
                 self.engine.remove_kept(*id);
                 self.previews.end(*id);
-                self.unpin(&input_pin(*id)).await;
-                self.unpin(&result_pin(*id)).await;
             }
             if !swept.more {
                 return Ok(());
@@ -352,7 +311,8 @@ impl Inner {
         Ok(())
     }
 
-    /// The blobs that a job names must be its tenant's: those of others do not exist for it.
+    /// The blobs that a job names must be its tenant's: those of others do not exist for it. They are used now, so that they
+    /// are the last to go before the store pins them.
     async fn check_input(&self, spec: &Spec) -> Result<(), JobApiError> {
         let missing = self.stores.blobs.find_missing_of(Owner::of(&spec.tenant), &spec.task().blobs()).await?;
         missing.first().map_or(Ok(()), |digest| Err(BlobError::NotFound { digest: *digest }.into()))
@@ -395,28 +355,16 @@ impl JobApi for Executor {
             return Ok(Created { job, existed: true });
         }
         this.has_place(&spec.tenant)?;
-        let random = getrandom_u128()?;
-        let pin = input_pin(JobId::new(Time(0), random));
         this.check_input(&spec).await?;
-        // Before anything is promised: from here on nothing evicts the input.
-        this.stores.blobs.pin_for(Owner::of(&spec.tenant), &pin, &spec.task().blobs()).await?;
-        let created = match this.admit(&spec).await {
-            Ok(needs) => this.stores.jobs.create(NewJob { random, spec, needs }).await.map_err(JobApiError::from),
-            Err(error) => Err(error),
-        };
-        match created {
-            Ok(created) if !created.existed => {
-                // Kept is kept: if it cannot be queued now, the next start does.
-                if let Err(error) = this.enqueue(&created.job).await {
-                    tracing::warn!(id = %created.job.id, %error, "a job waits for the next start");
-                }
-                Ok(created)
-            }
-            other => {
-                this.unpin(&pin).await;
-                other
-            }
+        let needs = this.admit(&spec).await?;
+        let created = this.stores.jobs.create(NewJob { random: getrandom_u128()?, spec, needs }).await?;
+        // Kept is kept: if it cannot be queued now, the next start does.
+        if !created.existed
+            && let Err(error) = this.enqueue(&created.job).await
+        {
+            tracing::warn!(id = %created.job.id, %error, "a job waits for the next start");
         }
+        Ok(created)
     }
 
     async fn get(&self, tenant: &str, id: JobId) -> Result<Job, JobApiError> {
@@ -452,15 +400,12 @@ impl JobApi for Executor {
         let job = self.inner.stores.jobs.cancel(id).await?;
         self.inner.engine.remove_kept(id);
         self.inner.previews.end(id);
-        self.inner.unpin(&input_pin(id)).await;
         Ok(job)
     }
 
     async fn delete(&self, tenant: &str, id: JobId) -> Result<(), JobApiError> {
         self.inner.of_tenant(tenant, id).await?;
-        self.inner.stores.jobs.delete(id).await?;
-        self.inner.unpin(&result_pin(id)).await;
-        Ok(())
+        Ok(self.inner.stores.jobs.delete(id).await?)
     }
 
     async fn estimate(&self, spec: Spec, vertices: Option<u64>, facets: Option<u64>) -> Result<Estimate, JobApiError> {

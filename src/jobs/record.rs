@@ -52,10 +52,6 @@ impl JobId {
         Self((time | (random & ((1 << 80) - 1))).to_be_bytes())
     }
 
-    pub(crate) fn random(self) -> u128 {
-        u128::from_be_bytes(self.0) & ((1 << 80) - 1)
-    }
-
     /// The least name of a job created at `time`.
     pub fn first_of(time: Time) -> Self {
         // A time that no name can hold is after all of them.

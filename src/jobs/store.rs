@@ -4,12 +4,14 @@
 //! Invariant: an answer that is not an error says what is kept: in a journal it is on the disk. An operation that gets an error
 //! has changed nothing, except [`StoreError::Broken`] and [`StoreError::Closed`], after which it is unknown until the store
 //! is opened again. A state changes only from the version that its changer has seen. Nothing here needs the caller to be
-//! the only process. Only the store's own clock decides on times, leases and deadlines.
-//! Must not know: messages, how jobs are done, in which order they should be.
+//! the only process. Only the store's own clock decides on times, leases and deadlines. The store has the books of blobs
+//! too: a job's pins are set and end in the same step as the change of the job.
+//! Must not know: messages, how jobs are done, in which order they should be, where the bytes of blobs lie.
 
 mod codec;
 mod container;
 mod operations;
+mod pins;
 mod redb;
 mod tables;
 
@@ -20,6 +22,8 @@ use std::pin::Pin;
 use std::sync::Arc;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
+use crate::blob::books::Books;
+use crate::blob::{Digest, Owner};
 use crate::record::event::{Events, Progress};
 use crate::record::state::{State, TransitionError};
 use crate::record::{Bytes, Change, Job, JobId, Spec, Time};
@@ -27,13 +31,21 @@ use crate::record::{Bytes, Change, Job, JobId, Spec, Time};
 pub use self::redb::repair::{Findings, check, repair};
 pub use self::redb::{RedbOptions, RedbStore};
 pub use container::MemoryStore;
+pub use pins::result_pin;
 
 pub type Answer<'a, T> = Pin<Box<dyn Future<Output = Result<T, StoreError>> + Send + 'a>>;
 
 /// A store of jobs. See the module's head for what an answer promises. An operation whose future is dropped may still happen.
+///
+/// A job's input is pinned in its tenant's name from [`Self::create`] until it has ended. Its result is pinned by whoever
+/// does the job, under [`result_pin`]; the store ends that pin when the result expires, with a deleted job, and after an
+/// attempt that did not succeed.
 pub trait JobStore: Send + Sync {
-    /// Keeps a new job, queued. A request that came before with the same tenant and number gives its job again. Errors:
-    /// `AlreadyExists` if that request had another body; `NameTaken`.
+    /// The books of the blobs that jobs name. The store of blobs keeps its bytes by them.
+    fn books(&self) -> Arc<dyn Books>;
+
+    /// Keeps a new job, queued, and pins its input. A request that came before with the same tenant and number gives its job
+    /// again. Errors: `AlreadyExists` if that request had another body; `NameTaken`; `InputMissing`.
     fn create(&self, job: NewJob) -> Answer<'_, Created>;
 
     /// The job that a request with the same tenant, number and body made before; none if it has no number or is new.
@@ -79,8 +91,9 @@ pub trait JobStore: Send + Sync {
     /// enough expire, and jobs without a result that were kept long enough are deleted. An error may leave a part of it done.
     fn expire(&self, keep: Retention, most: usize) -> Answer<'_, Swept>;
 
-    /// Puts orphaned jobs back into the queue, each with its crash counted; one with `max_crashes` of them fails. An error may
-    /// leave a part of it done; doing it again is harmless.
+    /// Puts orphaned jobs back into the queue, each with its crash counted; one with `max_crashes` of them fails. With
+    /// [`Orphans::All`], a store whose pins do not outlive the process sets them again. An error may leave a part of it done;
+    /// doing it again is harmless.
     fn recover(&self, orphans: Orphans, max_crashes: u32) -> Answer<'_, Recovered>;
 }
 
@@ -217,6 +230,8 @@ pub struct Recovered {
     pub failed: Vec<JobId>,
     /// All jobs that wait now, those included, the oldest first.
     pub queued: Vec<JobId>,
+    /// Blobs that were to be pinned again, each list with the tenant of its job.
+    pub pinned: Vec<(Owner, Vec<Digest>)>,
 }
 
 /// Why an operation on a store was refused or failed.
@@ -228,6 +243,8 @@ pub enum StoreError {
     AlreadyExists { request_id: String, id: JobId },
     #[error("job {id} is there already; take another name")]
     NameTaken { id: JobId },
+    #[error("blob {digest} is not stored; upload it")]
+    InputMissing { digest: Digest },
     #[error("job {id} is at version {found}, not {expected}: it changed meanwhile; read it again")]
     Stale { id: JobId, expected: u64, found: u64 },
     #[error("job {id}: {cause}")]

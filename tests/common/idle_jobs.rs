@@ -20,8 +20,9 @@ pub struct Idle {
 }
 
 impl Idle {
-    pub fn new(blobs: Arc<dyn BlobStore>) -> Self {
-        Self { store: MemoryStore::default(), blobs, storage: watch::Sender::new(None), names: AtomicU64::new(0) }
+    /// `blobs` has the books of `store`.
+    pub fn new(store: MemoryStore, blobs: Arc<dyn BlobStore>) -> Self {
+        Self { store, blobs, storage: watch::Sender::new(None), names: AtomicU64::new(0) }
     }
 
     async fn own(&self, tenant: &str, id: JobId) -> Result<Job, JobApiError> {

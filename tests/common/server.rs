@@ -11,7 +11,9 @@ use std::time::{Duration, Instant};
 
 use glam::{DVec3, dvec3};
 use idle_jobs::Idle;
+use jobs::blob::books::Books;
 use jobs::blob::{BlobError, BlobOptions, ObjectBlobs};
+use jobs::store::{JobStore, MemoryStore};
 use jobs::{Backends, Ceilings, Engine, EngineOptions, JobError};
 use server::config::Limits;
 use server::metrics::Metrics;
@@ -185,10 +187,10 @@ pub struct Server {
 }
 
 /// A process that another test starts holds all files of this one until it is another program.
-async fn opened(folder: &Path, options: BlobOptions) -> ObjectBlobs {
+async fn opened(books: &Arc<dyn Books>, folder: &Path, options: BlobOptions) -> ObjectBlobs {
     let begin = Instant::now();
     loop {
-        match ObjectBlobs::local(folder, options).await {
+        match ObjectBlobs::local_with(Arc::clone(books), folder, options).await {
             Err(BlobError::InUse { .. }) if begin.elapsed() < PATIENCE => {
                 tokio::time::sleep(Duration::from_millis(10)).await;
             }
@@ -222,11 +224,12 @@ impl Server {
         let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
         let address = listener.local_addr().unwrap();
         let (stop, stopped) = oneshot::channel();
+        let store = MemoryStore::default();
         let blobs = match setup.folder {
-            None => ObjectBlobs::in_memory(setup.blobs),
-            Some(folder) => opened(&folder, setup.blobs).await,
+            None => ObjectBlobs::in_memory_with(store.books(), setup.blobs),
+            Some(folder) => opened(&store.books(), &folder, setup.blobs).await,
         };
-        let idle = Arc::new(Idle::new(Arc::new(blobs)));
+        let idle = Arc::new(Idle::new(store, Arc::new(blobs)));
         let jobs = Some(Jobs { blobs: idle.blobs.clone(), api: idle.clone() });
         let readiness = Readiness::new();
         let (metrics, about) = (Metrics::default(), About::default());

@@ -9,7 +9,7 @@ use jobs::record::state::State;
 use jobs::record::*;
 use jobs::store::*;
 
-use super::{spec, wait};
+use super::{input, knowing, spec, wait};
 use crate::process::resident_bytes;
 
 const JOBS: u64 = 10_000;
@@ -58,14 +58,15 @@ fn figures(name: &str, store: &Arc<dyn JobStore>) -> String {
 #[test]
 #[ignore = "figures, not a test"]
 fn figures_of_the_stores() {
-    let memory: Arc<dyn JobStore> = Arc::new(MemoryStore::default());
+    let memory: Arc<dyn JobStore> = Arc::new(knowing(MemoryStore::default(), &[(input(), 1)]));
     let memory = figures("memory", &memory);
     let folder = match std::env::var_os("TESSERA_FIGURES_DIR") {
         Some(folder) => tempfile::tempdir_in(folder).unwrap(),
         None => tempfile::tempdir().unwrap(),
     };
     let live = folder.path().join("live");
-    let store: Arc<dyn JobStore> = Arc::new(RedbStore::open(&live, RedbOptions::default()).unwrap());
+    let store = RedbStore::open(&live, RedbOptions::default()).unwrap();
+    let store: Arc<dyn JobStore> = Arc::new(knowing(store, &[(input(), 1)]));
     let journal = figures("redb", &store);
     // As `kill -9` leaves it: the file as it is while the store is open.
     let killed = folder.path().join("killed");

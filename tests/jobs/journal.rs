@@ -11,10 +11,10 @@ use jobs::record::state::State;
 use jobs::record::*;
 use jobs::store::*;
 
-use super::{spec, wait};
+use super::{input, knowing, spec, wait};
 
 fn open(path: &Path) -> Result<RedbStore, StoreError> {
-    RedbStore::open(path, RedbOptions::default())
+    RedbStore::open(path, RedbOptions::default()).map(|store| knowing(store, &[(input(), 1)]))
 }
 
 fn new(number: u128) -> NewJob {
@@ -92,7 +92,7 @@ fn a_directory_of_a_later_release_is_left_alone() {
 
 #[test]
 fn a_watcher_goes_on_where_it_was() {
-    let store: Arc<dyn JobStore> = Arc::new(MemoryStore::default());
+    let store: Arc<dyn JobStore> = Arc::new(knowing(MemoryStore::default(), &[(input(), 1)]));
     wait(async {
         let job = store.create(new(1)).await.unwrap().job;
         let id = job.id;
@@ -127,6 +127,7 @@ fn deadlines_run_out_in_the_queue_and_at_work() {
     let time = Arc::new(AtomicU64::new(1000));
     let read = Arc::clone(&time);
     let store = MemoryStore::with_clock(Clock::new(move || Time(read.load(Ordering::SeqCst))));
+    let store = knowing(store, &[(input(), 1)]);
     wait(async {
         let mut job = new(1);
         let (queue_deadline, run_deadline) = (super::millis(10), super::millis(20));

@@ -1,13 +1,14 @@
 //! Jobs as data: specifications, states, and the stores that keep them.
 //!
 //! Promise: both stores do what a simple model does, whatever the order of operations, crashes and restarts; what was
-//! acknowledged is never lost; a journal that is damaged or in use is never taken for an empty one.
+//! acknowledged is never lost; a journal that is damaged or in use is never taken for an empty one. Pins follow the jobs.
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)] // a failure here is the test's failure
 
 #[path = "../common/process.rs"]
 mod process;
 
+mod books;
 mod disk;
 mod figures;
 mod journal;
@@ -18,13 +19,27 @@ mod states;
 
 use std::future::Future;
 
+use jobs::blob::books::Stored;
+use jobs::blob::{BlobInfo, Digest};
 use jobs::record::Spec;
-use jobs::store::Retention;
+use jobs::store::{JobStore, Retention};
 use tessera::proto::*;
+
+/// The blob that the jobs below name as their input.
+pub fn input() -> Digest {
+    [7; 32].into()
+}
+
+/// A store whose books have these blobs, with their sizes.
+pub fn knowing<S: JobStore>(store: S, blobs: &[(Digest, u64)]) -> S {
+    let blobs = blobs.iter().map(|(digest, size)| (BlobInfo { digest: *digest, size_bytes: *size }, 1)).collect();
+    wait(store.books().enter(Stored { blobs, ..Stored::default() })).unwrap();
+    store
+}
 
 /// A small job; `body` makes it differ from others.
 pub fn message(body: u64) -> JobSpec {
-    let file = MeshFile { digest: "07".repeat(32), format: MeshFormat::Ply.into(), attributes: None };
+    let file = MeshFile { digest: input().to_string(), format: MeshFormat::Ply.into(), attributes: None };
     JobSpec {
         mesh: Some(JobMesh { source: Some(job_mesh::Source::File(file)) }),
         work: Some(job_spec::Work::Remesh(RemeshOptions { points: Some(100 + body as u32), ..Default::default() })),

@@ -4,11 +4,30 @@ use std::cmp::Reverse;
 use std::collections::BTreeMap;
 use std::time::Duration;
 
+use jobs::blob::Digest;
 use jobs::record::state::{State, apply};
 use jobs::record::*;
 use jobs::store::*;
+use tessera::proto::{JobMesh, JobSpec, MeshFile, MeshFormat, job_mesh};
 
 use super::{KEEP, message, millis};
+
+/// The blobs of the model: inputs, then results, by body. Each has a size of its own bit, so that a sum says which.
+const BODIES: u64 = 4;
+
+pub fn blobs() -> Vec<(Digest, u64)> {
+    (0..2 * BODIES).map(|k| ([k as u8 + 1; 32].into(), 1 << k)).collect()
+}
+
+fn input(body: u64) -> Digest {
+    blobs()[body as usize].0
+}
+
+/// What a job of the model results in.
+pub fn result(body: u64) -> ResultSet {
+    let digest = blobs()[(BODIES + body) as usize].0;
+    ResultSet { blobs: [("mesh".to_owned(), digest)].into() }
+}
 
 /// A job, as the model sees it.
 #[derive(Clone, Debug, PartialEq)]
@@ -73,7 +92,10 @@ pub fn body(request: &str, body: u64) -> Spec {
         2 => (None, millis(200)),
         _ => (None, None),
     };
-    let message = tessera::proto::JobSpec { queue_deadline, run_deadline, priority: priority(body), ..message(body) };
+    let file = MeshFile { digest: input(body).to_string(), format: MeshFormat::Ply.into(), attributes: None };
+    let mesh = Some(JobMesh { source: Some(job_mesh::Source::File(file)) });
+    let priority = priority(body);
+    let message = JobSpec { mesh, queue_deadline, run_deadline, priority, ..message(body) };
     Spec::new(message, "t".to_owned(), request.to_owned()).unwrap()
 }
 
@@ -88,6 +110,18 @@ fn needs(body: u64) -> Bytes {
 }
 
 impl Model {
+    /// The sizes of the pinned blobs, added up: of jobs that wait or run their input, of jobs that run or succeeded their
+    /// result.
+    pub fn pinned(&self) -> u64 {
+        let bits = self.jobs.values().map(|job| match job.state {
+            State::Queued => 1 << job.body,
+            State::Running => (1 | 1 << BODIES) << job.body,
+            State::Succeeded => 1 << (BODIES + job.body),
+            _ => 0,
+        });
+        bits.fold(0, |all, bit| all | bit)
+    }
+
     /// Does a step at a time.
     pub fn step(&mut self, step: &Step, now: Time) -> Gives {
         match step {
@@ -271,7 +305,14 @@ pub async fn on_store(store: &dyn JobStore, step: Step) -> Option<(Gives, Option
         }
         Step::Claim { job, room, lease } => {
             let offer = Offer { job, ..Offer::new("one", lease, Bytes { host: room, device: 0 }) };
-            store.claim_next(offer).await.map(|claimed| Gives::Claimed(claimed.map(|job| job.id)))
+            let claimed = store.claim_next(offer).await;
+            if let Ok(Some(job)) = &claimed {
+                // Whoever does the job pins its result, sooner or later.
+                let body = job.spec.message().labels["body"].parse().unwrap();
+                let digests: Vec<_> = result(body).blobs.into_values().collect();
+                store.books().pin(None, &result_pin(job.id), &digests).await.unwrap();
+            }
+            claimed.map(|claimed| Gives::Claimed(claimed.map(|job| job.id)))
         }
         Step::Renew { id, at, lease } => store.renew(id, at, lease).await.map(|()| Gives::Done),
         Step::Progress { id, at } => {

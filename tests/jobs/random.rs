@@ -17,8 +17,8 @@ use proptest::prelude::*;
 use proptest::test_runner::{Config, RngAlgorithm, TestRng, TestRunner};
 
 use super::disk::Disk;
-use super::model::{Gives, Known, Model, Step, on_store};
-use super::wait;
+use super::model::{Gives, Known, Model, Step, blobs, on_store, result};
+use super::{knowing, wait};
 
 #[derive(Clone, Debug)]
 enum Op {
@@ -99,8 +99,12 @@ struct OnDisk(Disk, Clock);
 impl Medium for OnDisk {
     fn open(&self) -> Arc<dyn JobStore> {
         Arc::new(
-            RedbStore::with_backend(self.0.clone(), RedbOptions { cache_bytes: 1 << 20, clock: self.1.clone() })
-                .unwrap(),
+            // The storage of the blobs outlives the process, and says what it has.
+            knowing(
+                RedbStore::with_backend(self.0.clone(), RedbOptions { cache_bytes: 1 << 20, clock: self.1.clone() })
+                    .unwrap(),
+                &blobs(),
+            ),
         )
     }
 
@@ -178,7 +182,7 @@ impl<M: Medium> Trial<M> {
                 let failure = Failure { kind: FailureKind::BadInput, message: "no".to_owned() };
                 let change = match change {
                     0 => Change::Release,
-                    1 | 2 => Change::Succeed(ResultSet::default()),
+                    1 | 2 => Change::Succeed(result(self.model.jobs.get(&id).map_or(0, |job| job.body))),
                     3 => Change::Fail(failure),
                     4 => Change::Expire(Cause::RunDeadline),
                     _ => Change::Cancel,
@@ -334,6 +338,8 @@ impl<M: Medium> Trial<M> {
     fn compare(&mut self) {
         assert_eq!(self.found(), self.model.jobs);
         let store = Arc::clone(self.store());
+        let pinned = wait(store.books().usage()).unwrap().pinned_bytes;
+        assert_eq!(pinned, self.model.pinned(), "{pinned:b}");
         for state in State::ALL {
             let query = Query { states: vec![state], ..Query::default() };
             let listed: Vec<JobId> = wait(store.list(query)).unwrap().jobs.iter().map(|job| job.id).collect();
@@ -369,7 +375,7 @@ fn sequences(name: &str, usual: u32, trial: impl Fn(Vec<Op>)) {
 #[test]
 fn the_store_in_memory_does_what_the_model_does() {
     sequences("memory", 300, |ops| {
-        let mut trial = Trial::new(|clock| Elsewhere(Arc::new(MemoryStore::with_clock(clock))));
+        let mut trial = Trial::new(|clock| Elsewhere(Arc::new(knowing(MemoryStore::with_clock(clock), &blobs()))));
         ops.iter().for_each(|op| trial.run(op));
     });
 }

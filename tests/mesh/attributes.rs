@@ -4,7 +4,7 @@
 use crate::carried::{everything, texture, uvs};
 use crate::readers;
 use glam::{DVec2, DVec3, dvec2};
-use tessera::mesh::attributes::{AttributeError, Attributes, ColourDepth, Colours, Normals};
+use tessera::mesh::attributes::{Attributes, ColourDepth, Colours, Normals};
 use tessera::mesh::io::{
     Format, decode_with_attributes, encode, encode_with_attributes, read_with_attributes, write_with_attributes,
 };

@@ -24,16 +24,15 @@ use object_store::path::Path;
 use object_store::{GetOptions, ObjectStore};
 use tokio::task::spawn_blocking;
 
+use super::books::{Books, LocalBooks, Stored};
 use super::chunk::{Chunk, UploadId, UploadStatus};
 use super::digest::{BLOBS, path_of};
 use super::error::{found, io, join, object};
-use super::quota::Ledger;
 use super::reader::bytes_of;
 use super::staging::{Folder, Memory, Multipart, Staging};
 use super::store::{BlobInfo, BlobOptions, BlobRead, BlobStore, Usage};
 use super::upload::Uploads;
 use super::{BlobError, Digest, Owner};
-use crate::lock;
 use changes::{Inner, Kind};
 
 const UPLOADS: &str = "uploads";
@@ -53,25 +52,38 @@ impl fmt::Debug for ObjectBlobs {
 }
 
 impl ObjectBlobs {
-    /// Blobs in a folder, which is made if need be. Uploads outlive the process. Errors: `InUse`, `StorageFull`,
-    /// `Unavailable`.
+    /// Blobs in a folder, which is made if need be, with books of its own. Uploads outlive the process. Errors: `InUse`,
+    /// `StorageFull`, `Unavailable`.
     pub async fn local(folder: impl Into<PathBuf>, options: BlobOptions) -> Result<Self, BlobError> {
+        Self::local_with(Arc::new(LocalBooks::default()), folder, options).await
+    }
+
+    /// As [`Self::local`], with these books. Owners are written beside the blobs, and entered when the folder is opened.
+    pub async fn local_with(
+        books: Arc<dyn Books>,
+        folder: impl Into<PathBuf>,
+        options: BlobOptions,
+    ) -> Result<Self, BlobError> {
         let root = folder.into();
         let opened = spawn_blocking(move || open_folder(&root, &options));
         let (files, staging, lock) = opened.await.map_err(join)??;
         let kind = Kind::Folder { files: Arc::clone(&files), _lock: lock };
-        Self::open(files, Box::new(staging), kind, options).await
+        Self::open(files, Box::new(staging), kind, options, books).await
     }
 
-    /// Blobs that are gone with the process.
+    /// Blobs that are gone with the process, with books of their own.
     pub fn in_memory(options: BlobOptions) -> Self {
+        Self::in_memory_with(Arc::new(LocalBooks::default()), options)
+    }
+
+    /// As [`Self::in_memory`], with these books.
+    pub fn in_memory_with(books: Arc<dyn Books>, options: BlobOptions) -> Self {
         let objects: Arc<dyn ObjectStore> = Arc::new(InMemory::new());
         let staging = Box::new(Memory(Arc::clone(&objects)));
-        let ledger = Ledger::new(options.quota_bytes);
-        Self(Arc::new(Inner::new(objects, staging, Kind::Memory, options, ledger, Uploads::default())))
+        Self(Arc::new(Inner::new(objects, staging, Kind::Memory, options, books, Uploads::default())))
     }
 
-    /// Blobs in a store that other processes may use at the same time.
+    /// Blobs in a store that other processes may use at the same time, with books of this process.
     ///
     /// The quota counts the blobs that this process has seen, and its pins hold against this process alone: give a quota to
     /// one process, and no limit to the others. Errors: `Unavailable`.
@@ -79,19 +91,29 @@ impl ObjectBlobs {
         store: Arc<S>,
         options: BlobOptions,
     ) -> Result<Self, BlobError> {
+        Self::shared_with(Arc::new(LocalBooks::default()), store, options).await
+    }
+
+    async fn shared_with<S: ObjectStore + MultipartStore>(
+        books: Arc<dyn Books>,
+        store: Arc<S>,
+        options: BlobOptions,
+    ) -> Result<Self, BlobError> {
         let staging = Multipart::new(&store, UPLOADS);
-        Self::open(store, Box::new(staging), Kind::Shared, options).await
+        Self::open(store, Box::new(staging), Kind::Shared, options, books).await
     }
 
     /// Blobs in a bucket: `s3://bucket/prefix`. `settings` are those of `object_store` (`aws_endpoint`, `aws_region`,
-    /// `aws_access_key_id`, ...) and count before the variables of the same names, in capitals. Errors: `Unavailable`.
+    /// `aws_access_key_id`, ...) and count before the variables of the same names, in capitals. The books are as in
+    /// [`Self::shared`]. Errors: `Unavailable`.
     #[cfg(feature = "s3")]
     pub async fn s3(
+        books: Arc<dyn Books>,
         url: &str,
         settings: impl IntoIterator<Item = (String, String)>,
         options: BlobOptions,
     ) -> Result<Self, BlobError> {
-        Self::shared(Arc::new(super::s3::open(url, settings)?), options).await
+        Self::shared_with(books, Arc::new(super::s3::open(url, settings)?), options).await
     }
 
     async fn open(
@@ -99,26 +121,29 @@ impl ObjectBlobs {
         staging: Box<dyn Staging>,
         kind: Kind,
         options: BlobOptions,
+        books: Arc<dyn Books>,
     ) -> Result<Self, BlobError> {
-        let mut ledger = Ledger::new(options.quota_bytes);
+        let mut stored = Stored::default();
         let mut blobs = objects.list(Some(&Path::from(BLOBS)));
         while let Some(blob) = blobs.try_next().await.map_err(object("look for blobs"))? {
             match blob.location.filename().and_then(|name| name.parse::<Digest>().ok()) {
                 Some(digest) if path_of(&digest) == blob.location => {
-                    ledger.found(digest, blob.size, changes::stamp_of(&blob));
+                    stored.blobs.push((BlobInfo { digest, size_bytes: blob.size }, changes::stamp_of(&blob)));
                 }
                 _ => tracing::warn!(path = %blob.location, "not a blob; left alone"),
             }
         }
         drop(blobs);
-        // Elsewhere another process may have written a mark whose blob this one has not seen.
-        marks::scan(&*objects, &mut ledger, matches!(kind, Kind::Folder { .. })).await?;
+        stored.owners = marks::scan(&*objects).await?;
+        stored.uploads = staging.scan().await?;
         let uploads = Uploads::default();
-        for (id, touched) in staging.scan().await? {
-            ledger.found_upload(id.size_bytes);
-            uploads.found(id, touched);
+        stored.uploads.iter().for_each(|(id, _)| uploads.found(*id));
+        let lost = books.enter(stored).await?;
+        // Elsewhere another process may have written a mark whose blob this one has not seen.
+        if matches!(kind, Kind::Folder { .. }) {
+            marks::remove(&*objects, lost).await?;
         }
-        Ok(Self(Arc::new(Inner::new(objects, staging, kind, options, ledger, uploads))))
+        Ok(Self(Arc::new(Inner::new(objects, staging, kind, options, books, uploads))))
     }
 
     /// Runs a change to its end, even if its caller goes away.
@@ -192,7 +217,7 @@ impl BlobStore for ObjectBlobs {
             Some(opened) => Ok(BlobRead { info, range, bytes: self.0.clone().guarded(bytes_of(opened, whole)) }),
             None => {
                 // Another program removed it.
-                lock(&self.0.ledger).forget(&digest);
+                self.0.books.forget(digest).await?;
                 Err(BlobError::NotFound { digest })
             }
         }
@@ -211,12 +236,11 @@ impl BlobStore for ObjectBlobs {
     }
 
     async fn pin(&self, name: &str, digests: &[Digest]) -> Result<(), BlobError> {
-        self.0.pin(name, digests).await
+        self.0.pin(None, name, digests).await
     }
 
     async fn pin_for(&self, owner: Owner, name: &str, digests: &[Digest]) -> Result<(), BlobError> {
-        self.0.pin(name, digests).await?;
-        lock(&self.0.ledger).pin_for(owner, name, digests)
+        self.0.pin(Some(owner), name, digests).await
     }
 
     async fn is_owned(&self, owner: Owner, digest: Digest) -> Result<bool, BlobError> {
@@ -249,12 +273,11 @@ impl BlobStore for ObjectBlobs {
     }
 
     async fn owned_bytes(&self, owner: Owner) -> Result<u64, BlobError> {
-        Ok(lock(&self.0.ledger).owned_bytes(owner))
+        self.0.books.owned_bytes(owner).await
     }
 
     async fn unpin(&self, name: &str) -> Result<(), BlobError> {
-        lock(&self.0.ledger).unpin(name);
-        Ok(())
+        self.0.books.unpin(name).await
     }
 
     async fn sweep(&self) -> Result<usize, BlobError> {
@@ -266,7 +289,6 @@ impl BlobStore for ObjectBlobs {
     }
 
     async fn usage(&self) -> Result<Usage, BlobError> {
-        let usage = lock(&self.0.ledger).usage();
-        Ok(Usage { uploads: self.0.uploads.len(), ..usage })
+        Ok(Usage { limit_bytes: self.0.options.quota_bytes, ..self.0.books.usage().await? })
     }
 }

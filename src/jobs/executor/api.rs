@@ -18,8 +18,8 @@ use crate::store::{Created, Page, Query};
 /// be run to its end, even if the caller is gone. Every call may fail with `Store`.
 #[async_trait]
 pub trait JobApi: Send + Sync {
-    /// Keeps a job and queues it. Errors: `Input`, `TooLarge`, `Packed`; `Blob` if its input is not stored; `Store` if the
-    /// request came before with another body; `Job` if the queue is full or the server drains.
+    /// Keeps a job and queues it. Errors: `Input`, `TooLarge`, `Packed`; `Blob`, or `InputMissing` in `Store`, if its input is not stored; `Store` if
+    /// the request came before with another body; `Job` if the queue is full or the server drains.
     async fn create(&self, spec: Spec) -> Result<Created, JobApiError>;
 
     async fn get(&self, tenant: &str, id: JobId) -> Result<Job, JobApiError>;

@@ -11,7 +11,7 @@ use std::time::Duration;
 use glam::DVec3;
 
 use super::storage::StorageError;
-use super::{Inner, LEASE, ProgressCommand, failed, input_pin, is_outdated, result_pin};
+use super::{Inner, LEASE, ProgressCommand, failed, is_outdated};
 use crate::blob::{BlobError, Owner, put};
 use crate::engine::worker::{Device, WorkContext, text};
 use crate::executor::input::{Blobs, Reader, WorkError, failure};
@@ -19,7 +19,7 @@ use crate::executor::perform::{JobContext, Parts, perform};
 use crate::observe::activity::{Activity, JobOutcome, Listener};
 use crate::record::event::Progress;
 use crate::record::{Cause, Change, FailureKind, Job, JobId, ResultSet};
-use crate::store::{Offer, StoreError};
+use crate::store::{Offer, result_pin};
 use crate::{Backends, JobError};
 use geometry::cvt::Iteration;
 use geometry::remesh::RemeshError;
@@ -195,7 +195,6 @@ impl AtWork {
                 }
             },
         };
-        let keeps = matches!(change, Change::Succeed(_));
         match &change {
             Change::Succeed(_) => {}
             Change::Release => self.activity.set_outcome(JobOutcome::Released),
@@ -213,12 +212,9 @@ impl AtWork {
                 Err(error) if is_outdated(error) => {}
                 Err(error) => tracing::error!(id = %job.id, %error, "the end of a job could not be kept"),
             }
-            if changed.is_err() || !keeps {
+            if changed.is_err() {
+                // The store may have let go of the job before this result was pinned.
                 inner.unpin(&result_pin(job.id)).await;
-            }
-            let released = matches!(name, crate::record::state::Transition::Release);
-            if !released && !matches!(changed, Err(StoreError::Broken { .. } | StoreError::Closed)) {
-                inner.unpin(&input_pin(job.id)).await;
             }
         });
     }

@@ -10,9 +10,8 @@ use std::time::{Duration, Instant};
 use glam::DVec3;
 
 use crate::executor::prepared::Prepared;
-use crate::{
-    Admission, AdmissionRequest, BackendInfo, Engine, JobError, Pending, Reservation, Retry, Timed, WorkContext,
-};
+use crate::executor::streams::Place;
+use crate::{Admission, BackendInfo, Engine, JobError, Pending, Retry, Timed, WorkContext};
 use geometry::cvt::{Cvt, CvtOptions, Iteration, SeedEdit, StepKind};
 use geometry::rvd::BackendChoice;
 use wire::proto::SeedsWanted;
@@ -40,9 +39,9 @@ impl CvtSession {
         prepared: Arc<Prepared>,
         choice: BackendChoice,
         options: CvtOptions,
-        (_reservation, request): (Reservation, AdmissionRequest),
+        place: Place,
     ) -> Result<Pending<(Cvt, BackendInfo)>, JobError> {
-        engine.submit(Admission::Reserved(request), Retry::Restart, move |backends, context| {
+        engine.submit(Admission::Reserved(place.request), Retry::Restart, move |backends, context| {
             context.token.check()?;
             let backend = backends.choose(choice)?;
             let cvt = Cvt::new(backend.as_ref(), Arc::clone(&prepared.surface), &prepared.seeds, options)?;

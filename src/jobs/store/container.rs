@@ -6,7 +6,7 @@
 
 use std::collections::BTreeMap;
 use std::ops::{Bound, ControlFlow};
-use std::sync::Mutex;
+use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 use super::tables::{Live, Order, Table, Tables, TablesMut, Visit, Waiters};
@@ -14,6 +14,7 @@ use super::{
     Answer, Clock, Created, JobStore, NewJob, Offer, Orphans, Page, Query, Recovered, Retention, StoreError, Swept,
     operations as ops,
 };
+use crate::blob::books::{Books, LocalBooks};
 use crate::lock;
 use crate::record::event::{Events, Log, Progress};
 use crate::record::{Change, Job, JobId, Spec, Time};
@@ -34,9 +35,15 @@ pub(crate) trait Container: Send + Sync {
     ) -> Answer<'_, T>;
 
     fn waiters(&self) -> &Waiters;
+
+    fn books(&self) -> &Arc<LocalBooks>;
 }
 
 impl<C: Container> JobStore for C {
+    fn books(&self) -> Arc<dyn Books> {
+        Container::books(self).clone()
+    }
+
     fn create(&self, job: NewJob) -> Answer<'_, Created> {
         self.write(|tables, live, now| ops::create(tables, live, job, now))
     }
@@ -94,14 +101,15 @@ impl<C: Container> JobStore for C {
     }
 }
 
-#[derive(Debug, Default)]
+#[derive(Debug)]
 pub struct MemoryStore {
     contents: Mutex<Contents>,
+    books: Arc<LocalBooks>,
     waiters: Waiters,
     clock: Clock,
 }
 
-#[derive(Debug, Default)]
+#[derive(Debug)]
 struct Contents {
     tables: Trees,
     live: Live,
@@ -147,7 +155,15 @@ impl TablesMut for Trees {
 impl MemoryStore {
     /// A store without jobs, with this clock.
     pub fn with_clock(clock: Clock) -> Self {
-        Self { clock, ..Self::default() }
+        let books = Arc::<LocalBooks>::default();
+        let contents = Contents { tables: Trees::default(), live: Live::new(Arc::clone(&books)) };
+        Self { contents: Mutex::new(contents), books, waiters: Waiters::default(), clock }
+    }
+}
+
+impl Default for MemoryStore {
+    fn default() -> Self {
+        Self::with_clock(Clock::default())
     }
 }
 
@@ -162,11 +178,13 @@ impl Container for MemoryStore {
             let Contents { tables, live } = &mut *contents;
             let result = operation(tables, live, self.clock.now());
             touched = std::mem::take(&mut live.touched);
+            live.pins.settle();
             result
         };
         self.waiters.wake(&touched);
         Box::pin(std::future::ready(result))
     }
+
     fn read<T: Send + 'static>(
         &self,
         live: Option<JobId>,
@@ -179,5 +197,9 @@ impl Container for MemoryStore {
 
     fn waiters(&self) -> &Waiters {
         &self.waiters
+    }
+
+    fn books(&self) -> &Arc<LocalBooks> {
+        &self.books
     }
 }

@@ -1,19 +1,23 @@
 //! What can be done with jobs, on tables.
 //!
 //! Purpose: one implementation for the stores of one process. Invariant: an operation reads and decides before it writes, so
-//! that one that is refused has written nothing; the indexes (`states`, `due`, `ended`, `terms`, `requests`) say the same as the heads.
+//! that one that is refused has written and pinned nothing; the indexes (`states`, `due`, `ended`, `terms`, `requests`) say the same as the heads.
 //! Must not know: files, threads, clocks.
+
+mod upkeep;
 
 use std::ops::ControlFlow;
 
 use serde::de::DeserializeOwned;
 
+pub(crate) use upkeep::{expire, recover};
+
 use super::codec::{Head, decode, encode};
 use super::tables::{Entry, Live, Order, Table, Tables, TablesMut};
-use super::{Created, NewJob, Offer, Orphans, Page, Query, Recovered, Retention, StoreError, Swept};
+use super::{Created, NewJob, Offer, Page, Query, StoreError};
 use crate::record::event::{Event, Events, Log, Progress, What};
 use crate::record::state::State;
-use crate::record::{Bytes, Cause, Change, Failure, FailureKind, Holder, Job, JobId, Spec, Status, Time};
+use crate::record::{Bytes, Change, Holder, Job, JobId, Spec, Status, Time};
 
 /// Numbers of events that are reserved at once: the most that are skipped if the process goes down.
 const RESERVED: u64 = 1024;
@@ -135,6 +139,7 @@ pub(crate) fn create(tables: &mut dyn TablesMut, live: &mut Live, new: NewJob, n
         reserved_events: 2,
     };
     let (spec, log) = (encode("spec", &wanted)?, encode("log", &log)?);
+    live.pins.create(id, &wanted.tenant, &wanted.task().blobs())?;
     adopt(tables, id, &head, &spec, &log)?;
     tables.put(Table::Line, &line_key(&wanted, id), &[])?;
     live.touched.push(id);
@@ -278,6 +283,7 @@ pub(crate) fn change(
     let head = Head { status, next_event, reserved_events, ..before };
     put_head(tables, id, &head)?;
     tables.put(Table::Logs, &id.0, &encoded)?;
+    live.pins.change(id, head.status.state);
     Ok(Job { id, spec, status: head.status })
 }
 
@@ -392,107 +398,6 @@ pub(crate) fn delete(tables: &mut dyn TablesMut, live: &mut Live, id: JobId) -> 
     }
     live.jobs.remove(&id);
     live.touched.push(id);
+    live.pins.delete(id);
     Ok(())
-}
-
-pub(crate) fn expire(
-    tables: &mut dyn TablesMut,
-    live: &mut Live,
-    now: Time,
-    keep: Retention,
-    most: usize,
-) -> StoreResult<Swept> {
-    let mut swept = Swept::default();
-    let end = time_key(Time(now.0.saturating_add(1)), JobId([0; 16]));
-    let mut due = Vec::new();
-    tables.visit(Table::Due, (&[], &end), Order::Up, &mut |key, _| {
-        swept.more = due.len() >= most;
-        if swept.more {
-            return Ok(ControlFlow::Break(()));
-        }
-        due.push(id_of(Table::Due, key)?);
-        Ok(ControlFlow::Continue(()))
-    })?;
-    let mut over = Vec::new();
-    let old = |time: u64, kept: std::time::Duration| Time(time).after(kept) <= now;
-    tables.visit(Table::Ended, (&[], &end), Order::Up, &mut |key, value| {
-        let time = key.first_chunk().map_or(0, |bytes| u64::from_be_bytes(*bytes));
-        let is_result = value.first() == Some(&1);
-        if !old(time, keep.results.min(keep.records)) {
-            return Ok(ControlFlow::Break(()));
-        }
-        if old(time, if is_result { keep.results } else { keep.records }) {
-            if due.len() + over.len() >= most {
-                swept.more = true;
-                return Ok(ControlFlow::Break(()));
-            }
-            over.push((id_of(Table::Ended, key)?, is_result));
-        }
-        Ok(ControlFlow::Continue(()))
-    })?;
-    for id in due {
-        let cause = match head(tables, id)?.status.state {
-            State::Queued => Cause::QueueDeadline,
-            _ => Cause::RunDeadline,
-        };
-        change(tables, live, (id, None), Change::Expire(cause), now)?;
-        swept.expired.push(id);
-    }
-    for (id, is_result) in over {
-        if is_result {
-            change(tables, live, (id, None), Change::Expire(Cause::Kept), now)?;
-            swept.expired.push(id);
-        } else {
-            delete(tables, live, id)?;
-            swept.deleted.push(id);
-        }
-    }
-    Ok(swept)
-}
-
-fn in_state(tables: &dyn TablesMut, state: State) -> StoreResult<Vec<JobId>> {
-    let (from, to) = (state_key(state, JobId([0; 16])), state_key(state, JobId([0xff; 16])));
-    let mut found = Vec::new();
-    tables.visit(Table::States, (&from, &to), Order::Up, &mut |key, _| {
-        found.push(id_of(Table::States, key)?);
-        Ok(ControlFlow::Continue(()))
-    })?;
-    Ok(found)
-}
-
-pub(crate) fn recover(
-    tables: &mut dyn TablesMut,
-    live: &mut Live,
-    now: Time,
-    orphans: Orphans,
-    max_crashes: u32,
-) -> StoreResult<Recovered> {
-    let mut recovered = Recovered::default();
-    for id in in_state(tables, State::Running)? {
-        let status = head(tables, id)?.status;
-        if orphans == Orphans::LeaseOver && status.holder.is_some_and(|holder| holder.until > now) {
-            continue;
-        }
-        if status.crashes + 1 < max_crashes {
-            change(tables, live, (id, None), Change::Orphan, now)?;
-            recovered.requeued.push(id);
-        } else {
-            let times = status.crashes + 1;
-            let message =
-                format!("the server went down while this job was running, {times} times; it is not tried again");
-            let failure = Failure { kind: FailureKind::Crashed, message };
-            change(tables, live, (id, None), Change::Fail(failure), now)?;
-            recovered.failed.push(id);
-        }
-    }
-    recovered.queued = in_state(tables, State::Queued)?;
-    // Journals of earlier releases have no line.
-    for id in &recovered.queued {
-        let spec = spec(tables, *id)?;
-        let key = line_key(&spec, *id);
-        if tables.get(Table::Line, &key)?.is_none() {
-            tables.put(Table::Line, &key, &[])?;
-        }
-    }
-    Ok(recovered)
 }

@@ -26,6 +26,7 @@ use tokio::sync::{mpsc, oneshot};
 use super::container::Container;
 use super::tables::{Live, Order, Table, Tables, TablesMut, Visit, Waiters};
 use super::{Answer, Clock, StoreError};
+use crate::blob::books::LocalBooks;
 use crate::lock;
 use crate::record::event::Log;
 use crate::record::{JobId, Time};
@@ -74,6 +75,7 @@ struct Shared {
     progress: Mutex<HashMap<JobId, Log>>,
     waiters: Waiters,
     clock: Clock,
+    books: Arc<LocalBooks>,
     /// Held after the database, so dropped after it.
     _directory: Option<Directory>,
 }
@@ -103,11 +105,11 @@ impl RedbStore {
         clock: Clock,
         directory: Option<Directory>,
     ) -> Result<Self, StoreError> {
-        let (progress, waiters) = (Mutex::default(), Waiters::default());
-        let shared = Arc::new(Shared { database, path, progress, waiters, clock, _directory: directory });
+        let (progress, waiters, books) = (Mutex::default(), Waiters::default(), Arc::default());
+        let shared = Arc::new(Shared { database, path, progress, waiters, clock, books, _directory: directory });
         shared.make_tables()?;
         let (commands, waiting) = mpsc::channel(WAITING);
-        let writer = Writer { shared: Arc::clone(&shared), live: Live::default(), broken: None };
+        let writer = Writer { shared: Arc::clone(&shared), live: Live::new(Arc::clone(&shared.books)), broken: None };
         let spawned = std::thread::Builder::new().name("journal".to_owned()).spawn(move || writer.run(waiting));
         let writer = spawned.map_err(|cause| shared.io("start the thread that writes", &cause))?;
         Ok(Self { shared, commands: Some(commands), writer: Some(writer) })
@@ -161,6 +163,10 @@ impl Container for RedbStore {
 
     fn waiters(&self) -> &Waiters {
         &self.shared.waiters
+    }
+
+    fn books(&self) -> &Arc<LocalBooks> {
+        &self.shared.books
     }
 }
 
@@ -351,6 +357,9 @@ impl Writer {
                 Some(cause) => Err(StoreError::Broken { cause: cause.clone() }),
                 None => Ok(()),
             };
+            if outcome.is_ok() {
+                self.live.pins.settle();
+            }
             let touched = std::mem::take(&mut self.live.touched);
             self.publish(&touched);
             // Callers that are answered now are likely to come back with more.

@@ -13,18 +13,20 @@
 //! | terms | label or tenant, job | nothing: for lists |
 //!
 //! Purpose: [`Tables`], so that the stores of one process share their operations; [`Live`]: iterations come often and matter
-//! little, so they are kept in memory until the state changes. Invariant: keys are in the order of their bytes. An entry of
+//! little, so they are kept in memory until the state changes; pins follow from the tables. Invariant: keys are in the order of their bytes. An entry of
 //! [`Live`] is of the attempt that runs; its numbers are below what the head has reserved. [`Waiters`] wakes waits once the event
 //! can be read. Must not know: what the bytes mean, clocks.
 
 use std::collections::HashMap;
 use std::ops::ControlFlow;
-use std::sync::Mutex;
+use std::sync::{Arc, Mutex};
 
 use strum::VariantArray;
 use tokio::sync::watch;
 
+use super::pins::Pins;
 use super::{JobStore, StoreError};
+use crate::blob::books::LocalBooks;
 use crate::lock;
 use crate::record::JobId;
 use crate::record::event::Log;
@@ -86,6 +88,13 @@ pub(crate) struct Live {
     pub jobs: HashMap<JobId, Entry>,
     /// Jobs with something new to be seen: an event, or their end.
     pub touched: Vec<JobId>,
+    pub(super) pins: Pins,
+}
+
+impl Live {
+    pub(crate) fn new(books: Arc<LocalBooks>) -> Self {
+        Self { pins: Pins::new(books), ..Self::default() }
+    }
 }
 
 /// Waits, by job.

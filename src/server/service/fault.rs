@@ -321,6 +321,7 @@ fn of_store(error: &StoreError) -> Fault {
     let text = error.to_string();
     match error {
         StoreError::NotFound { id } => not_found("job", id.to_string(), text),
+        StoreError::InputMissing { digest } => not_found("blob", digest.to_string(), text),
         StoreError::AlreadyExists { .. } => {
             Fault::new(Kind::AlreadyExists, text.clone()).with(field("request_id", text))
         }

@@ -35,8 +35,9 @@ use crate::config::Limits;
 use ::jobs::admission::estimate::{self, Counts, need};
 use ::jobs::admission::forecast::must_fit;
 use ::jobs::executor::prepared::{Input, Prepared};
+use ::jobs::executor::streams::Place;
 use ::jobs::observe::activity::Origin;
-pub(super) use ::jobs::{AdmissionRequest, BackendInfo, CancelOnDrop, Engine, JobError, Reservation, admission};
+pub(super) use ::jobs::{AdmissionRequest, BackendInfo, CancelOnDrop, Engine, JobError, admission};
 use geometry::cvt::density::Count;
 use geometry::mesh::TriMesh;
 use geometry::remesh::report::to_json;
@@ -123,8 +124,7 @@ struct Received {
 struct Admitted<O> {
     header: Checked<O>,
     received: Received,
-    reservation: Reservation,
-    request: AdmissionRequest,
+    place: Place,
 }
 
 /// Reads header, chunks and the end mark. What cannot be done now, or not here, is refused at the header.
@@ -146,16 +146,18 @@ async fn upload<M: Into<Incoming<H>>, H: Needs>(
             () = shared.gate.reached(Phase::Draining) => return Err(RequestError::Draining),
         };
         let complete = upload.take(message.map(Into::into), |bytes| share.grow(bytes).map_err(RequestError::from))?;
-        let (request, reservation) = match (kept.take(), upload.header()) {
-            (Some(kept), _) => kept,
-            (None, Some(header)) => (admission_request::<H>(shared, tenant, header)?, shared.engine.reserve()?),
-            // Nothing can come before the header.
-            (None, None) => (AdmissionRequest::default(), shared.engine.reserve()?),
+        let place = match (kept.take(), upload.header()) {
+            (Some(place), _) => place,
+            (None, header) => {
+                // Nothing can come before the header.
+                let request = header.map(|header| admission_request::<H>(shared, tenant, header)).transpose()?;
+                Place { request: request.unwrap_or_default(), reservation: shared.engine.reserve()? }
+            }
         };
         if let Some((header, arrays)) = complete {
-            return Ok(Admitted { header, received: Received { arrays, share }, reservation, request });
+            return Ok(Admitted { header, received: Received { arrays, share }, place });
         }
-        kept = Some((request, reservation));
+        kept = Some(place);
     }
 }
 

@@ -1,12 +1,12 @@
 //! The changes of a store: uploads, evictions, removals.
 //!
-//! Purpose: keeps the books of the quota, the uploads under way, the staged bytes and the objects in step. Invariant: a
-//! slot of an upload is locked before a digest, never the other way. The bytes of a blob are shown and removed under the
+//! Purpose: keeps the books, the uploads under way, the staged bytes and the objects in step. Invariant: a slot of an
+//! upload is locked before a digest, never the other way. The bytes of a blob are shown and removed under the
 //! lock of its digest, so that a late removal never takes a blob that has come back. A blob is in the books only while its
 //! bytes are stored. Must not know: which store it is.
 
 use std::fs::File;
-use std::sync::{Arc, Mutex};
+use std::sync::Arc;
 use std::time::{Duration, SystemTime};
 
 use futures_util::{StreamExt, TryStreamExt, stream};
@@ -16,15 +16,14 @@ use tokio::sync::{MutexGuard, OwnedMutexGuard};
 use tokio::task::spawn_blocking;
 
 use super::LOCKS;
+use crate::blob::books::{Books, Room, Terms, Used};
 use crate::blob::chunk::{Chunk, UploadId, UploadStatus};
 use crate::blob::digest::path_of;
 use crate::blob::error::found;
-use crate::blob::quota::Ledger;
 use crate::blob::reader::bytes_of;
 use crate::blob::staging::{Part, Staging};
-use crate::blob::upload::{Slot, Upload, Uploads};
-use crate::blob::{BlobError, BlobInfo, BlobOptions, ByteStream, Digest};
-use crate::lock;
+use crate::blob::upload::{Slot, Uploads};
+use crate::blob::{BlobError, BlobInfo, BlobOptions, ByteStream, Digest, Owner};
 
 /// Removals and questions to the store that run at once.
 const AT_ONCE: usize = 16;
@@ -43,19 +42,11 @@ pub(super) enum Kind {
 pub(super) struct Inner {
     pub(super) objects: Arc<dyn ObjectStore>,
     pub(super) staging: Box<dyn Staging>,
-    pub(super) ledger: Mutex<Ledger>,
+    pub(super) books: Arc<dyn Books>,
     pub(super) uploads: Uploads,
     locks: Vec<tokio::sync::Mutex<()>>,
-    options: BlobOptions,
+    pub(super) options: BlobOptions,
     pub(super) kind: Kind,
-}
-
-/// What goes, so that an upload has room.
-struct Reserved {
-    /// Blobs that are out of the books.
-    victims: Vec<BlobInfo>,
-    /// Blobs that the upload's owner gives up; others have them.
-    unmarked: Vec<Digest>,
 }
 
 /// When an object was written or used last, in nanoseconds since 1970.
@@ -69,11 +60,11 @@ impl Inner {
         staging: Box<dyn Staging>,
         kind: Kind,
         options: BlobOptions,
-        ledger: Ledger,
+        books: Arc<dyn Books>,
         uploads: Uploads,
     ) -> Self {
         let locks = (0..LOCKS).map(|_| tokio::sync::Mutex::new(())).collect();
-        Self { objects, staging, ledger: Mutex::new(ledger), uploads, locks, options, kind }
+        Self { objects, staging, books, uploads, locks, options, kind }
     }
 
     /// Waits for the lock under which the bytes of a blob are shown and removed.
@@ -82,7 +73,7 @@ impl Inner {
     }
 
     pub(super) async fn stored(&self, digest: Digest) -> Result<Option<BlobInfo>, BlobError> {
-        let known = lock(&self.ledger).get(&digest);
+        let known = self.books.get(digest).await?;
         if known.is_some() || !matches!(self.kind, Kind::Shared) {
             return Ok(known);
         }
@@ -93,13 +84,13 @@ impl Inner {
 
     /// As [`Self::stored`]; the caller holds the lock of its bytes.
     pub(super) async fn stored_in_turn(&self, digest: Digest) -> Result<Option<BlobInfo>, BlobError> {
-        let known = lock(&self.ledger).get(&digest);
+        let known = self.books.get(digest).await?;
         if known.is_some() || !matches!(self.kind, Kind::Shared) {
             return Ok(known);
         }
         let Some(meta) = found("look for a blob", self.objects.head(&path_of(&digest)).await)? else { return Ok(None) };
-        let kept = lock(&self.ledger).seen(digest, meta.size, stamp_of(&meta));
-        Ok(kept.then_some(BlobInfo { digest, size_bytes: meta.size }))
+        let blob = BlobInfo { digest, size_bytes: meta.size };
+        Ok(self.books.found(blob, stamp_of(&meta)).await?.then_some(blob))
     }
 
     /// A blob that is used now, if it is stored.
@@ -107,9 +98,9 @@ impl Inner {
         if self.stored(digest).await?.is_none() {
             return Ok(None);
         }
-        let Some((info, stamp)) = lock(&self.ledger).touch(&digest) else { return Ok(None) };
-        self.stamp(vec![(digest, stamp)]).await;
-        Ok(Some(info))
+        let Some(used) = self.books.touch(&[digest]).await?.pop().flatten() else { return Ok(None) };
+        self.stamp(vec![(digest, used.stamp)]).await;
+        Ok(Some(used.info))
     }
 
     /// Has the files remember when they were used last.
@@ -130,67 +121,54 @@ impl Inner {
         drop(work.await);
     }
 
+    /// As [`Self::stamp`].
+    async fn stamp_all(&self, used: impl Iterator<Item = Used>) {
+        self.stamp(used.map(|used| (used.info.digest, used.stamp)).collect()).await;
+    }
+
     pub(super) async fn find_missing(&self, digests: &[Digest]) -> Result<Vec<Digest>, BlobError> {
-        let unknown: Vec<Digest> = {
-            let ledger = lock(&self.ledger);
-            digests.iter().copied().filter(|digest| ledger.get(digest).is_none()).collect()
-        };
         if matches!(self.kind, Kind::Shared) {
-            let asked = stream::iter(unknown).map(|digest| self.stored(digest)).buffer_unordered(AT_ONCE);
+            let asked = stream::iter(digests.to_vec()).map(|digest| self.stored(digest)).buffer_unordered(AT_ONCE);
             asked.try_collect::<Vec<_>>().await?;
         }
-        let mut missing = Vec::new();
-        let mut stamps = Vec::new();
-        {
-            let mut ledger = lock(&self.ledger);
-            for digest in digests {
-                match ledger.touch(digest) {
-                    Some((_, stamp)) => stamps.push((*digest, stamp)),
-                    None => missing.push(*digest),
-                }
-            }
-        }
-        self.stamp(stamps).await;
+        let used = self.books.touch(digests).await?;
+        let missing = digests.iter().zip(&used).filter(|(_, used)| used.is_none()).map(|(digest, _)| *digest).collect();
+        self.stamp_all(used.into_iter().flatten()).await;
         Ok(missing)
     }
 
-    pub(super) async fn pin(&self, name: &str, digests: &[Digest]) -> Result<(), BlobError> {
+    pub(super) async fn pin(&self, owner: Option<Owner>, name: &str, digests: &[Digest]) -> Result<(), BlobError> {
         for digest in digests {
             if self.stored(*digest).await?.is_none() {
                 return Err(BlobError::NotFound { digest: *digest });
             }
         }
-        let stamps = {
-            let mut ledger = lock(&self.ledger);
-            ledger.pin(name, digests)?;
-            digests.iter().filter_map(|digest| Some((*digest, ledger.touch(digest)?.1))).collect()
-        };
-        self.stamp(stamps).await;
+        let used = self.books.pin(owner, name, digests).await?;
+        self.stamp_all(used.into_iter()).await;
         Ok(())
     }
 
     /// Waits for the turn to change an upload, and reads it if that is still to be done. `None` if there is none.
-    async fn turn(&self, id: UploadId) -> Result<Option<(Arc<Upload>, OwnedMutexGuard<Slot>)>, BlobError> {
+    async fn turn(&self, id: UploadId) -> Result<Option<OwnedMutexGuard<Slot>>, BlobError> {
         loop {
-            let Some(upload) = self.uploads.get(&id) else {
+            let Some(mut slot) = self.uploads.lock(&id).await else {
                 if !matches!(self.kind, Kind::Shared) || !self.adopt(id).await? {
                     return Ok(None);
                 }
                 continue;
             };
-            let mut slot = upload.lock().await;
             match &*slot {
                 Slot::Gone => continue,
                 Slot::Open(_) => {}
                 Slot::Kept => match self.staging.load(id).await? {
                     Some(part) => *slot = Slot::Open(part),
                     None => {
-                        self.drop_upload(id, &mut slot);
+                        self.drop_upload(id, &mut slot).await?;
                         return Ok(None);
                     }
                 },
             }
-            return Ok(Some((upload, slot)));
+            return Ok(Some(slot));
         }
     }
 
@@ -200,21 +178,17 @@ impl Inner {
         if self.staging.load(id).await?.is_none() {
             return Ok(false);
         }
-        let admit = |_| {
-            lock(&self.ledger).found_upload(id.size_bytes);
-            Ok(())
-        };
-        if let Some((mut slot, ())) = self.uploads.add(id, self.options.uploads, admit)? {
-            // The next turn reads it again.
-            *slot = Slot::Kept;
-        }
+        self.books.adopt(id, self.options.uploads).await?;
+        // The next turn reads it again.
+        drop(self.uploads.add(id));
         Ok(true)
     }
 
     /// The upload is no more, and its room is free.
-    fn drop_upload(&self, id: UploadId, slot: &mut Slot) {
+    async fn drop_upload(&self, id: UploadId, slot: &mut Slot) -> Result<(), BlobError> {
+        self.books.end_upload(id).await?;
         self.uploads.remove(&id, slot);
-        lock(&self.ledger).release(id.size_bytes);
+        Ok(())
     }
 
     /// The blob of an upload, if it is stored and the upload's owner has it. Counts as a use.
@@ -233,28 +207,6 @@ impl Inner {
         }
     }
 
-    /// Keeps room for a new upload: its owner's own, and that of all. Gives the blobs that go, and those that their owner gives
-    /// up though others have them.
-    fn reserve(&self, id: UploadId, promised: Option<u64>, own_limit: Option<u64>) -> Result<Reserved, BlobError> {
-        let mut ledger = lock(&self.ledger);
-        let given_up = match (id.owner, own_limit) {
-            (Some(owner), Some(limit)) => ledger.own_room(owner, id.size_bytes, promised.unwrap_or(0), limit)?,
-            _ => Vec::new(),
-        };
-        let mut victims = ledger.reserve(id.size_bytes, promised)?;
-        let mut unmarked = Vec::new();
-        for digest in given_up {
-            // It may be among the victims by now.
-            let Some(owner) = id.owner else { break };
-            match ledger.disown(&digest, owner) {
-                Ok(Some(orphan)) => victims.push(orphan),
-                Ok(None) => unmarked.push(digest),
-                Err(_) => {}
-            }
-        }
-        Ok(Reserved { victims, unmarked })
-    }
-
     pub(super) async fn begin(&self, id: UploadId, own_limit: Option<u64>) -> Result<UploadStatus, BlobError> {
         let (digest, size_bytes) = (id.digest, id.size_bytes);
         loop {
@@ -271,33 +223,53 @@ impl Inner {
             if size_bytes > self.options.blob_bytes {
                 return Err(BlobError::TooLarge { size_bytes, limit_bytes: self.options.blob_bytes });
             }
-            let reserve = |promised| self.reserve(id, promised, own_limit);
-            let added = match self.uploads.add(id, self.options.uploads, reserve) {
-                Err(full @ (BlobError::TooManyUploads { .. } | BlobError::QuotaExceeded { .. })) => {
-                    match self.displace(id).await? {
-                        true => continue,
-                        false => return Err(full),
+            if let Some(slot) = self.uploads.add(id) {
+                match self.begin_new(id, slot, own_limit).await {
+                    Ok(Some(status)) => return Ok(status),
+                    // Another process began it.
+                    Ok(None) => {}
+                    Err(full @ (BlobError::TooManyUploads { .. } | BlobError::QuotaExceeded { .. })) => {
+                        match self.displace(id).await? {
+                            true => continue,
+                            false => return Err(full),
+                        }
                     }
+                    Err(error) => return Err(error),
                 }
-                added => added?,
-            };
-            let Some((mut slot, reserved)) = added else {
-                match self.status(id).await {
-                    // It ended just now.
-                    Err(BlobError::UploadNotFound { .. }) => continue,
-                    status => return status,
-                }
-            };
-            match self.new_part(id, reserved).await {
-                Ok(part) => {
-                    let kept_bytes = part.tally().bytes();
-                    *slot = Slot::Open(part);
-                    return Ok(UploadStatus { kept_bytes, complete: false });
-                }
-                Err(error) => {
-                    self.drop_upload(id, &mut slot);
-                    return Err(error);
-                }
+            }
+            match self.status(id).await {
+                // It ended just now.
+                Err(BlobError::UploadNotFound { .. }) => {}
+                status => return status,
+            }
+        }
+    }
+
+    /// Begins an upload that has a new slot. `None` if the books have it already. After an error it is no more.
+    async fn begin_new(
+        &self,
+        id: UploadId,
+        mut slot: OwnedMutexGuard<Slot>,
+        own_quota_bytes: Option<u64>,
+    ) -> Result<Option<UploadStatus>, BlobError> {
+        let BlobOptions { quota_bytes, uploads: places, .. } = self.options;
+        let room = match self.books.admit(id, Terms { quota_bytes, places, own_quota_bytes }).await {
+            Ok(Some(room)) => room,
+            Ok(None) => return Ok(None),
+            Err(error) => {
+                self.uploads.remove(&id, &mut slot);
+                return Err(error);
+            }
+        };
+        match self.new_part(id, room).await {
+            Ok(part) => {
+                let kept_bytes = part.tally().bytes();
+                *slot = Slot::Open(part);
+                Ok(Some(UploadStatus { kept_bytes, complete: false }))
+            }
+            Err(error) => {
+                self.drop_upload(id, &mut slot).await?;
+                Err(error)
             }
         }
     }
@@ -306,9 +278,10 @@ impl Inner {
     /// begins again.
     async fn displace(&self, id: UploadId) -> Result<bool, BlobError> {
         let time = self.options.keep_crowded_uploads;
-        let Some(stalest) = id.owner.is_some().then(|| self.uploads.stalest(&id, time)).flatten() else {
+        if id.owner.is_none() {
             return Ok(false);
-        };
+        }
+        let Some(stalest) = self.books.stalest_upload(id, time).await? else { return Ok(false) };
         match self.abandon(stalest, time).await {
             // It ended just now.
             Err(BlobError::UploadNotFound { .. }) => Ok(true),
@@ -317,10 +290,10 @@ impl Inner {
     }
 
     /// Makes room, then a part. Another process may have begun it.
-    async fn new_part(&self, id: UploadId, reserved: Reserved) -> Result<Box<dyn Part>, BlobError> {
-        let Reserved { victims, unmarked } = reserved;
+    async fn new_part(&self, id: UploadId, room: Room) -> Result<Box<dyn Part>, BlobError> {
+        let Room { victims, given_up } = room;
         if let Some(owner) = id.owner {
-            let unmarking = stream::iter(unmarked).map(|digest| self.unmark(digest, owner)).buffer_unordered(AT_ONCE);
+            let unmarking = stream::iter(given_up).map(|digest| self.unmark(digest, owner)).buffer_unordered(AT_ONCE);
             unmarking.collect::<Vec<_>>().await.into_iter().collect::<Result<(), _>>()?;
         }
         // All of them, even if one fails: they are out of the books.
@@ -346,13 +319,13 @@ impl Inner {
     async fn remove(&self, blob: BlobInfo) -> Result<(), BlobError> {
         let digest = blob.digest;
         let _turn = self.lock_bytes(&digest).await;
-        if lock(&self.ledger).get(&digest).is_some() {
+        if self.books.get(digest).await?.is_some() {
             // It has come back, with other owners.
             return self.unmark_others(digest).await;
         }
         let removed = found("remove a blob", self.objects.delete(&path_of(&digest)).await);
-        lock(&self.ledger).left(&digest);
-        removed.inspect_err(|_| lock(&self.ledger).found(digest, blob.size_bytes, 0))?;
+        self.books.removed(blob, removed.is_ok()).await?;
+        removed?;
         self.unmark_others(digest).await
     }
 
@@ -363,7 +336,7 @@ impl Inner {
             Err(BlobError::UploadNotFound { .. }) => {}
             known => return known.map(complete),
         }
-        if let Some((_, slot)) = self.turn(id).await?
+        if let Some(slot) = self.turn(id).await?
             && let Slot::Open(part) = &*slot
         {
             return Ok(UploadStatus { kept_bytes: part.tally().bytes(), complete: false });
@@ -373,7 +346,7 @@ impl Inner {
     }
 
     pub(super) async fn write(&self, id: UploadId, chunk: Chunk) -> Result<UploadStatus, BlobError> {
-        let Some((upload, mut slot)) = self.turn(id).await? else {
+        let Some(mut slot) = self.turn(id).await? else {
             // Another stream of the same upload has ended it in the meantime.
             let info = self.whole(id).await?;
             return Ok(UploadStatus { kept_bytes: info.size_bytes, complete: true });
@@ -384,17 +357,18 @@ impl Inner {
             *slot = Slot::Kept;
             return Err(error);
         }
-        upload.touch();
-        Ok(UploadStatus { kept_bytes: part.tally().bytes(), complete: false })
+        let kept_bytes = part.tally().bytes();
+        self.books.touch_upload(id).await?;
+        Ok(UploadStatus { kept_bytes, complete: false })
     }
 
     pub(super) async fn finish(&self, id: UploadId, pin: Option<&str>) -> Result<BlobInfo, BlobError> {
         let digest = id.digest;
         let gone = BlobError::UploadNotFound { digest };
-        let Some((_upload, mut slot)) = self.turn(id).await? else {
+        let Some(mut slot) = self.turn(id).await? else {
             let info = self.whole(id).await?;
             if let Some(name) = pin {
-                lock(&self.ledger).pin(name, &[digest]).map_err(|_| gone)?;
+                self.books.pin(None, name, &[digest]).await.map_err(|_| gone)?;
             }
             return Ok(info);
         };
@@ -404,7 +378,7 @@ impl Inner {
         let actual = part.tally().digest();
         if missing.is_none() && actual != digest {
             self.discard(id).await;
-            self.drop_upload(id, &mut slot);
+            self.drop_upload(id, &mut slot).await?;
             return Err(BlobError::DigestMismatch { expected: digest, actual });
         }
         // An owner of the blob need not send it again.
@@ -422,10 +396,9 @@ impl Inner {
             if let Some(owner) = id.owner {
                 self.mark(&digest, owner).await?;
             }
-            let wrong = lock(&self.ledger).get(&digest).is_some_and(|info| info.size_bytes != id.size_bytes);
-            if wrong {
+            if self.books.get(digest).await?.is_some_and(|info| info.size_bytes != id.size_bytes) {
                 // Another program changed what is stored: the right bytes take its place.
-                lock(&self.ledger).forget(&digest);
+                self.books.forget(digest).await?;
             }
             // Also where others have the blob: it takes as long as where they do not.
             if let Err(error) = part.publish(&path_of(&digest)).await {
@@ -433,13 +406,19 @@ impl Inner {
                 return Err(error);
             }
         }
-        let stamp = lock(&self.ledger).publish(digest, id.size_bytes, pin);
-        if let Some(owner) = id.owner {
-            self.give(digest, owner).await?;
+        let published = match self.books.publish(id, pin).await {
+            Ok(published) => published,
+            Err(error) => {
+                *slot = Slot::Kept;
+                return Err(error);
+            }
+        };
+        if let Some(other) = published.replaced {
+            self.unmark(digest, other).await?;
         }
         drop(turn);
         self.uploads.remove(&id, &mut slot);
-        self.stamp(vec![(digest, stamp)]).await;
+        self.stamp(vec![(digest, published.stamp)]).await;
         Ok(BlobInfo { digest, size_bytes: id.size_bytes })
     }
 
@@ -454,23 +433,22 @@ impl Inner {
     /// Removes an upload, unless somebody continued it less than `idle` ago; says whether.
     pub(super) async fn abandon(&self, id: UploadId, idle: Duration) -> Result<bool, BlobError> {
         let gone = BlobError::UploadNotFound { digest: id.digest };
-        let upload = self.uploads.get(&id).ok_or_else(|| gone.clone())?;
-        let mut slot = upload.lock().await;
+        let mut slot = self.uploads.lock(&id).await.ok_or_else(|| gone.clone())?;
         if matches!(*slot, Slot::Gone) {
             return Err(gone);
         }
-        if upload.idle() < idle {
+        if self.books.idle_time(id).await?.is_some_and(|time| time < idle) {
             return Ok(false);
         }
         *slot = Slot::Kept;
         self.staging.discard(id).await?;
-        self.drop_upload(id, &mut slot);
+        self.drop_upload(id, &mut slot).await?;
         Ok(true)
     }
 
     pub(super) async fn sweep(&self) -> Result<usize, BlobError> {
         let mut swept = 0;
-        for id in self.uploads.idle(self.options.keep_uploads) {
+        for id in self.books.idle_uploads(self.options.keep_uploads).await? {
             match self.abandon(id, self.options.keep_uploads).await {
                 Ok(gone) => swept += usize::from(gone),
                 Err(BlobError::UploadNotFound { .. }) => {}
@@ -506,13 +484,13 @@ impl Inner {
     /// Removes a blob whose bytes are wrong, pinned or not.
     pub(super) async fn reject(&self, digest: Digest) -> Result<(), BlobError> {
         tracing::error!(%digest, "a blob is damaged; it is removed, and can be uploaded again");
-        let Some(blob) = lock(&self.ledger).forget(&digest) else { return Ok(()) };
+        let Some(blob) = self.books.forget(digest).await? else { return Ok(()) };
         self.remove(blob).await
     }
 
     pub(super) async fn delete(&self, digest: Digest) -> Result<(), BlobError> {
         self.stored(digest).await?;
-        let blob = lock(&self.ledger).delete(&digest)?;
+        let blob = self.books.delete(digest).await?;
         self.remove(blob).await
     }
 }

@@ -5,15 +5,13 @@
 //! returns. Marks of a blob go with its bytes; one that stayed after a crash is removed at the next start.
 //! Must not know: the names of owners, pins.
 
-use futures_util::{StreamExt, TryStreamExt, future, stream};
+use futures_util::{StreamExt, TryStreamExt, stream};
 use object_store::path::Path;
 use object_store::{ObjectStore, ObjectStoreExt, PutPayload};
 
 use super::changes::{Inner, Kind};
 use crate::blob::error::{found, object};
-use crate::blob::quota::Ledger;
 use crate::blob::{BlobError, Digest, Owner};
-use crate::lock;
 
 const OWNERS: &str = "owners";
 
@@ -35,9 +33,8 @@ fn read(path: &Path) -> Option<(Digest, Owner)> {
     (path_of(&digest, owner) == *path).then_some((digest, owner))
 }
 
-/// Puts the marks that an earlier process left into the books, the oldest first. With `alone`, those without a blob are
-/// removed.
-pub(super) async fn scan(objects: &dyn ObjectStore, ledger: &mut Ledger, alone: bool) -> Result<(), BlobError> {
+/// The marks that an earlier process left, the oldest first.
+pub(super) async fn scan(objects: &dyn ObjectStore) -> Result<Vec<(Digest, Owner)>, BlobError> {
     let mut found = Vec::new();
     let mut marks = objects.list(Some(&Path::from(OWNERS)));
     while let Some(mark) = marks.try_next().await.map_err(object("look for the owners of blobs"))? {
@@ -46,23 +43,11 @@ pub(super) async fn scan(objects: &dyn ObjectStore, ledger: &mut Ledger, alone: 
             None => tracing::warn!(path = %mark.location, "no mark of an owner; left alone"),
         }
     }
-    drop(marks);
     found.sort_unstable();
-    let mut lost = Vec::new();
-    for (_, digest, owner) in found {
-        if ledger.get(&digest).is_none() {
-            lost.push((digest, owner));
-        } else if let Some(other) = ledger.give(&digest, owner) {
-            lost.push((digest, other));
-        }
-    }
-    if alone {
-        remove(objects, lost).await?;
-    }
-    Ok(())
+    Ok(found.into_iter().map(|(_, digest, owner)| (digest, owner)).collect())
 }
 
-async fn remove(objects: &dyn ObjectStore, marks: Vec<(Digest, Owner)>) -> Result<(), BlobError> {
+pub(super) async fn remove(objects: &dyn ObjectStore, marks: Vec<(Digest, Owner)>) -> Result<(), BlobError> {
     let removals = marks.into_iter().map(|(digest, owner)| async move {
         found("remove the mark of an owner", objects.delete(&path_of(&digest, owner)).await).map(drop)
     });
@@ -85,19 +70,23 @@ impl Inner {
         // Whatever comes before the first mark of this blob.
         let before = folder_of(&digest).join(format!("{digest}-"));
         let begin = format!("{digest}-");
-        let marks = self.objects.list_with_offset(Some(&folder_of(&digest)), &before);
-        let others = marks.try_filter_map(|mark| {
-            let is_other = mark.location.filename().is_some_and(|name| name.starts_with(&begin));
-            let mark = read(&mark.location).filter(|(_, owner)| is_other && !lock(&self.ledger).has(&digest, *owner));
-            future::ready(Ok(mark))
-        });
-        let others = others.try_collect().await.map_err(object("look for the owners of a blob"))?;
+        let mut marks = self.objects.list_with_offset(Some(&folder_of(&digest)), &before);
+        let mut others = Vec::new();
+        while let Some(mark) = marks.try_next().await.map_err(object("look for the owners of a blob"))? {
+            let is_of_blob = mark.location.filename().is_some_and(|name| name.starts_with(&begin));
+            if let Some((_, owner)) = read(&mark.location).filter(|_| is_of_blob)
+                && !self.books.has(owner, digest).await?
+            {
+                others.push((digest, owner));
+            }
+        }
+        drop(marks);
         remove(&*self.objects, others).await
     }
 
     /// Whether a blob is stored and this owner has it. Another process may have made it one.
     pub(super) async fn is_owned(&self, owner: Owner, digest: Digest) -> Result<bool, BlobError> {
-        if lock(&self.ledger).has(&digest, owner) {
+        if self.books.has(owner, digest).await? {
             return Ok(true);
         }
         if !matches!(self.kind, Kind::Shared) {
@@ -114,8 +103,7 @@ impl Inner {
 
     /// Puts an owner whose mark is written into the books.
     pub(super) async fn give(&self, digest: Digest, owner: Owner) -> Result<(), BlobError> {
-        let replaced = lock(&self.ledger).give(&digest, owner);
-        match replaced {
+        match self.books.give(owner, digest).await? {
             Some(other) => self.unmark(digest, other).await,
             None => Ok(()),
         }
@@ -140,7 +128,7 @@ impl Inner {
     /// whether others have the blob.
     pub(super) async fn disown(&self, owner: Owner, digest: Digest) -> Result<Option<super::BlobInfo>, BlobError> {
         self.is_owned(owner, digest).await?;
-        let orphan = lock(&self.ledger).disown(&digest, owner)?;
+        let orphan = self.books.disown(owner, digest).await?;
         self.unmark(digest, owner).await?;
         Ok(orphan)
     }

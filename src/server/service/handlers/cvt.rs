@@ -23,11 +23,11 @@ pub(super) async fn handle(
     outbox: Outbox<CvtResponse>,
 ) -> Result<(), RequestError> {
     let _place = shared.gate.admit_session()?;
-    let Admitted { header, received, reservation, request } = upload(&shared, &tenant, &mut inbox).await?;
+    let Admitted { header, received, place } = upload(&shared, &tenant, &mut inbox).await?;
     let (wish, options) = (header.backend, header.options.options);
     let token = shared.engine.token();
     let (prepared, _share) = prepare(&shared, received, header.options, Prepared::for_steps, &token).await?;
-    let mut pending = CvtSession::open(&shared.engine, Arc::clone(&prepared), wish, options, (reservation, request))?;
+    let mut pending = CvtSession::open(&shared.engine, Arc::clone(&prepared), wish, options, place)?;
     let position = pending.position;
     let Timed { value, queue_ms, compute_ms } = pending.wait().await?;
     let mut talk = Talk {

@@ -9,10 +9,10 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use super::*;
-pub(super) use ::jobs::executor::diagram::{Diagram, RvdReport, WorldSums};
+pub(super) use ::jobs::executor::diagram::{Diagram, RvdReport};
 use ::jobs::executor::prepared::Prepared;
-pub(super) use ::jobs::{Admission, Pending, Retry, Timed, WorkContext};
-use geometry::rvd::{BackendChoice, PieceBatch};
+use ::jobs::executor::streams::{Batch, StreamWork};
+pub(super) use ::jobs::{Pending, Timed};
 use wire::cells::{CELLS_VERTEX_BYTES, cells_chunks};
 use wire::chunks::number_chunks;
 use wire::proto::compute_rvd_response as response;
@@ -26,38 +26,21 @@ pub(super) async fn handle(
     mut inbox: Inbox<ComputeRvdRequest>,
     outbox: Outbox<ComputeRvdResponse>,
 ) -> Result<(), RequestError> {
-    let Admitted { header, received, reservation, request } = upload(&shared, &tenant, &mut inbox).await?;
-    let (choice, outputs) = (header.backend, header.options.outputs);
-    let by = shared.engine.backend(choice)?;
-    let token = shared.engine.token();
-    let (prepared, _share) = prepare(&shared, received, header.options, Prepared::new, &token).await?;
-    let for_device = Arc::clone(&prepared);
-    let mut pending = shared.engine.submit_as(
-        token.clone(),
-        Admission::Reserved(request),
-        Retry::Restart,
-        move |backends, context| {
-            context.token.check()?;
-            let backend = backends.choose(choice)?;
-            let mut diagram = Diagram::open(&for_device, backend.as_ref())?;
-            let sums = match outputs.centroids || outputs.sums {
-                true => diagram.sums(backend.as_ref(), &context.token)?,
-                false => WorldSums::default(),
-            };
-            Ok((Box::new(diagram), sums))
-        },
-    )?;
-    drop(reservation);
-    outbox.send(wrap(response::Message::Accepted(accepted(pending.position, &by)))).await?;
+    let Admitted { header, received, place } = upload(&shared, &tenant, &mut inbox).await?;
+    let outputs = header.options.outputs;
+    let work = StreamWork::new(&shared.engine, header.backend)?;
+    let (prepared, _share) = prepare(&shared, received, header.options, Prepared::new, work.token()).await?;
+    let mut pending = work.diagram(place, Arc::clone(&prepared), outputs.centroids || outputs.sums)?;
+    outbox.send(wrap(response::Message::Accepted(accepted(pending.position, work.by())))).await?;
     let Timed { value: (mut diagram, sums), queue_ms, compute_ms } = pending.wait().await?;
     let mut clock = Clock { queue_ms, compute_ms };
     let _held =
         outbox.holding(24 * sums.centroids.len() + 8 * (sums.masses.len() + sums.areas.len() + sums.energies.len()));
     if outputs.cells {
-        diagram = send_cells(&shared, &outbox, (&token, choice), diagram, &mut clock).await?;
+        diagram = send_cells(&work, &outbox, diagram, &mut clock).await?;
     }
-    let report = diagram.report(&prepared, &by);
-    shared.engine.dispose(diagram);
+    let report = diagram.report(&prepared, work.by());
+    work.dispose(diagram);
     if prepared.random_seed.is_some() {
         send_seeds(&outbox, &prepared.seeds, wrap_chunk).await?;
     }
@@ -71,35 +54,14 @@ pub(super) async fn handle(
             send_all(&outbox, number_chunks(kind, numbers), wrap_chunk).await?;
         }
     }
-    clock.note("ComputeRvd", &by);
+    clock.note("ComputeRvd", work.by());
     let report_json = send_report(&outbox, &report, wrap_chunk).await?;
-    let done = done(&report, report_json, &by, clock);
+    let done = done(&report, report_json, work.by(), clock);
     outbox.send(wrap(response::Message::Done(done))).await
 }
 
-type Batch = (Box<Diagram>, Option<PieceBatch>);
-
 /// A client that takes longer than this for a batch reads slowly: 1.5 MB/s or less.
 const BRISK: Duration = Duration::from_secs(1);
-
-/// Queues the next batch; it goes before new jobs, since its own has had its turn.
-fn next(
-    shared: &Shared,
-    (token, choice): (&Token, BackendChoice),
-    diagram: Box<Diagram>,
-) -> Result<Pending<Batch>, JobError> {
-    let mut state = Some(diagram);
-    shared.engine.submit_as(
-        token.clone(),
-        Admission::Continuation,
-        Retry::Never,
-        move |backends, context: &WorkContext| {
-            let mut diagram = state.take().ok_or(JobError::WorkerGone)?;
-            let batch = diagram.batch(backends.choose(choice)?.as_ref(), &context.token)?;
-            Ok((diagram, batch))
-        },
-    )
-}
 
 /// What comes after the batch that is being sent.
 enum Ahead {
@@ -112,26 +74,24 @@ enum Ahead {
 }
 
 async fn send_cells(
-    shared: &Shared,
+    work: &StreamWork,
     outbox: &Outbox<ComputeRvdResponse>,
-    asks: (&Token, BackendChoice),
     diagram: Box<Diagram>,
     clock: &mut Clock,
 ) -> Result<Box<Diagram>, RequestError> {
-    let rest = |diagram: &mut Diagram| diagram.rest().into_iter().for_each(|session| shared.engine.dispose(session));
     // Nothing is computed ahead before the client has shown how it reads.
     let (mut ahead, mut is_brisk) = (Ahead::Later(diagram), false);
     loop {
         let Timed { value: (diagram, batch), queue_ms, compute_ms } = match ahead {
             Ahead::Ready(timed) => timed,
             Ahead::Asked(mut pending) => pending.wait().await?,
-            Ahead::Later(diagram) => next(shared, asks, diagram)?.wait().await?,
+            Ahead::Later(diagram) => work.batch(diagram)?.wait().await?,
         };
         clock.add(queue_ms, compute_ms);
         let Some(batch) = batch else { return Ok(diagram) };
         let (done, total) = diagram.progress();
         ahead = match is_brisk {
-            true => Ahead::Asked(next(shared, asks, diagram)?),
+            true => Ahead::Asked(work.batch(diagram)?),
             false => Ahead::Later(diagram),
         };
         let _held = outbox.holding(12 * batch.facet.len() + CELLS_VERTEX_BYTES * batch.position.len());
@@ -147,12 +107,12 @@ async fn send_cells(
             Err(_) => {
                 ahead = match ahead {
                     Ahead::Later(mut diagram) => {
-                        rest(&mut diagram);
+                        work.rest(&mut diagram);
                         Ahead::Later(diagram)
                     }
                     Ahead::Asked(mut pending) => {
                         let mut timed = pending.wait().await?;
-                        rest(&mut timed.value.0);
+                        work.rest(&mut timed.value.0);
                         Ahead::Ready(timed)
                     }
                     ready @ Ahead::Ready(_) => ready,

@@ -8,8 +8,9 @@ use std::sync::Arc;
 use tokio::sync::mpsc;
 
 use super::*;
+pub(super) use ::jobs::Timed;
+use ::jobs::executor::streams::StreamWork;
 use ::jobs::observe::activity::Listener;
-pub(super) use ::jobs::{Admission, Retry, Timed};
 use geometry::cvt::Iteration;
 use geometry::remesh::{Remesh, RemeshOptions};
 use wire::attributes::AttributeCounts;
@@ -46,27 +47,21 @@ pub(super) async fn handle(
     mut inbox: Inbox<RemeshRequest>,
     outbox: Outbox<RemeshResponse>,
 ) -> Result<(), RequestError> {
-    let Admitted { header, received, reservation, request } = upload(&shared, &tenant, &mut inbox).await?;
-    let Checked { backend: wish, mut options, attributes: announced, .. } = header;
-    let by = shared.engine.backend(wish)?;
-    let token = shared.engine.token();
-    let (mesh, options, mut share) = apart(&shared, &token, move |token| {
+    let Admitted { header, received, place } = upload(&shared, &tenant, &mut inbox).await?;
+    let Checked { backend, mut options, attributes: announced, .. } = header;
+    let work = StreamWork::new(&shared.engine, backend)?;
+    let (mesh, options, mut share) = apart(&shared, work.token(), move |token| {
         let (input, share) = input(received, &mut options, token)?;
         let Input { mesh, density, seeds, creases, attributes } = input;
         Ok((mesh, RemeshOptions { density, seeds, creases, attributes, ..options }, share))
     })
     .await?;
     let (events, mut heard) = mpsc::channel(EVENTS);
-    let mut pending =
-        shared.engine.submit_as(token, Admission::Reserved(request), Retry::Restart, move |backends, context| {
-            context.token.check()?;
-            let backend = backends.choose(wish)?;
-            let _ = events.try_send(Event::Started(context.queue_ms));
-            context.activity.listen(Arc::new(Reporter(events.clone())));
-            Ok(geometry::remesh::remesh(&mesh, &options, backend.as_ref(), &mut &*context.activity, &context.token)?)
-        })?;
-    drop(reservation);
-    outbox.send(wrap(response::Message::Accepted(accepted(pending.position, &by)))).await?;
+    let mut pending = work.remesh(place, mesh, options, move |queue_ms| {
+        let _ = events.try_send(Event::Started(queue_ms));
+        Arc::new(Reporter(events.clone()))
+    })?;
+    outbox.send(wrap(response::Message::Accepted(accepted(pending.position, work.by())))).await?;
     let mut teller = Teller { clock: Clock::default(), start: None };
     let result = loop {
         tokio::select! {
@@ -81,7 +76,7 @@ pub(super) async fn handle(
         outbox.send(teller.tell(event)).await?;
     }
     let Timed { value, queue_ms, compute_ms } = result;
-    send_result(&outbox, &value, &announced, &by, Clock { queue_ms, compute_ms }).await
+    send_result(&outbox, &value, &announced, work.by(), Clock { queue_ms, compute_ms }).await
 }
 
 /// Makes messages of events.

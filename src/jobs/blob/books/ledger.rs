@@ -1,16 +1,18 @@
 //! Which blobs there are, how much room they take, and which go first.
 //!
-//! Purpose: the bytes in use against the quota, the order of last use, the pins and the owners. Pure bookkeeping, no
-//! storage. Invariant: after [`Ledger::reserve`] succeeded, blobs and reservations together are within the quota. A pinned
-//! blob is never among the victims. A refused reservation changes nothing. Forgetting a blob forgets its owners.
+//! Purpose: the bytes in use against the quota, the order of last use, the uploads, the pins and the owners. Pure
+//! bookkeeping, no storage. Invariant: after [`Ledger::admit`] succeeded, blobs and promises together are within the quota. A
+//! pinned blob is never among the victims. What is refused changes nothing. Forgetting a blob forgets its owners.
 //! Must not know: where blobs lie, the names of owners.
 
 use std::collections::{BTreeSet, HashMap, HashSet};
 use std::time::SystemTime;
 
-use super::owners::Owners;
-use super::store::{BlobInfo, Usage};
-use super::{BlobError, Digest, Owner};
+use super::promises::Promises;
+use super::{Published, Room, Stored, Terms, Used};
+use crate::blob::chunk::UploadId;
+use crate::blob::owners::Owners;
+use crate::blob::{BlobError, BlobInfo, Digest, Owner, Usage};
 
 #[derive(Clone, Copy, Debug)]
 struct Entry {
@@ -29,10 +31,9 @@ struct Pin {
 
 #[derive(Debug, Default)]
 pub(super) struct Ledger {
-    limit_bytes: u64,
     blob_bytes: u64,
     pinned_bytes: u64,
-    uploading_bytes: u64,
+    pub(super) promises: Promises,
     entries: HashMap<Digest, Entry>,
     /// Blobs that no pin holds, the least recently used first.
     unpinned: BTreeSet<(u64, Digest)>,
@@ -46,12 +47,27 @@ pub(super) struct Ledger {
 }
 
 impl Ledger {
-    pub(super) fn new(limit_bytes: u64) -> Self {
-        Self { limit_bytes, ..Self::default() }
+    /// As [`super::Books::enter`].
+    pub(super) fn enter(&mut self, stored: Stored) -> Vec<(Digest, Owner)> {
+        for (blob, stamp) in stored.blobs {
+            self.found(blob, stamp);
+        }
+        for (id, touched) in stored.uploads {
+            self.promises.enter(id, touched);
+        }
+        let mut lost = Vec::new();
+        for (digest, owner) in stored.owners {
+            match self.get(&digest) {
+                Some(_) => lost.extend(self.give(&digest, owner).map(|other| (digest, other))),
+                None => lost.push((digest, owner)),
+            }
+        }
+        lost
     }
 
-    /// A blob that was stored before, used last at `stamp` (nanoseconds since 1970). The quota is not asked.
-    pub(super) fn found(&mut self, digest: Digest, size_bytes: u64, stamp: u64) {
+    /// A blob whose bytes are stored, used last at `stamp` (nanoseconds since 1970). The quota is not checked.
+    fn found(&mut self, blob: BlobInfo, stamp: u64) {
+        let BlobInfo { digest, size_bytes } = blob;
         if self.entries.contains_key(&digest) {
             return;
         }
@@ -61,89 +77,123 @@ impl Ledger {
         self.blob_bytes += size_bytes;
     }
 
-    /// A blob whose bytes were seen. Says whether it is in the books now: one that is being removed is not.
-    pub(super) fn seen(&mut self, digest: Digest, size_bytes: u64, stamp: u64) -> bool {
-        if self.leaving.contains(&digest) {
+    /// A blob whose bytes were seen. Gives whether it is in the books now: one that is being removed is not.
+    pub(super) fn seen(&mut self, blob: BlobInfo, stamp: u64) -> bool {
+        if self.leaving.contains(&blob.digest) {
             return false;
         }
-        self.found(digest, size_bytes, stamp);
+        self.found(blob, stamp);
         true
     }
 
     /// The bytes of a blob that was to be removed are gone, or will stay.
-    pub(super) fn left(&mut self, digest: &Digest) {
-        self.leaving.remove(digest);
-    }
-
-    /// An upload that was kept from before. The quota is not asked.
-    pub(super) fn found_upload(&mut self, size_bytes: u64) {
-        self.uploading_bytes = self.uploading_bytes.saturating_add(size_bytes);
+    pub(super) fn removed(&mut self, blob: BlobInfo, gone: bool) {
+        self.leaving.remove(&blob.digest);
+        if !gone {
+            self.found(blob, 0);
+        }
     }
 
     pub(super) fn get(&self, digest: &Digest) -> Option<BlobInfo> {
         self.entries.get(digest).map(|entry| BlobInfo { digest: *digest, size_bytes: entry.size_bytes })
     }
 
-    /// The blob is used now: its size and the stamp of this use.
-    pub(super) fn touch(&mut self, digest: &Digest) -> Option<(BlobInfo, u64)> {
+    /// The blob is used now.
+    pub(super) fn touch(&mut self, digest: &Digest) -> Option<Used> {
         let entry = self.entries.get_mut(digest)?;
         let stamp = next_stamp(&mut self.last_stamp);
         if self.unpinned.remove(&(entry.stamp, *digest)) {
             self.unpinned.insert((stamp, *digest));
         }
         entry.stamp = stamp;
-        Some((BlobInfo { digest: *digest, size_bytes: entry.size_bytes }, stamp))
+        Some(Used { info: BlobInfo { digest: *digest, size_bytes: entry.size_bytes }, stamp })
     }
 
-    /// Keeps room for `size_bytes`. The victims are forgotten here; the caller removes their bytes. An owner that has promised
-    /// `own_bytes` already may promise a quarter of the quota in all, and all owners three quarters: the rest is for results.
-    /// Errors: `TooLarge` if it could never fit, `QuotaExceeded` if it does not fit now.
-    pub(super) fn reserve(&mut self, size_bytes: u64, own_bytes: Option<u64>) -> Result<Vec<BlobInfo>, BlobError> {
-        if size_bytes > self.limit_bytes {
-            return Err(BlobError::TooLarge { size_bytes, limit_bytes: self.limit_bytes });
+    /// As [`super::Books::admit`].
+    pub(super) fn admit(&mut self, id: UploadId, terms: &Terms) -> Result<Option<Room>, BlobError> {
+        if self.promises.has(&id) {
+            return Ok(None);
         }
-        let used_bytes = self.blob_bytes.saturating_add(self.uploading_bytes);
-        let firm_bytes = self.pinned_bytes.saturating_add(self.uploading_bytes);
-        let promised_bytes = self.uploading_bytes.saturating_add(size_bytes);
-        let quarter = self.limit_bytes / 4;
+        self.promises.check_place(&id, terms.places)?;
+        let promised = self.promises.of_owner(&id);
+        let own = match (id.owner, terms.own_quota_bytes) {
+            (Some(owner), Some(limit)) => self.own_room(owner, id.size_bytes, promised.unwrap_or(0), limit)?,
+            _ => Vec::new(),
+        };
+        let mut room =
+            Room { victims: self.make_room(id.size_bytes, promised, terms.quota_bytes)?, given_up: Vec::new() };
+        self.promises.enter(id, SystemTime::now());
+        for digest in own {
+            // It may be among the victims by now.
+            let Some(owner) = id.owner else { break };
+            match self.disown(&digest, owner) {
+                Ok(Some(orphan)) => room.victims.push(orphan),
+                Ok(None) => room.given_up.push(digest),
+                Err(_) => {}
+            }
+        }
+        Ok(Some(room))
+    }
+
+    /// An upload that another process began. Errors: `TooManyUploads`.
+    pub(super) fn adopt(&mut self, id: UploadId, places: usize) -> Result<(), BlobError> {
+        if !self.promises.has(&id) {
+            self.promises.check_place(&id, places)?;
+            self.promises.enter(id, SystemTime::now());
+        }
+        Ok(())
+    }
+
+    /// Makes room for `size_bytes`. The victims are forgotten here. `own_bytes` has what the owner has promised already; `None`
+    /// is the server itself. Errors: `TooLarge` if it could never fit, `QuotaExceeded` if it does not fit now.
+    fn make_room(
+        &mut self,
+        size_bytes: u64,
+        own_bytes: Option<u64>,
+        limit_bytes: u64,
+    ) -> Result<Vec<BlobInfo>, BlobError> {
+        if size_bytes > limit_bytes {
+            return Err(BlobError::TooLarge { size_bytes, limit_bytes });
+        }
+        let uploading_bytes = self.promises.bytes();
+        let used_bytes = self.blob_bytes.saturating_add(uploading_bytes);
+        let firm_bytes = self.pinned_bytes.saturating_add(uploading_bytes);
+        let promised_bytes = uploading_bytes.saturating_add(size_bytes);
+        let quarter = limit_bytes / 4;
         let crowds = size_bytes > 0
             && own_bytes.is_some_and(|own| {
                 (own > 0 && own.saturating_add(size_bytes) > quarter)
-                    || (self.uploading_bytes > 0 && promised_bytes > 3 * quarter)
+                    || (uploading_bytes > 0 && promised_bytes > 3 * quarter)
             });
-        if crowds || firm_bytes.saturating_add(size_bytes) > self.limit_bytes {
+        if crowds || firm_bytes.saturating_add(size_bytes) > limit_bytes {
             return Err(BlobError::QuotaExceeded {
                 needed_bytes: size_bytes,
-                limit_bytes: self.limit_bytes,
+                limit_bytes,
                 used_bytes,
                 pinned_bytes: self.pinned_bytes,
-                uploading_bytes: self.uploading_bytes,
+                uploading_bytes,
             });
         }
         let mut victims = Vec::new();
-        while self.blob_bytes.saturating_add(self.uploading_bytes).saturating_add(size_bytes) > self.limit_bytes {
+        while self.blob_bytes.saturating_add(promised_bytes) > limit_bytes {
             let Some(&(_, digest)) = self.unpinned.first() else { break };
             self.leaving.insert(digest);
             victims.extend(self.forget(&digest));
         }
-        self.uploading_bytes += size_bytes;
         Ok(victims)
     }
 
-    /// An upload of `size_bytes` became nothing.
-    pub(super) fn release(&mut self, size_bytes: u64) {
-        self.uploading_bytes = self.uploading_bytes.saturating_sub(size_bytes);
-    }
-
-    /// An upload became a blob, or joined the one that is there. Gives the stamp of this use.
-    pub(super) fn publish(&mut self, digest: Digest, size_bytes: u64, pin: Option<&str>) -> u64 {
-        self.release(size_bytes);
-        self.left(&digest);
-        self.found(digest, size_bytes, 0);
+    /// As [`super::Books::publish`].
+    pub(super) fn publish(&mut self, id: UploadId, pin: Option<&str>) -> Published {
+        let digest = id.digest;
+        self.promises.end(&id);
+        self.leaving.remove(&digest);
+        self.found(BlobInfo { digest, size_bytes: id.size_bytes }, 0);
         if let Some(name) = pin {
             self.pin_one(name, digest);
         }
-        self.touch(&digest).map_or(0, |(_, stamp)| stamp)
+        let stamp = self.touch(&digest).map_or(0, |used| used.stamp);
+        Published { stamp, replaced: id.owner.and_then(|owner| self.give(&digest, owner)) }
     }
 
     /// Removes a blob from the books, pinned or not: its bytes are gone, or soon will be.
@@ -171,21 +221,18 @@ impl Ledger {
         }
     }
 
-    /// Pins all of `digests`, or none. Errors: `NotFound`: the first that is not stored.
-    pub(super) fn pin(&mut self, name: &str, digests: &[Digest]) -> Result<(), BlobError> {
+    /// Pins all of `digests`, or none. With an owner, all that `name` pins is pinned in the owner's name. Errors: the first
+    /// that is not stored.
+    pub(super) fn pin(&mut self, owner: Option<Owner>, name: &str, digests: &[Digest]) -> Result<(), Digest> {
         if let Some(digest) = digests.iter().find(|digest| !self.entries.contains_key(digest)) {
-            return Err(BlobError::NotFound { digest: *digest });
+            return Err(*digest);
         }
         for digest in digests {
             self.pin_one(name, *digest);
         }
-        Ok(())
-    }
-
-    /// As [`Self::pin`]; what `name` holds, it holds in the owner's name. Errors: `NotFound`.
-    pub(super) fn pin_for(&mut self, owner: Owner, name: &str, digests: &[Digest]) -> Result<(), BlobError> {
-        self.pin(name, digests)?;
-        if let Some(pin) = self.pins.get_mut(name).filter(|pin| pin.owner.is_none()) {
+        if let Some(owner) = owner
+            && let Some(pin) = self.pins.get_mut(name).filter(|pin| pin.owner.is_none())
+        {
             pin.owner = Some(owner);
             for digest in &pin.held {
                 *self.pinned_for.entry((owner, *digest)).or_default() += 1;
@@ -266,7 +313,7 @@ impl Ledger {
 
     /// What an owner gives up, the longest held first, to have room for `size_bytes` more beside what it has and has promised.
     /// Nothing is changed. Errors: `OwnQuotaExceeded`.
-    pub(super) fn own_room(
+    fn own_room(
         &self,
         owner: Owner,
         size_bytes: u64,
@@ -294,15 +341,15 @@ impl Ledger {
         }
     }
 
-    /// What is in use; `uploads` are not counted here.
+    /// What is in use. The limit is not known here.
     pub(super) fn usage(&self) -> Usage {
         Usage {
             blobs: self.entries.len(),
             blob_bytes: self.blob_bytes,
             pinned_bytes: self.pinned_bytes,
-            uploading_bytes: self.uploading_bytes,
-            limit_bytes: self.limit_bytes,
-            ..Usage::default()
+            uploads: self.promises.count(),
+            uploading_bytes: self.promises.bytes(),
+            limit_bytes: 0,
         }
     }
 }

@@ -1,0 +1,141 @@
+//! The books of blobs: which are stored, whose they are, what pins them, and how much room is left.
+//!
+//! Purpose: [`Books`], which a store of blobs asks before and after it moves bytes. [`LocalBooks`] serves one process.
+//! Invariant: each call is one step: other calls see all of it or nothing. An error changes nothing. After
+//! [`Books::admit`], blobs and uploads together are within the quota. A pinned blob is never among those that go.
+//! Must not know: where bytes lie, how they get there, jobs.
+
+mod ledger;
+mod local;
+mod promises;
+
+use std::fmt::Debug;
+use std::time::{Duration, SystemTime};
+
+use async_trait::async_trait;
+
+pub use local::LocalBooks;
+
+use super::chunk::UploadId;
+use super::{BlobError, BlobInfo, Digest, Owner, Usage};
+
+/// What a storage has when it is opened.
+#[derive(Debug, Default)]
+pub struct Stored {
+    /// Blobs, and when each was used last (nanoseconds since 1970).
+    pub blobs: Vec<(BlobInfo, u64)>,
+    /// Owners of blobs, the oldest first.
+    pub owners: Vec<(Digest, Owner)>,
+    /// Uploads, and when each was continued last.
+    pub uploads: Vec<(UploadId, SystemTime)>,
+}
+
+/// What an upload is admitted under.
+#[derive(Clone, Copy, Debug)]
+pub struct Terms {
+    /// For all blobs and uploads together.
+    pub quota_bytes: u64,
+    /// Uploads at once, of all owners.
+    pub places: usize,
+    /// For the blobs and uploads of the upload's owner.
+    pub own_quota_bytes: Option<u64>,
+}
+
+/// What goes, so that an upload has room.
+#[derive(Debug, Default)]
+pub struct Room {
+    /// Blobs that are out of the books. The caller removes their bytes, then calls [`Books::removed`].
+    pub victims: Vec<BlobInfo>,
+    /// Blobs that the upload's owner no longer has. Others have them, or need them.
+    pub given_up: Vec<Digest>,
+}
+
+/// A blob and the time of its last use, nanoseconds since 1970. No two uses have the same time.
+#[derive(Clone, Copy, Debug)]
+pub struct Used {
+    pub info: BlobInfo,
+    pub stamp: u64,
+}
+
+#[derive(Clone, Copy, Debug)]
+pub struct Published {
+    pub stamp: u64,
+    /// The owner that lost the blob, because it has too many.
+    pub replaced: Option<Owner>,
+}
+
+/// See the module's head. Every call may fail with `Unavailable`.
+#[async_trait]
+pub trait Books: Send + Sync + Debug {
+    /// Enters what a storage has. No quota is checked. Gives the owners that count for nothing: their blob is not stored,
+    /// or has too many.
+    async fn enter(&self, stored: Stored) -> Result<Vec<(Digest, Owner)>, BlobError>;
+
+    /// Keeps a place and room for a new upload. `None` if the upload is in the books already. To make room, the owner loses
+    /// the oldest of its blobs that none of its pins holds, and the least recently used blobs go. An owner may promise a
+    /// quarter of the quota in several uploads, and all owners three quarters: the rest is for results. Errors: `TooLarge`,
+    /// `QuotaExceeded`, `OwnQuotaExceeded`, `TooManyUploads`.
+    async fn admit(&self, upload: UploadId, terms: Terms) -> Result<Option<Room>, BlobError>;
+
+    /// Enters an upload that another process began. Its room is not checked. Errors: `TooManyUploads`.
+    async fn adopt(&self, upload: UploadId, places: usize) -> Result<(), BlobError>;
+
+    /// The upload is continued now.
+    async fn touch_upload(&self, upload: UploadId) -> Result<(), BlobError>;
+
+    /// The upload has become nothing: its place and room are free.
+    async fn end_upload(&self, upload: UploadId) -> Result<(), BlobError>;
+
+    /// How long an upload was not continued. `None` if it is not in the books.
+    async fn idle_time(&self, upload: UploadId) -> Result<Option<Duration>, BlobError>;
+
+    /// Uploads that were not continued for `time`.
+    async fn idle_uploads(&self, time: Duration) -> Result<Vec<UploadId>, BlobError>;
+
+    /// The upload that was idle for the longest, and for `time` at least: one of the owner of `upload`, else of any owner.
+    async fn stalest_upload(&self, upload: UploadId, time: Duration) -> Result<Option<UploadId>, BlobError>;
+
+    /// The upload has become a blob, or joined the one that is there. Its owner has the blob now, `pin` holds it, and it is
+    /// used.
+    async fn publish(&self, upload: UploadId, pin: Option<&str>) -> Result<Published, BlobError>;
+
+    async fn get(&self, digest: Digest) -> Result<Option<BlobInfo>, BlobError>;
+
+    /// The blobs are used now. `None` for those that are not stored.
+    async fn touch(&self, digests: &[Digest]) -> Result<Vec<Option<Used>>, BlobError>;
+
+    /// Enters a blob whose bytes were found in the storage. Gives whether it is in the books now: one whose bytes are being
+    /// removed is not.
+    async fn found(&self, blob: BlobInfo, stamp: u64) -> Result<bool, BlobError>;
+
+    /// Takes a blob out, pinned or not: its bytes are gone or wrong.
+    async fn forget(&self, digest: Digest) -> Result<Option<BlobInfo>, BlobError>;
+
+    /// Takes a blob out on request. Errors: `NotFound`, `Pinned`.
+    async fn delete(&self, digest: Digest) -> Result<BlobInfo, BlobError>;
+
+    /// The bytes of a blob that is out of the books are gone. If not, the blob is back, as the first to go.
+    async fn removed(&self, blob: BlobInfo, gone: bool) -> Result<(), BlobError>;
+
+    /// Pins all of `digests` under a name, or none; in the name of an owner, if one is given. They are used now.
+    /// Errors: `NotFound`: the first that is not stored.
+    async fn pin(&self, owner: Option<Owner>, name: &str, digests: &[Digest]) -> Result<Vec<Used>, BlobError>;
+
+    /// Takes back all pins of a name.
+    async fn unpin(&self, name: &str) -> Result<(), BlobError>;
+
+    /// Whether a blob is stored and the owner has it.
+    async fn has(&self, owner: Owner, digest: Digest) -> Result<bool, BlobError>;
+
+    /// Adds an owner to a blob that is stored. Gives the owner that it replaces, if there were too many.
+    async fn give(&self, owner: Owner, digest: Digest) -> Result<Option<Owner>, BlobError>;
+
+    /// Takes a blob from its owner. Gives it if it has no owner left and no pin: it is out of the books then. Errors:
+    /// `NotFound`; `Pinned` if it is pinned in the owner's name.
+    async fn disown(&self, owner: Owner, digest: Digest) -> Result<Option<BlobInfo>, BlobError>;
+
+    async fn owned_bytes(&self, owner: Owner) -> Result<u64, BlobError>;
+
+    /// What is in use. The limit is not known here.
+    async fn usage(&self) -> Result<Usage, BlobError>;
+}

@@ -1,0 +1,79 @@
+//! Pins of jobs.
+//!
+//! Purpose: what a job pins in which state, for stores of one process. The input is pinned while the job waits or runs, the
+//! result from before the job names it until it is let go. Invariant: a pin is set before the change that needs it is
+//! kept, and ends after the change that ends it is kept. So a crash in between leaves a pin too many, never one too few.
+//! Pins are not in the tables: they follow from the jobs, and a start sets them again. Must not know: tables, where blobs
+//! lie.
+
+use std::sync::Arc;
+
+use super::StoreError;
+use crate::blob::books::LocalBooks;
+use crate::blob::{Digest, Owner};
+use crate::record::JobId;
+use crate::record::state::State;
+
+/// The name under which a job's input is pinned.
+fn input_pin(id: JobId) -> String {
+    format!("input:{id}")
+}
+
+/// The name under which a job's result is pinned. Whoever does the job pins the blobs of the result as they are stored.
+pub fn result_pin(id: JobId) -> String {
+    format!("result:{id}")
+}
+
+#[derive(Debug, Default)]
+pub(super) struct Pins {
+    books: Arc<LocalBooks>,
+    /// Names whose pins end once the changes so far are kept.
+    over: Vec<String>,
+}
+
+impl Pins {
+    pub(super) fn new(books: Arc<LocalBooks>) -> Self {
+        Self { books, over: Vec::new() }
+    }
+
+    /// Pins the input of a new job in its tenant's name. Errors: `InputMissing`; nothing is pinned then.
+    pub(super) fn create(&mut self, id: JobId, tenant: &str, input: &[Digest]) -> Result<(), StoreError> {
+        let name = input_pin(id);
+        let missing = self.books.hold(Owner::of(tenant), &name, input).err();
+        if let Some(digest) = missing {
+            return Err(StoreError::InputMissing { digest });
+        }
+        self.over.retain(|over| *over != name);
+        Ok(())
+    }
+
+    /// A job changed to this state.
+    pub(super) fn change(&mut self, id: JobId, state: State) {
+        match state {
+            State::Running => {}
+            // Of an attempt that came to nothing.
+            State::Queued => self.over.push(result_pin(id)),
+            State::Succeeded => self.over.push(input_pin(id)),
+            State::Failed | State::Cancelled | State::Expired => self.delete(id),
+        }
+    }
+
+    pub(super) fn delete(&mut self, id: JobId) {
+        self.over.extend([input_pin(id), result_pin(id)]);
+    }
+
+    /// Pins again what is stored of the input of a job that waits, or of the result of one that succeeded.
+    pub(super) fn recover(&self, id: JobId, state: State, owner: Owner, digests: &[Digest]) {
+        let name = if state == State::Succeeded { result_pin(id) } else { input_pin(id) };
+        for digest in digests {
+            if self.books.hold(owner, &name, &[*digest]).is_err() {
+                tracing::warn!(name, %digest, "a blob that a job needs is gone");
+            }
+        }
+    }
+
+    /// The changes so far are kept.
+    pub(super) fn settle(&mut self) {
+        self.over.drain(..).for_each(|name| self.books.release(&name));
+    }
+}

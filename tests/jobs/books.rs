@@ -1,0 +1,224 @@
+//! Promise: a store pins the blobs of its jobs, in the step that changes the job; its books keep quotas, owners and pins.
+//!
+//! The suite for every store: `pins_follow_the_job` and `books_are_kept` take any [`JobStore`]. `tests/blob` drives the same
+//! books at random, through a store of blobs.
+
+use std::sync::Arc;
+use std::time::{Duration, SystemTime};
+
+use jobs::blob::books::{Books, Stored, Terms};
+use jobs::blob::{BlobError, BlobInfo, Digest, Owner, UploadId, Usage};
+use jobs::record::*;
+use jobs::store::*;
+
+use super::{KEEP, input, knowing, spec, wait};
+
+const PLENTY: Terms = Terms { quota_bytes: 1000, places: 100, own_quota_bytes: None };
+
+fn blob(name: &str) -> Digest {
+    Digest::of(name.as_bytes())
+}
+
+/// An upload of a tenant.
+fn upload(name: &str, size_bytes: u64, owner: &str) -> UploadId {
+    UploadId::new(blob(name), size_bytes).of(owner)
+}
+
+fn result() -> ResultSet {
+    ResultSet { blobs: [("mesh".to_owned(), blob("result"))].into() }
+}
+
+fn each() -> Vec<(&'static str, Box<dyn JobStore>, Option<tempfile::TempDir>)> {
+    let folder = tempfile::tempdir().unwrap();
+    let journal = RedbStore::open(folder.path(), RedbOptions::default()).unwrap();
+    vec![("memory", Box::new(MemoryStore::default()), None), ("journal", Box::new(journal), Some(folder))]
+}
+
+fn new(number: u128) -> NewJob {
+    NewJob { random: number, spec: spec(&format!("r{number}"), 1), needs: Bytes::default() }
+}
+
+/// Stores a blob as an upload of a tenant.
+async fn put(books: &dyn Books, name: &str, size: u64, owner: &str) {
+    let id = upload(name, size, owner);
+    books.admit(id, PLENTY).await.unwrap().unwrap();
+    books.publish(id, None).await.unwrap();
+}
+
+async fn pinned(books: &Arc<dyn Books>) -> u64 {
+    books.usage().await.unwrap().pinned_bytes
+}
+
+async fn claim(store: &dyn JobStore, id: JobId) -> u64 {
+    let offer = Offer::of("x", Duration::from_secs(60), id);
+    let at = store.claim_next(offer).await.unwrap().unwrap().status.version;
+    // As whoever does the job stores its result.
+    store.books().pin(None, &result_pin(id), &[blob("result")]).await.unwrap();
+    at
+}
+
+async fn pins_follow_the_job(store: &dyn JobStore) {
+    let (books, tenant) = (store.books(), Owner::of("t"));
+    let missing = store.create(new(1)).await.unwrap_err();
+    assert_eq!(missing, StoreError::InputMissing { digest: input() });
+    assert_eq!((store.list(Query::default()).await.unwrap().jobs.len(), pinned(&books).await), (0, 0));
+    let stored = [(input(), 1), (blob("result"), 2)];
+    let blobs = stored.map(|(digest, size_bytes)| (BlobInfo { digest, size_bytes }, 1)).into();
+    books.enter(Stored { blobs, ..Stored::default() }).await.unwrap();
+    books.give(tenant, input()).await.unwrap();
+
+    // Twice the same request is one job, and one pin.
+    let id = store.create(new(1)).await.unwrap().job.id;
+    assert!(store.create(new(1)).await.unwrap().existed);
+    assert_eq!(pinned(&books).await, 1);
+    assert_eq!(books.disown(tenant, input()).await, Err(BlobError::Pinned { digest: input() }));
+    // An attempt that comes to nothing lets go of its result.
+    let at = claim(store, id).await;
+    assert_eq!(pinned(&books).await, 3);
+    store.change(id, at, Change::Release).await.unwrap();
+    assert_eq!(pinned(&books).await, 1);
+    // A change that is refused lets go of nothing.
+    let at = claim(store, id).await;
+    store.change(id, at + 1, Change::Cancel).await.unwrap_err();
+    assert_eq!(pinned(&books).await, 3);
+    store.change(id, at, Change::Succeed(result())).await.unwrap();
+    assert_eq!(pinned(&books).await, 2);
+    store.delete(id).await.unwrap();
+    assert_eq!(pinned(&books).await, 0);
+
+    // However a job ends.
+    let at = async |number| {
+        let id = store.create(new(number)).await.unwrap().job.id;
+        (id, claim(store, id).await)
+    };
+    let failure = Failure { kind: FailureKind::BadInput, message: "no".to_owned() };
+    for (number, change) in [(2, Change::Fail(failure)), (3, Change::Expire(Cause::RunDeadline)), (4, Change::Cancel)] {
+        let (id, at) = at(number).await;
+        store.change(id, at, change).await.unwrap();
+        assert_eq!(pinned(&books).await, 0);
+    }
+    let (id, _) = at(5).await;
+    store.cancel(id).await.unwrap();
+    assert_eq!(pinned(&books).await, 0);
+    let (id, at) = at(6).await;
+    store.change(id, at, Change::Succeed(result())).await.unwrap();
+    tokio::time::sleep(KEEP.results).await;
+    assert_eq!(pinned(&books).await, 2);
+    assert!(store.expire(KEEP, 100).await.unwrap().expired.contains(&id));
+    assert_eq!(pinned(&books).await, 0);
+    books.disown(tenant, input()).await.unwrap();
+}
+
+async fn books_are_kept(books: &dyn Books) {
+    let terms = Terms { quota_bytes: 100, places: 8, own_quota_bytes: Some(60) };
+    let [a, b] = ["a", "b"].map(Owner::of);
+    // An upload counts until it has become a blob, and is admitted once.
+    let id = upload("1", 25, "a");
+    assert!(books.admit(id, terms).await.unwrap().is_some() && books.admit(id, terms).await.unwrap().is_none());
+    let usage = books.usage().await.unwrap();
+    assert_eq!(usage, Usage { uploads: 1, uploading_bytes: 25, ..Usage::default() });
+    let first = books.publish(id, Some("pin")).await.unwrap().stamp;
+    let usage = books.usage().await.unwrap();
+    assert_eq!(usage, Usage { blobs: 1, blob_bytes: 25, pinned_bytes: 25, ..Usage::default() });
+    assert!(books.has(a, id.digest).await.unwrap() && !books.has(b, id.digest).await.unwrap());
+    // What is pinned in nobody's name may be disowned, and stays.
+    assert_eq!(books.give(b, id.digest).await.unwrap(), None);
+    assert_eq!((books.owned_bytes(a).await.unwrap(), books.owned_bytes(b).await.unwrap()), (25, 25));
+    assert_eq!(books.disown(a, id.digest).await.unwrap(), None);
+    assert_eq!(books.disown(b, id.digest).await.unwrap(), None);
+    assert_eq!(books.disown(b, id.digest).await, Err(BlobError::NotFound { digest: id.digest }));
+    assert_eq!(books.delete(id.digest).await, Err(BlobError::Pinned { digest: id.digest }));
+    // All or none.
+    let absent = BlobError::NotFound { digest: blob("none") };
+    assert_eq!(books.pin(None, "two", &[id.digest, blob("none")]).await.unwrap_err(), absent);
+    books.unpin("pin").await.unwrap();
+    assert_eq!(books.usage().await.unwrap().pinned_bytes, 0);
+
+    // The owner's quota: its oldest blob goes. The quota of all: the least recently used goes.
+    put(books, "2", 25, "a").await;
+    put(books, "3", 25, "a").await;
+    let used = books.touch(&[id.digest, blob("none")]).await.unwrap();
+    assert!(used[0].is_some_and(|used| used.stamp > first) && used[1].is_none());
+    let room = books.admit(upload("4", 20, "a"), terms).await.unwrap().unwrap();
+    assert_eq!(room.victims, [BlobInfo { digest: blob("2"), size_bytes: 25 }]);
+    // It is out of the books until its bytes are gone.
+    assert!(!books.found(room.victims[0], 1).await.unwrap());
+    books.removed(room.victims[0], true).await.unwrap();
+    books.end_upload(upload("4", 20, "a")).await.unwrap();
+    let room = books.admit(upload("5", 60, "b"), Terms { own_quota_bytes: None, ..terms }).await.unwrap().unwrap();
+    assert_eq!(room.victims, [BlobInfo { digest: blob("3"), size_bytes: 25 }]);
+    // Bytes that stay are back in the books.
+    books.removed(room.victims[0], false).await.unwrap();
+    assert!(books.get(blob("3")).await.unwrap().is_some());
+    let full = books.admit(upload("6", 30, "a"), terms).await.unwrap_err();
+    assert!(matches!(full, BlobError::QuotaExceeded { uploading_bytes: 60, .. }), "{full}");
+    let own = books.admit(upload("7", 70, "a"), terms).await.unwrap_err();
+    assert!(matches!(own, BlobError::OwnQuotaExceeded { needed_bytes: 70, limit_bytes: 60, .. }), "{own}");
+    let large = books.admit(upload("8", 101, "b"), Terms { own_quota_bytes: None, ..terms }).await.unwrap_err();
+    assert_eq!(large, BlobError::TooLarge { size_bytes: 101, limit_bytes: 100 });
+    assert_eq!(books.usage().await.unwrap().uploads, 1, "what is refused is not kept");
+
+    // Idle uploads, and places.
+    let old = SystemTime::now() - Duration::from_secs(100);
+    let uploads = (0..7).map(|k| (upload(&format!("old {k}"), 0, "c"), old)).collect();
+    books.enter(Stored { uploads, ..Stored::default() }).await.unwrap();
+    let places = books.admit(upload("9", 0, "a"), terms).await.unwrap_err();
+    assert_eq!(places, BlobError::TooManyUploads { limit: 8 });
+    assert_eq!(books.idle_uploads(Duration::from_secs(50)).await.unwrap().len(), 7);
+    let stalest = books.stalest_upload(upload("9", 0, "a"), Duration::from_secs(50)).await.unwrap().unwrap();
+    assert!(books.idle_time(stalest).await.unwrap().is_some_and(|time| time > Duration::from_secs(50)));
+    books.touch_upload(stalest).await.unwrap();
+    assert!(books.idle_time(stalest).await.unwrap().is_some_and(|time| time < Duration::from_secs(50)));
+    books.end_upload(stalest).await.unwrap();
+    assert_eq!(books.idle_time(stalest).await.unwrap(), None);
+    books.admit(upload("9", 0, "a"), terms).await.unwrap().unwrap();
+}
+
+#[test]
+fn every_store_pins_what_its_jobs_need() {
+    for (kind, store, _folder) in each() {
+        println!("{kind}");
+        wait(pins_follow_the_job(&*store));
+    }
+}
+
+#[test]
+fn every_store_has_books_of_blobs() {
+    for (kind, store, _folder) in each() {
+        println!("{kind}");
+        wait(books_are_kept(&*store.books()));
+    }
+}
+
+#[test]
+fn a_restart_pins_again_what_is_there() {
+    let folder = tempfile::tempdir().unwrap();
+    let stored = [(input(), 1), (blob("result"), 2)];
+    let open = || RedbStore::open(folder.path(), RedbOptions::default()).unwrap();
+    let store = knowing(open(), &stored);
+    wait(async {
+        let done = store.create(new(1)).await.unwrap().job.id;
+        let at = claim(&store, done).await;
+        store.change(done, at, Change::Succeed(result())).await.unwrap();
+        // One that was at work when the process went down.
+        let id = store.create(new(2)).await.unwrap().job.id;
+        claim(&store, id).await;
+    });
+    drop(store);
+    let store = knowing(open(), &stored);
+    wait(async {
+        assert_eq!(pinned(&store.books()).await, 0);
+        let recovered = store.recover(Orphans::All, MAX_CRASHES).await.unwrap();
+        let owner = Owner::of("t");
+        assert_eq!(recovered.pinned, [(owner, vec![blob("result")]), (owner, vec![input()])]);
+        assert_eq!(pinned(&store.books()).await, 3);
+    });
+    drop(store);
+    // Without the result, the job is still what it is.
+    let store = knowing(open(), &stored[..1]);
+    wait(async {
+        store.recover(Orphans::All, MAX_CRASHES).await.unwrap();
+        assert_eq!(pinned(&store.books()).await, 1);
+        assert_eq!(store.list(Query::default()).await.unwrap().jobs.len(), 2);
+    });
+}
