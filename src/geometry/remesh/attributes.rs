@@ -14,7 +14,7 @@ use crate::mesh::TriMesh;
 use crate::mesh::attributes::{AttributeError, Attributes, Colours, Normals, PerCorner, unit};
 use crate::mesh::closest_point::{ClosestPoint, SurfacePoint};
 use crate::mesh::coincident;
-use crate::remesh::constants::{LEAST_NORMAL_SQUARED, SAME_NORMAL};
+use crate::remesh::constants::{ROUNDING_SQUARED, SAME_NORMAL};
 use crate::token::{Stopped, Token};
 use seams::{Seams, Source};
 
@@ -120,7 +120,7 @@ fn between(values: [f64; 3], weights: [f64; 3]) -> f64 {
 fn normal(mesh: &TriMesh, facet: u32, indices: [u32; 3], normals: &[DVec3], weights: [f64; 3]) -> DVec3 {
     let [a, b, c] = indices.map(|i| normals[i as usize]);
     let sum = a * weights[0] + b * weights[1] + c * weights[2];
-    if sum.length_squared() > LEAST_NORMAL_SQUARED { unit(sum) } else { facet_normal(mesh.corners(facet as usize)) }
+    if sum.length_squared() > ROUNDING_SQUARED { unit(sum) } else { facet_normal(mesh.corners(facet as usize)) }
 }
 
 /// Of unit length; zero for a facet without area.

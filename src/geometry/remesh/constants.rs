@@ -73,6 +73,7 @@ pub(super) const FARTHEST_OF_END: f64 = 0.07;
 pub(super) const MOVES_PER_VERTEX: usize = 40;
 /// Vertices that are relocated at the same time, at most: few of those that wait, so that the costliest come first.
 pub(super) const SHAPES_AT_ONCE: usize = 128;
+/// Of these, per parallel task at least. No result depends on it.
 pub(super) const SHAPES_PER_TASK: usize = 8;
 
 // Edges of curves. Lengths are shares of the shortest edge of a curve at the vertex.
@@ -156,10 +157,9 @@ pub(super) const FAR_LOOK_AHEAD: usize = 4;
 
 // Attributes.
 
-/// Least cosine between normals of coincident vertices that count as equal, despite the rounding of a file.
+/// Least cosine between normals of coincident vertices that count as equal, despite the rounding of a file. So a smooth surface
+/// whose triangles have vertices of their own, with normals of a few digits, has no seams.
 pub(super) const SAME_NORMAL: f64 = 0.999;
-/// Squared length below which the direction of an interpolated normal is only rounding.
-pub(super) const LEAST_NORMAL_SQUARED: f64 = 1e-18;
 /// Radius of the ball that bounds a walk, in half distances between its ends. Over a right-angled crease, 1 is enough.
 pub(super) const SEAM_REACH: f64 = 1.3;
 /// The radius for a second walk, if the first reached neither its end nor a seam, as around a thin edge of the surface.
@@ -175,18 +175,15 @@ pub(super) const MOST_STRETCH: f64 = 4.0;
 /// Shares of a mean edge that decide, without a tolerance, which vertices of the input were missed. If a vertex is farther
 /// away than the first share, all beyond the second share are missed.
 pub(super) const MISSED_SHARES: [f64; 2] = [0.25, 0.17];
-pub(super) const ITEMS_PER_TASK: usize = 256;
 /// Radius that a sample covers, as a multiple of the square root of its area.
 pub(super) const SAMPLE_REACH: f64 = 2.0;
-/// Work of one vertex, as the token counts it.
-pub(super) const WORK_PER_VERTEX: usize = 64;
 
-// Closest point of a one-ring.
+// Tasks and checks. No result depends on them.
 
-/// Squared distance that makes up for the rounding of a lower bound near zero, unit box.
-pub(super) const ZERO_SQUARED: f64 = 1e-24;
-/// Squared lengths below this count as zero: their inverses would be all rounding.
-pub(super) const ZERO_LENGTH_SQUARED: f64 = 1e-200;
+/// Vertices or facets per parallel task, at least.
+pub(super) const ITEMS_PER_TASK: usize = 256;
+/// Work of a point whose nearest facet or sample is sought, as the token counts it.
+pub(super) const WORK_PER_POINT: usize = 64;
 
 // Curves to keep, and their envelope. Lengths are edge lengths of the result unless said otherwise.
 
@@ -206,7 +203,8 @@ pub(super) const CREASE_LIMIT: f64 = 0.06;
 pub(super) const ACUTE_LIMIT: f64 = 0.3;
 /// Largest share of the seeds for curves if there are creases. Boundaries alone may take all, as of a very narrow strip.
 pub(super) const LARGEST_SHARE: f64 = 0.6;
-/// Curves that need more seeds than this multiple of all seeds plus [`SPARE_SEEDS`] are dropped before any seed is placed.
+/// Curves that need more seeds than this multiple of all seeds plus [`SPARE_SEEDS`] are dropped before any seed is placed, as
+/// those of a strip as narrow as a hair. With less, all curves go where most are close to each other and some are not.
 pub(super) const MOST_SEEDS: usize = 16;
 pub(super) const SPARE_SEEDS: usize = 1000;
 /// Distance of other seeds from a curve's seeds, share of their spacing: about where the cells of the curve end. A larger
@@ -230,7 +228,6 @@ pub(super) const FIT_ROUNDS: usize = 2;
 pub(super) const BACKTRACKING_HALVINGS: usize = 4;
 /// Later rounds that drop the moves of bad facets.
 pub(super) const BACKTRACKING_DROPS: usize = 4;
-pub(super) const FACETS_PER_TASK: usize = 256;
 
 // Normal equations of the fit.
 
@@ -247,11 +244,8 @@ pub(super) const STIFFNESS: f64 = 0.02;
 pub(super) const NORMAL_DAMPING: f64 = 0.01;
 /// Weight of a residual of a curve beside one of the surface: the eye follows curves.
 pub(super) const CURVE_WEIGHT: f64 = 20.0;
-/// Vertices per parallel task, and facets at least.
+/// Vertices of a run. Sums are those of the runs, so another number gives other bits.
 pub(super) const VERTICES_PER_RUN: usize = 256;
-pub(super) const SAMPLES_PER_CHECK: usize = 64;
-/// Blocks of a row for which memory is reserved: six neighbours on average, and one more.
-pub(super) const BLOCKS_PER_ROW: usize = 7;
 
 // Boundary ears.
 
@@ -259,8 +253,6 @@ pub(super) const BLOCKS_PER_ROW: usize = 7;
 pub(super) const LEAST_EAR_ANGLE: f64 = 12.0;
 /// The least cosine between the normals of an ear and of its neighbours.
 pub(super) const LEAST_EAR_COSINE: f64 = 0.5;
-/// Passes, at most. Ears that have a vertex in common are added in different passes.
-pub(super) const EAR_PASSES: usize = 3;
 
 // Manifold repair.
 
@@ -268,8 +260,6 @@ pub(super) const EAR_PASSES: usize = 3;
 pub(super) const STEP_BACK: f64 = 1.0 / 16.0;
 /// Share of its shortest edge by which a vertex moves along its normal to leave another one.
 pub(super) const SIDE_STEP: f64 = 1e-3;
-/// Rounds that double edges, at most: a facet may have three such edges, and its parts may have new ones.
-pub(super) const MAX_SEPARATION_ROUNDS: usize = 4;
 
 // Rounds of an attempt, and extraction.
 
@@ -301,8 +291,6 @@ pub(super) const CLEARING_ROUNDS: usize = 2;
 pub(super) const CLEARING_STEPS: usize = 3;
 /// Steps after seeds were moved or added.
 pub(super) const REFINING_STEPS: usize = 6;
-/// Seeds nearer to each other than this, unit frame, are in one place.
-pub(super) const SAME_PLACE: f64 = 1e-9;
 
 // Thin parts.
 
@@ -360,9 +348,13 @@ pub(super) const MAX_ADDING_TIMES: usize = 3;
 
 // Rounding.
 
+/// Lengths below this are only rounding, in the unit frame and beside unit vectors. A point of a flat input is in two facets of
+/// the result, a seed is at a vertex, and normals of a plate's two sides cancel half-way between them on its rim.
+pub(super) const ROUNDING: f64 = 1e-9;
+pub(super) const ROUNDING_SQUARED: f64 = ROUNDING * ROUNDING;
 /// Factor on bounds of angles and distances. Values nearer to the bound are left to the exact computation.
-pub(super) const BOUND_ROUNDING: f64 = 1.0 - 1e-9;
+pub(super) const BOUND_ROUNDING: f64 = 1.0 - ROUNDING;
 /// Factor on the radius of a search, so that rounding loses nothing.
-pub(super) const RADIUS_ROUNDING: f64 = 1.0 + 1e-9;
+pub(super) const RADIUS_ROUNDING: f64 = 1.0 + ROUNDING;
 /// Squares below this share of a squared bound have roots below the bound despite rounding.
 pub(super) const SQUARE_ROUNDING: f64 = 1.0 - 1e-12;

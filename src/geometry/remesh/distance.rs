@@ -99,7 +99,7 @@ impl RingQuery {
             let (to, from) = (corners[(k + 1) % 3] - corners[k], corners[(k + 2) % 3] - corners[k]);
             let normal = to.cross(from);
             let normals = [normal, normal.cross(to), from.cross(normal)];
-            let over = |squared: f64| if squared > ZERO_LENGTH_SQUARED { 1.0 / squared } else { 0.0 };
+            let over = |squared: f64| Some(1.0 / squared).filter(|inverse| inverse.is_finite()).unwrap_or(0.0);
             let square = normal.length_squared();
             let inverse_squares = [square, square * to.length_squared(), square * from.length_squared()].map(over);
             Wedge { facet, ids, corners, normals, inverse_squares }
@@ -130,7 +130,7 @@ impl RingQuery {
         }
         let (mut best, mut place) = (look(first), first);
         for (k, &bound) in self.bounds.iter().enumerate() {
-            if k != first && bound * BOUND_ROUNDING <= best.squared + ZERO_SQUARED {
+            if k != first && bound * BOUND_ROUNDING <= best.squared + ROUNDING_SQUARED {
                 let here = look(k);
                 if here.squared < best.squared || (here.squared == best.squared && k < place) {
                     (best, place) = (here, k);
@@ -186,7 +186,7 @@ fn deviations(mesh: &LocalMesh, vertices: &Csr<DVec3>, token: &Token) -> Vec<Dev
     let owners: Vec<u32> = (0..mesh.positions.len() as u32).flat_map(owner).collect();
     let begin = || (RingQuery::default(), u32::MAX, Pace::default());
     let measure = |(query, at, pace): &mut (RingQuery, u32, Pace), (&owner, &vertex): (&u32, &DVec3)| {
-        token.check_after(WORK_PER_VERTEX, pace)?;
+        token.check_after(WORK_PER_POINT, pace)?;
         if *at != owner {
             query.move_to(mesh, owner);
             *at = owner;
@@ -243,7 +243,7 @@ fn select(mesh: &LocalMesh, vertices: &Csr<DVec3>, deviations: &[Deviation], tol
 
 /// The largest distance of a corner or of the centroid of each facet from the input.
 fn deviation_by_facet(mesh: &LocalMesh, samples: &Csr<SurfaceSample>, token: &Token) -> Vec<f64> {
-    let own = |v: u32| match token.check_at(WORK_PER_VERTEX * v as usize) {
+    let own = |v: u32| match token.check_at(WORK_PER_POINT * v as usize) {
         Err(_) => 0.0,
         Ok(()) => distance(mesh.positions[v as usize], [samples.of(v)]),
     };
@@ -285,7 +285,7 @@ mod tests {
         let point = |k: u32| DVec3::new(number(3 * k), number(3 * k + 1), number(3 * k + 2));
         let mut query = RingQuery::default();
         for round in 0..200 {
-            // A bumpy wheel; one in four has a facet without area.
+            // A bumpy wheel; one in four has a facet without area. Another one is flat, with points on its spokes.
             let mut positions = vec![0.1 * point(round)];
             positions.extend((0..7).map(|k| {
                 let (sin, cos) = (f64::from(k) / 7.0 * std::f64::consts::TAU).sin_cos();
@@ -294,10 +294,15 @@ mod tests {
             if round % 4 == 0 {
                 positions[3] = positions[4];
             }
+            let is_flat = round % 4 == 1;
+            if is_flat {
+                positions.iter_mut().for_each(|p| p.z = 0.3 * p.x - 0.7 * p.y);
+            }
             let facets: Vec<[u32; 3]> = (0..7).map(|k| [1 + k, 1 + (k + 1) % 7, 0]).collect();
             query.move_to(&LocalMesh::new(positions.clone(), facets.clone(), HashSet::new()), 0);
             for k in 0..50 {
-                let p = 2.0 * point(100_000 + 50 * round + k);
+                let spoke = positions[0].lerp(positions[1 + k as usize % 7], number(k) + 0.5);
+                let p = if is_flat { spoke } else { 2.0 * point(100_000 + 50 * round + k) };
                 let all = facets.iter().map(|t| closest_on_facet(p, t.map(|v| positions[v as usize]), *t).0);
                 let (facet, squared) =
                     all.enumerate().reduce(|a, b| if b.1 < a.1 { b } else { a }).unwrap_or((0, f64::INFINITY));

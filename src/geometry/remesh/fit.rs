@@ -73,7 +73,7 @@ pub(super) fn backtrack(mesh: &LocalMesh, first: &[FacetShape], moves: &mut [DVe
             let after = FacetShape::of(corners, wanted);
             after.normal.dot(before.normal) < MEASURED_COSINE || after.lack > before.lack
         };
-        let bad: Vec<u32> = checked.par_iter().with_min_len(FACETS_PER_TASK).copied().filter(is_bad).collect();
+        let bad: Vec<u32> = checked.par_iter().with_min_len(ITEMS_PER_TASK).copied().filter(is_bad).collect();
         if bad.is_empty() {
             return;
         }

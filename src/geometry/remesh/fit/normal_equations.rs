@@ -149,7 +149,7 @@ impl NearestFacets {
                 query.move_to(mesh, v);
                 for (k, (sample, (facet, weights))) in samples.of(v).iter().zip(&mut to).enumerate() {
                     // A one-ring may have many facets, and a cell many samples.
-                    if k.is_multiple_of(SAMPLES_PER_CHECK) && token.is_stopped() {
+                    if token.check_at(WORK_PER_POINT * k).is_err() {
                         return;
                     }
                     let found = query.nearest(sample.position);
@@ -206,7 +206,8 @@ impl Parts<'_> {
         rows.inverse.reserve_exact(vertices.len());
         rows.right.reserve_exact(vertices.len());
         rows.ends.reserve_exact(vertices.len());
-        rows.blocks.reserve(BLOCKS_PER_ROW * vertices.len());
+        // Most have as many neighbours, and some have more.
+        rows.blocks.reserve((REGULAR_VALENCE + 1) * vertices.len());
         vertices.iter().for_each(|&v| self.add_row(&mut rows, v));
         rows
     }
@@ -272,7 +273,7 @@ impl NormalEquations {
     /// For the vertices that are not fixed. They were at `start` before the fit.
     pub(super) fn new(mesh: &LocalMesh, target: &Target, start: &[DVec3], token: &Token) -> Self {
         let found = NearestFacets::new(mesh, target, token);
-        let facets = (0..mesh.facets().len() as u32).into_par_iter().with_min_len(VERTICES_PER_RUN);
+        let facets = (0..mesh.facets().len() as u32).into_par_iter().with_min_len(ITEMS_PER_TASK);
         let shares = facets.map(|f| found.share(mesh, target, f)).collect();
         let mut curves: Vec<_> = target.curves.iter().flat_map(|s| CurveShare::both(&mesh.positions, s)).collect();
         curves.sort_by_key(|c| c.vertex);

@@ -11,7 +11,7 @@ use glam::DVec3;
 
 use crate::mesh::csr::Csr;
 use crate::mesh::measure::least_angle;
-use crate::remesh::constants::{EAR_PASSES, LEAST_EAR_ANGLE, LEAST_EAR_COSINE};
+use crate::remesh::constants::{LEAST_EAR_ANGLE, LEAST_EAR_COSINE};
 use crate::remesh::triangle::unit_normal;
 
 /// Adds an ear for each `wanted` pair that the boundary joins by one other vertex that `may_be_inside`. Returns how many.
@@ -22,7 +22,8 @@ pub(crate) fn fill(
     may_be_inside: impl Fn(u32) -> bool,
 ) -> usize {
     let before = facets.len();
-    for _ in 0..EAR_PASSES {
+    // Ears that have a vertex in common are added in different passes. What was added is an edge from then on.
+    loop {
         let boundary = Boundary { rings: &Csr::one_rings(positions.len(), facets), facets };
         let ear = |a: u32, b: u32| {
             let inside = boundary.only_after(a).filter(|&x| x != b && boundary.only_after(x) == Some(b));

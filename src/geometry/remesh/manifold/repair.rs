@@ -14,7 +14,7 @@ use rayon::prelude::*;
 
 use crate::mesh::coincident;
 use crate::mesh::edges::{DisjointSets, EdgeGroups, Half};
-use crate::remesh::constants::{MAX_SEPARATION_ROUNDS, SIDE_STEP, STEP_BACK};
+use crate::remesh::constants::{SIDE_STEP, STEP_BACK};
 use crate::remesh::report::RepairFigures;
 use crate::remesh::triangle::unit_normal;
 use crate::token::{Stopped, Token};
@@ -37,10 +37,8 @@ pub(crate) fn repair(positions: &[DVec3], triangles: &[[u32; 3]], token: &Token)
     let mut places = positions.to_vec();
     let mut source: Vec<u32> = (0..positions.len() as u32).collect();
     let mut conflicts = conflicting(places.len(), &facets);
-    for _ in 0..MAX_SEPARATION_ROUNDS {
-        if conflicts.is_empty() || !separate_sheets(&mut places, &mut source, &mut facets) {
-            break;
-        }
+    // Every round leaves fewer edges to separate: those at a new vertex have two facets each.
+    while !conflicts.is_empty() && separate_sheets(&mut places, &mut source, &mut facets) {
         token.check()?;
         conflicts = conflicting(places.len(), &facets);
     }

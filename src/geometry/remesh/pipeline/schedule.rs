@@ -10,7 +10,7 @@ use glam::DVec3;
 use super::Job;
 use super::extract::Missed;
 use crate::cvt::{Cvt, Iteration};
-use crate::remesh::constants::{CLEARING_ROUNDS, CLEARING_STEPS, REFINING_STEPS, SAME_PLACE};
+use crate::remesh::constants::{CLEARING_ROUNDS, CLEARING_STEPS, REFINING_STEPS, ROUNDING};
 use crate::remesh::report::{FinalFigures, IterationFigures, RefineFigures};
 use crate::remesh::{RemeshError, RemeshOptions};
 use crate::rvd::RvdFigures;
@@ -97,7 +97,7 @@ impl Schedule<'_, '_, '_> {
     pub(super) fn add_seeds(&mut self, cvt: &mut Cvt, places: &[(u32, DVec3)]) -> Result<bool, RemeshError> {
         // A second seed in one place would be a duplicate.
         let seeds = cvt.unit_seeds()?;
-        let apart = |p: &&(u32, DVec3)| seeds[p.0 as usize].distance(p.1) > SAME_PLACE;
+        let apart = |p: &&(u32, DVec3)| seeds[p.0 as usize].distance(p.1) > ROUNDING;
         let places: Vec<DVec3> = places.iter().filter(apart).map(|p| p.1).collect();
         let added = cvt.pin(&[], &places)?;
         self.figures.refine.added_seeds += added;
