@@ -19,8 +19,12 @@ def test_examples_run(module):
     assert tried > 0 and failed == 0
 
 
-def test_the_guide_runs(endpoint: str, capsys: pytest.CaptureFixture[str]):
+def test_the_guide_runs(
+    endpoint: str, capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
     pytest.importorskip("grpc")
+    # It writes files.
+    monkeypatch.chdir(tmp_path)
     guide = (Path(__file__).parents[3] / "docs" / "python.md").read_text().replace("http://127.0.0.1:50051", endpoint)
     names: dict[str, object] = {"__name__": "guide"}
     for block in re.findall(r"^```python\n(.*?)^```$", guide, re.MULTILINE | re.DOTALL):

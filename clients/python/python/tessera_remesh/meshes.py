@@ -105,12 +105,12 @@ def read(path: str | os.PathLike[str]) -> Surface:
 
     Warns of what is not read. Raises `InputError` for what is no surface, and `OSError` for a file that cannot be read.
     """
-    read = _engine.read(path)
-    for what in read["left_aside"]:
+    held = _engine.read(path)
+    for what in held["left_aside"]:
         warn(f"{os.fspath(path)}: left aside: {what}")
-    carried = read.get("attributes")
+    carried = held.get("attributes")
     attributes = None if carried is None else Attributes._from_engine(carried)
-    return Surface(read["vertices"], read["faces"], attributes)
+    return Surface(held["vertices"], held["faces"], attributes)
 
 
 def save(path: str | os.PathLike[str], surface: Surface) -> None:
@@ -137,10 +137,10 @@ def surface(mesh: Any, faces: ArrayLike | None) -> Surface:
         return Surface(_vertices(mesh), _faces(faces), None)
     if isinstance(mesh, (str, os.PathLike)):
         return read(mesh)
-    for library, read in (("trimesh", _from_trimesh), ("pyvista", _from_pyvista), ("meshio", _from_meshio)):
+    for library, convert in (("trimesh", _from_trimesh), ("pyvista", _from_pyvista), ("meshio", _from_meshio)):
         # An object's library is imported.
         module = sys.modules.get(library)
-        found = read(mesh, module) if module is not None else None
+        found = convert(mesh, module) if module is not None else None
         if found is not None:
             return found
     if isinstance(mesh, Surface):
@@ -243,12 +243,12 @@ def _take_scalars(attributes: Attributes, name: str, values: Array, vertices: in
     if len(values) != vertices or values.dtype.kind not in "fiub":
         return
     if values.ndim == 1:
-        attributes.scalars[scalar_name(name)] = _floats(values)
+        attributes.scalars[scalar_name(name)] = np.asarray(values, dtype=np.float64)
     elif values.ndim == 2 and values.dtype == np.uint8 and values.shape[1] in (3, 4) and attributes.colours is None:
         attributes.colours = values
     elif values.ndim == 2:
         for i in range(values.shape[1]):
-            attributes.scalars[scalar_name(f"{name}_{i}")] = _floats(values[:, i])
+            attributes.scalars[scalar_name(f"{name}_{i}")] = np.asarray(values[:, i], dtype=np.float64)
 
 
 def scalar_name(name: str) -> str:
