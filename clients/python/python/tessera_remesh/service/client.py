@@ -100,7 +100,7 @@ class Client:
         """Ends the connection."""
         self._channel.close()
 
-    def remesh(self, mesh: Any, faces: ArrayLike | None = None, points: int | None = None, **options: Any) -> Remesh:
+    def remesh(self, mesh: Any, faces: ArrayLike | None = None, points: float | str | None = None, **options: Any) -> Remesh:
         """As `tessera_remesh.remesh`, by this server."""
         surface, given, carried, progress = _remesh_arguments(mesh, faces, points, options)
         with listener(progress) as listen:
@@ -114,7 +114,7 @@ class Client:
         """The bytes of a blob."""
         return bytes(self._run(flows.read(digest, self._patience)))
 
-    def submit(self, mesh: Any, faces: ArrayLike | None = None, points: int | None = None, **options: Any) -> str:
+    def submit(self, mesh: Any, faces: ArrayLike | None = None, points: float | str | None = None, **options: Any) -> str:
         """Begins a remesh as a job that outlives this connection, and gives its id. `result` fetches it.
 
         The options are those of `remesh`, and `request_id`: the same id with the same job gives the job that is there.
@@ -247,7 +247,7 @@ class AsyncClient:
             await self._channel.close()
 
     async def remesh(
-        self, mesh: Any, faces: ArrayLike | None = None, points: int | None = None, **options: Any
+        self, mesh: Any, faces: ArrayLike | None = None, points: float | str | None = None, **options: Any
     ) -> Remesh:
         """As `tessera_remesh.remesh`, by this server."""
         surface, given, carried, progress = _remesh_arguments(mesh, faces, points, options)
@@ -272,7 +272,7 @@ class AsyncClient:
         """The bytes of a blob."""
         return bytes(await self._run(flows.read(digest, self._patience)))
 
-    async def submit(self, mesh: Any, faces: ArrayLike | None = None, points: int | None = None, **options: Any) -> str:
+    async def submit(self, mesh: Any, faces: ArrayLike | None = None, points: float | str | None = None, **options: Any) -> str:
         """As `Client.submit`."""
         request_id = str(options.pop("request_id", ""))
         surface, given, carried, _ = _remesh_arguments(mesh, faces, points, options)
@@ -354,7 +354,7 @@ _NOBODYS = Surface(np.zeros((0, 3)), np.zeros((0, 3), dtype=np.int32), None, "ar
 
 
 def _remesh_arguments(
-    mesh: Any, faces: ArrayLike | None, points: int | None, options: dict[str, Any]
+    mesh: Any, faces: ArrayLike | None, points: float | str | None, options: dict[str, Any]
 ) -> tuple[Surface, dict[str, Any], Attributes | None, ProgressLike]:
     surface = meshes.surface(mesh, faces)
     progress: ProgressLike = options.pop("progress", None)
