@@ -18,7 +18,7 @@ use jobs::{Backends, Ceilings, Engine, EngineOptions, JobError};
 use server::config::Limits;
 use server::metrics::Metrics;
 use server::readiness::Readiness;
-use server::service::{self, About, Access, Jobs, Parts, ServeError, Tls};
+use server::service::{self, About, Access, Jobs, Parts, ServeError};
 use tessera::proto::remesh_service_client::RemeshServiceClient;
 use tessera::proto::*;
 use tessera::rvd::{Backend, BackendKind, CellSums, PassStats, PieceBatch, RvdError, Session, SessionOptions, Surface};
@@ -28,6 +28,7 @@ use tokio::net::TcpListener;
 use tokio::sync::{mpsc, oneshot};
 use tokio_stream::wrappers::ReceiverStream;
 use tonic::transport::Channel;
+use transport::Tls;
 
 /// How long a test waits for what has to come. A loaded machine is far from it; without an end nothing would come at all.
 pub const PATIENCE: Duration = Duration::from_secs(60);

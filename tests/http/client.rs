@@ -17,11 +17,12 @@ use server::http::door_with_page;
 use server::keys::{KeyFile, KeyLimits, NewKey, Role, Secret};
 use server::metrics::Metrics;
 use server::readiness::Readiness;
-use server::service::{self, About, Access, AccessOptions, Door, Jobs, Parts, ServeError, Tls};
+use server::service::{self, About, Access, AccessOptions, Door, Jobs, Parts, ServeError};
 use tessera::{BackendChoice, BackendKind};
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::{TcpListener, TcpStream};
 use tokio::sync::oneshot;
+use transport::Tls;
 
 /// For whatever has to come.
 const PATIENCE: Duration = Duration::from_secs(120);
