@@ -147,7 +147,8 @@ async fn watches_of_health_keep_nobody_out() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_connection_without_a_request_is_closed() {
-    let limits = Limits { first_request: Duration::from_millis(300), ..Limits::default() };
+    let connections = ConnectionLimits { first_request: Duration::from_millis(300), ..ConnectionLimits::default() };
+    let limits = Limits { connections, ..Limits::default() };
     let server = Server::start(Setup { limits, ..Setup::default() }).await;
     let mut watching = Raw::connect(server.address, 1 << 16).await;
     let mut watch = watching.ask(WATCH, &[HealthCheckRequest::default()]).await.unwrap();
@@ -169,7 +170,8 @@ async fn a_connection_without_a_request_is_closed() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn an_idle_connection_is_closed_in_good_form() {
-    let limits = Limits { idle_connection: Duration::from_millis(600), ..Limits::default() };
+    let connections = ConnectionLimits { idle: Duration::from_millis(600), ..ConnectionLimits::default() };
+    let limits = Limits { connections, ..Limits::default() };
     let server = Server::start(Setup { limits, ..Setup::default() }).await;
     let mut raw = Raw::connect(server.address, 1 << 16).await;
     let mut body = raw.ask(CHECK, &[HealthCheckRequest::default()]).await.unwrap();
