@@ -197,7 +197,7 @@ impl Attributes {
         Ok(())
     }
 
-    /// Takes one more scalar. Values may be NaN, where nothing was measured.
+    /// Takes one more scalar. Values may be NaN, where nothing was measured, and not infinite.
     pub fn add_scalar(&mut self, name: impl Into<String>, values: Vec<f64>) -> Result<(), AttributeError> {
         let name = name.into();
         check_name(&name)?;
@@ -206,6 +206,7 @@ impl Attributes {
         }
         let attribute = format!("scalar {name:?}");
         check_count(&attribute, values.len(), self.vertices, "vertices")?;
+        check_finite(&attribute, &values, |x| !x.is_infinite())?;
         self.scalars.push(Scalar { name, values });
         Ok(())
     }
@@ -357,7 +358,7 @@ mod tests {
         let nan = attributes.set_colours(Colours { values, depth: ColourDepth::Float }).unwrap_err();
         assert!(matches!(nan, AttributeError::NonFinite { index: 2, .. }));
         attributes.add_scalar("a", vec![0.0; 4]).unwrap();
-        attributes.add_scalar("gaps", vec![0.0, f64::NAN, 1.0, f64::INFINITY]).unwrap();
+        attributes.add_scalar("gaps", vec![0.0, f64::NAN, 1.0, 2.0]).unwrap();
         for name in ["", "a", "a b", "ä", "1a", "a/b", &"x".repeat(129)] {
             assert!(matches!(attributes.add_scalar(name, vec![0.0; 4]), Err(AttributeError::Name { .. })), "{name}");
         }

@@ -243,12 +243,21 @@ def _take_scalars(attributes: Attributes, name: str, values: Array, vertices: in
     if len(values) != vertices or values.dtype.kind not in "fiub":
         return
     if values.ndim == 1:
-        attributes.scalars[scalar_name(name)] = np.asarray(values, dtype=np.float64)
+        attributes.scalars[scalar_name(name)] = _scalar(name, values)
     elif values.ndim == 2 and values.dtype == np.uint8 and values.shape[1] in (3, 4) and attributes.colours is None:
         attributes.colours = values
     elif values.ndim == 2:
         for i in range(values.shape[1]):
-            attributes.scalars[scalar_name(f"{name}_{i}")] = np.asarray(values[:, i], dtype=np.float64)
+            attributes.scalars[scalar_name(f"{name}_{i}")] = _scalar(name, values[:, i])
+
+
+def _scalar(name: str, values: Array) -> Array:
+    floats = np.asarray(values, dtype=np.float64)
+    infinite = np.isinf(floats)
+    if infinite.any():
+        warn(f"scalar {name}: {infinite.sum()} infinite values are NaN")
+        floats = np.where(infinite, np.nan, floats)
+    return floats
 
 
 def scalar_name(name: str) -> str:

@@ -99,6 +99,14 @@ pub(super) fn parse<T: std::str::FromStr>(word: &[u8]) -> Option<T> {
     std::str::from_utf8(word).ok()?.parse().ok()
 }
 
+/// A word that is no number: NaN for a spelling of it, as `nan(ind)` and `-1.#IND`, else infinite, which no surface takes.
+fn odd(word: &[u8]) -> f64 {
+    let word = word.to_ascii_lowercase();
+    let word = word.strip_prefix(b"-").unwrap_or(&word);
+    let is_nan = word.starts_with(b"nan") || word.starts_with(b"1.#") && word != b"1.#inf";
+    if is_nan { f64::NAN } else { f64::INFINITY }
+}
+
 /// The beginning of a word, for a message.
 pub(super) fn shown(word: &[u8]) -> String {
     plain(&String::from_utf8_lossy(&word[..word.len().min(160)]), 40)
@@ -240,7 +248,7 @@ impl<'a> Cursor<'a> {
     /// One number, as in [`Self::lenient`].
     pub(super) fn any_float(&mut self, kind: Kind, what: &str) -> Result<f64, DataError> {
         match self.encoding {
-            Encoding::Text => self.word().map(|word| parse(word).unwrap_or(f64::NAN)).ok_or_else(|| cut(what)),
+            Encoding::Text => self.word().map(|word| parse(word).unwrap_or_else(|| odd(word))).ok_or_else(|| cut(what)),
             Encoding::Binary(_) => self.float(kind, what),
         }
     }
