@@ -86,10 +86,8 @@ impl Surface {
     /// Writes a surface and what it carries. Warns of what the format cannot hold.
     pub(crate) fn write(&self, mesh: &TriMesh, attributes: Option<&Attributes>) -> Result<Option<Warning>> {
         let format = self.format(OUTPUT_FORMAT)?;
-        let encoded = match attributes {
-            Some(attributes) => io::encode_with_attributes(format, mesh, attributes),
-            None => io::encode(format, mesh).map(|bytes| (bytes, Vec::new())),
-        };
+        let none = Attributes::new(mesh);
+        let encoded = io::encode_with_attributes(format, mesh, attributes.unwrap_or(&none));
         let (bytes, left_out) = encoded.map_err(|cause| self.refused(&cause))?;
         match self.is_standard() {
             true => super::say::bytes(&bytes)?,

@@ -54,6 +54,20 @@ fn what_points_carry_comes_back() {
     assert_eq!(decode_with_attributes(Format::Gmsh, &bytes).unwrap().attributes.scalars(), all.scalars());
 }
 
+/// Far from the origin single precision is too coarse for short edges.
+#[test]
+fn rounding_is_told() {
+    let near = Shape::Torus.build(500);
+    let moved = near.positions().iter().map(|&p| p + DVec3::splat(1e5)).collect();
+    let far = TriMesh::new(moved, near.facets().to_vec()).unwrap();
+    for format in Format::ALL {
+        let left_out = |mesh: &TriMesh| encode_with_attributes(format, mesh, &Attributes::new(mesh)).unwrap().1;
+        let is_single = ["stl", "glb", "gltf"].contains(&format.extension());
+        assert!(left_out(&near).is_empty(), "{format:?}");
+        assert_eq!(left_out(&far).iter().any(|what| what.contains("precision")), is_single, "{format:?}");
+    }
+}
+
 #[test]
 fn vtk_dialects() {
     let text = "# vtk DataFile Version 2.0\r\na title\r\nASCII\r\ndataset unstructured_grid\nFIELD FieldData 2\nnames 1 2 string\n\

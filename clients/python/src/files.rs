@@ -8,6 +8,7 @@ use pyo3::exceptions::PyOSError;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use tessera::TriMesh;
+use tessera::mesh::attributes::Attributes;
 use tessera::mesh::io::{self, FileError, Loaded};
 
 use crate::arrays;
@@ -51,9 +52,7 @@ pub(crate) fn write(
     let (positions, facets) = (arrays::points(vertices, "vertices")?, arrays::triples(faces, "faces")?);
     let mesh = TriMesh::new(positions, facets).map_err(input)?;
     let held = attributes_of.map(|given| attributes(given, &mesh)).transpose()?;
-    let written = py.detach(|| match &held {
-        Some(held) => io::write_with_attributes(&path, &mesh, held),
-        None => io::write(&path, &mesh).map(|()| Vec::new()),
-    });
+    let held = held.unwrap_or_else(|| Attributes::new(&mesh));
+    let written = py.detach(|| io::write_with_attributes(&path, &mesh, &held));
     written.map_err(|error| wrong(&error))
 }

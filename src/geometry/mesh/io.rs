@@ -404,7 +404,8 @@ pub fn encode(format: Format, mesh: &TriMesh) -> Result<Vec<u8>, DataError> {
     (format.codec().encode)(mesh, &Held::default())
 }
 
-/// The bytes of a file that holds `mesh` and of `attributes` what the format can hold, and the names of the others.
+/// The bytes of a file that holds `mesh` and of `attributes` what the format can hold, and the names of the others. STL and
+/// glTF have single precision, which is among the others if it moves a vertex by more than 1 % of an edge.
 ///
 /// | | normals | texture coordinates | colours | scalars |
 /// | --- | --- | --- | --- | --- |
@@ -421,8 +422,11 @@ pub fn encode_with_attributes(
     attributes: &Attributes,
 ) -> Result<(Vec<u8>, Vec<String>), DataError> {
     attributes.check_mesh(mesh)?;
-    let held = Held::of(&format.codec().holds, mesh, attributes);
+    let mut held = Held::of(&format.codec().holds, mesh, attributes);
     let bytes = (format.codec().encode)(mesh, &held)?;
+    if matches!(format, Format::Stl | Format::Glb | Format::Gltf) {
+        held.left_out.extend(held::rounding(mesh));
+    }
     Ok((bytes, held.left_out))
 }
 

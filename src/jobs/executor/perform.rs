@@ -74,13 +74,10 @@ fn json_bytes(report: &impl serde::Serialize) -> Bytes {
 
 /// The file of a result, and the names of what the format cannot hold.
 fn file(format: Format, done: &Remesh) -> Result<(Bytes, Vec<String>), WorkError> {
-    let encoded = match &done.attributes {
-        Some(attributes) => io::encode_with_attributes(format, &done.mesh, attributes),
-        None => io::encode(format, &done.mesh).map(|bytes| (bytes, Vec::new())),
-    };
-    let (bytes, left_out) =
-        encoded.map_err(|error| failure(FailureKind::BadInput, format!("spec.result.file: {error}")))?;
-    Ok((bytes.into(), left_out))
+    let none = Attributes::new(&done.mesh);
+    let encoded = io::encode_with_attributes(format, &done.mesh, done.attributes.as_ref().unwrap_or(&none));
+    let refused = |error| failure(FailureKind::BadInput, format!("spec.result.file: {error}"));
+    encoded.map(|(bytes, left_out)| (bytes.into(), left_out)).map_err(refused)
 }
 
 fn numbers(values: &[f64]) -> Bytes {

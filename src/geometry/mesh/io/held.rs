@@ -133,6 +133,23 @@ impl<'a> Held<'a> {
     }
 }
 
+/// The share of an edge by which rounding may move a vertex unsaid.
+const MOST_ROUNDING: f64 = 0.01;
+
+/// What single precision loses, if that is much beside the edges.
+pub(super) fn rounding(mesh: &TriMesh) -> Option<String> {
+    let of_facet = |facet: usize| {
+        let [a, b, c] = mesh.corners(facet);
+        let edge = a.distance(b).min(b.distance(c)).min(c.distance(a));
+        let moved = [a, b, c].map(|p| p.distance(p.as_vec3().as_dvec3()));
+        if edge > 0.0 { moved[0].max(moved[1]).max(moved[2]) / edge } else { 0.0 }
+    };
+    let most = (0..mesh.facets().len()).into_par_iter().map(of_facet).reduce(|| 0.0, f64::max);
+    (most > MOST_ROUNDING).then(|| {
+        format!("the precision of the coordinates (rounding moves vertices by up to {:.0} % of an edge)", 100.0 * most)
+    })
+}
+
 /// For each element the first with the same key.
 pub(super) fn firsts<K: Ord>(count: usize, key: impl Fn(usize) -> K + Sync) -> Vec<u32> {
     let mut sorted: Vec<u32> = (0..count as u32).collect();
