@@ -11,7 +11,7 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use anyhow::{Context, Result};
-pub(crate) use args::{DensityArg, RemeshArgs};
+pub(crate) use args::{DENSITIES, RemeshArgs};
 use serde_json::{Value, json};
 use summary::Told;
 use tasks::Task;

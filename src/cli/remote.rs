@@ -1,7 +1,7 @@
 //! The client of a server: `--endpoint`, jobs and blobs.
 //!
 //! Purpose: the calls of a client, from connecting to the last message. Streams of `--endpoint` are here; `jobs` and
-//! `blobs` hold the calls of a [`Session`]. Invariant: what is received is checked (`wire::arrays`), then against the
+//! `blobs` hold the calls of a [`Session`]. Invariant: what is received is checked (`wire::assemble`), then against the
 //! request and against itself (`checks`), before it is used. Must not know: the server (`service`).
 
 mod blobs;
@@ -19,7 +19,7 @@ use checks::{Expected, Pieces};
 pub(crate) use faults::is_lost;
 use faults::wrong;
 use glam::DVec3;
-pub(crate) use link::{Door, Line, Windows};
+pub(crate) use link::{Answered, Door, Line, Windows};
 use link::{Link, Patience, Sent};
 use serde_json::Value;
 pub(crate) use session::{Session, health, info, session, watch_health};
@@ -36,7 +36,7 @@ use geometry::rvd::{PieceBatch, RvdError};
 use geometry::token::Stopped;
 pub(crate) use jobs::{has_ended, is_id};
 pub(crate) use server::config::BackendArg;
-use wire::arrays::Arrays;
+use wire::assemble::Arrays;
 use wire::cells::batch;
 use wire::chunks::{facet_chunks, index_chunks, number_chunks, point_chunks};
 use wire::counts::{MeshCounts, mesh_header};

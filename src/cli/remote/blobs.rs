@@ -32,6 +32,9 @@ fn client(link: &Link<'_>) -> BlobServiceClient<Door> {
     BlobServiceClient::new(link.channel()).max_decoding_message_size(16 << 20)
 }
 
+/// Takes bytes as they come.
+type Sink<'a> = &'a mut dyn FnMut(&[u8]) -> Result<()>;
+
 /// How the sending of pieces ended early, if it did.
 type Broken = Arc<Mutex<Option<io::Error>>>;
 
@@ -39,10 +42,7 @@ impl Session<'_> {
     pub(crate) async fn stat(&mut self, digest: &str) -> Result<u64> {
         let request = StatRequest { digest: digest.to_owned() };
         let answer = self.once(async |link| one(link, client(link).stat(request)).await).await?;
-        match answer.digest == digest {
-            true => Ok(answer.size_bytes),
-            false => Err(wrong("it is about another blob")),
-        }
+        if answer.digest == digest { Ok(answer.size_bytes) } else { Err(wrong("it is about another blob")) }
     }
 
     /// Uploads those of `sources` that the server does not have; how many bytes that were.
@@ -85,12 +85,7 @@ impl Session<'_> {
     }
 
     /// Fetches a blob and gives its bytes to `sink` as they come; how many there are.
-    pub(crate) async fn download(
-        &mut self,
-        digest: &str,
-        sink: &mut dyn FnMut(&[u8]) -> Result<()>,
-        progress: &Progress,
-    ) -> Result<u64> {
+    pub(crate) async fn download(&mut self, digest: &str, sink: Sink<'_>, progress: &Progress) -> Result<u64> {
         let mut blob = Incoming::new(digest);
         loop {
             let before = blob.bytes();
@@ -185,7 +180,7 @@ async fn read_on(
     link: &Link<'_>,
     digest: &str,
     blob: &mut Incoming,
-    sink: &mut dyn FnMut(&[u8]) -> Result<()>,
+    sink: Sink<'_>,
     progress: &Progress,
 ) -> Result<(), Fault> {
     let request = ReadRequest { digest: digest.to_owned(), offset: blob.bytes(), limit_bytes: 0 };

@@ -6,10 +6,10 @@
 use std::future::Future;
 
 use anyhow::Result;
-use tonic::{Response, Status};
+use tonic::Response;
 
 use super::faults::{self, Fault, wrong};
-use super::link::{Door, Link};
+use super::link::{Answered, Door, Link};
 use super::session::{Session, one};
 use crate::progress::Progress;
 use wire::proto::job_service_client::JobServiceClient;
@@ -17,6 +17,9 @@ use wire::proto::{
     CancelJobRequest, CreateJobRequest, CreateJobResponse, DeleteJobRequest, EstimateJobRequest, EstimateJobResponse,
     GetJobRequest, Job, JobEvent, JobState, ListJobsRequest, ListJobsResponse, WatchJobRequest, job_event,
 };
+
+/// Takes an event. False if no more are wanted.
+type Events<'a> = &'a mut dyn FnMut(&JobEvent) -> Result<bool>;
 
 const PAGE: u32 = 100;
 /// Pages in a row in which nothing is: a server may look for long, but not for ever.
@@ -117,12 +120,7 @@ impl Session<'_> {
     }
 
     /// Gives each event of a job after number `after` to `sink`, until the job has ended or `sink` wants no more.
-    pub(crate) async fn watch(
-        &mut self,
-        id: &str,
-        mut after: u64,
-        sink: &mut dyn FnMut(&JobEvent) -> Result<bool>,
-    ) -> Result<()> {
+    pub(crate) async fn watch(&mut self, id: &str, mut after: u64, sink: Events<'_>) -> Result<()> {
         loop {
             let before = after;
             let tried = self.once(async |link| watch_on(link, id, &mut after, sink).await).await;
@@ -160,7 +158,7 @@ impl Session<'_> {
 }
 
 /// Waits for the answer of a call that only a job in the right state allows.
-async fn in_state<T>(link: &Link<'_>, call: impl Future<Output = Result<Response<T>, Status>>) -> Result<T, Fault> {
+async fn in_state<T>(link: &Link<'_>, call: impl Future<Output = Answered<T>>) -> Result<T, Fault> {
     let answer = link.first(call).await?;
     answer.map(Response::into_inner).map_err(|status| faults::of_state(link.url(), &status))
 }
@@ -170,12 +168,7 @@ async fn get(link: &Link<'_>, request: GetJobRequest, id: &str) -> Result<Job, F
 }
 
 /// Goes on with the events after number `after`. False if they ended, and the job did not.
-async fn watch_on(
-    link: &Link<'_>,
-    id: &str,
-    after: &mut u64,
-    sink: &mut dyn FnMut(&JobEvent) -> Result<bool>,
-) -> Result<bool, Fault> {
+async fn watch_on(link: &Link<'_>, id: &str, after: &mut u64, sink: Events<'_>) -> Result<bool, Fault> {
     let mut events = one(link, client(link).watch_job(WatchJobRequest { id: id.to_owned(), after: *after })).await?;
     loop {
         // That it was created is an event, so that there is one at once. Later ones take as long as the work does.

@@ -9,7 +9,7 @@ use tokio::time::Instant;
 
 use super::{Answers, Asked, At, End, Pace};
 use crate::remote::Door;
-use wire::arrays::Arrays;
+use wire::assemble::Arrays;
 use wire::proto::remesh_service_client::RemeshServiceClient;
 use wire::proto::{self, ArrayKind, Chunk, RvdOutput, Timing};
 
