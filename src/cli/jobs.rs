@@ -156,10 +156,8 @@ fn id(text: &str) -> Result<String, String> {
 }
 
 fn request_id(text: &str) -> Result<String, String> {
-    match (1..=128).contains(&text.len()) && text.bytes().all(|b| b.is_ascii_graphic()) {
-        true => Ok(text.to_owned()),
-        false => Err("1 to 128 printable ASCII characters without spaces are needed".to_owned()),
-    }
+    let named = (1..=128).contains(&text.len()) && text.bytes().all(|b| b.is_ascii_graphic());
+    named.then(|| text.to_owned()).ok_or("1 to 128 printable ASCII characters without spaces are needed".to_owned())
 }
 
 fn deadline(text: &str) -> Result<Duration, String> {

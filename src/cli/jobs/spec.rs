@@ -53,10 +53,9 @@ impl FromStr for Input {
 
 /// A digest, as blobs are named.
 pub(crate) fn digest(text: &str) -> Result<String, String> {
-    match text.len() == 64 && text.bytes().all(|b| b.is_ascii_hexdigit()) {
-        true => Ok(text.to_ascii_lowercase()),
-        false => Err("a digest has 64 hexadecimal digits: the SHA-256 of the bytes".to_owned()),
-    }
+    let whole = text.len() == 64 && text.bytes().all(|b| b.is_ascii_hexdigit());
+    let wrong = "a digest has 64 hexadecimal digits: the SHA-256 of the bytes";
+    if whole { Ok(text.to_ascii_lowercase()) } else { Err(wrong.to_owned()) }
 }
 
 #[derive(Args, Debug)]

@@ -111,16 +111,10 @@ impl Ends {
                 std::future::pending::<()>().await;
             }
         };
-        let cancel = async {
-            match self.cancel {
-                Some(at) => tokio::time::sleep_until(at).await,
-                None => std::future::pending().await,
-            }
-        };
         tokio::select! {
             biased;
             () = stopped => Why::Stop,
-            () = cancel => Why::Cancel,
+            () = tokio::time::sleep_until(self.cancel.unwrap_or(self.limit)), if self.cancel.is_some() => Why::Cancel,
             () = tokio::time::sleep_until(self.limit) => Why::TooLong,
         }
     }
