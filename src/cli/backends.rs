@@ -38,10 +38,7 @@ pub(crate) fn one(args: &BackendArgs) -> Result<Arc<dyn Backend>, JobError> {
 }
 
 /// Does a subcommand's work on as many threads as `--threads` says: what no backend does too, as reading and drawing.
-pub(crate) fn on_threads<R: Send>(
-    args: &BackendArgs,
-    work: impl FnOnce() -> anyhow::Result<R> + Send,
-) -> anyhow::Result<R> {
+pub(crate) fn on_threads<R: Send>(args: &BackendArgs, work: impl FnOnce() -> Result<R> + Send) -> Result<R> {
     let threads = if args.backend == BackendArg::Serial { Some(1) } else { args.threads };
     let name = |i| format!("tessera-{i}");
     let pool = rayon::ThreadPoolBuilder::new().num_threads(threads.unwrap_or(0)).thread_name(name).build();

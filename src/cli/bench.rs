@@ -6,8 +6,7 @@
 
 mod args;
 mod cvt;
-mod fig3;
-mod fig4;
+mod figures;
 mod measure;
 mod rvd;
 mod table1;
@@ -33,9 +32,9 @@ enum What {
     /// with this program; --published fills their columns, which say "not at hand" otherwise.
     Table1(table1::Table1Args),
     /// Times against the number of points, and against the number of facets: Figure 3 of the same.
-    Fig3(fig3::Fig3Args),
+    Fig3(figures::Fig3Args),
     /// Times of a fixed number of Lloyd steps for a few thousand points: Figure 4 of the same.
-    Fig4(fig4::Fig4Args),
+    Fig4(figures::Fig4Args),
 }
 
 pub(crate) fn run(args: &BenchArgs) -> Result<()> {
@@ -43,7 +42,7 @@ pub(crate) fn run(args: &BenchArgs) -> Result<()> {
         What::Rvd(args) => rvd::run(args),
         What::Cvt(args) => cvt::run(args),
         What::Table1(args) => table1::run(args),
-        What::Fig3(args) => fig3::run(args),
-        What::Fig4(args) => fig4::run(args),
+        What::Fig3(args) => figures::fig3(args),
+        What::Fig4(args) => figures::fig4(args),
     }
 }

@@ -144,14 +144,7 @@ fn of_job(error: &JobError) -> u8 {
 fn of_remesh(error: &RemeshError) -> u8 {
     match error {
         RemeshError::Rvd(error) => of_rvd(error),
-        RemeshError::TooFewSeeds { .. }
-        | RemeshError::EdgeTooLong { .. }
-        | RemeshError::NoThickness
-        | RemeshError::Feature(_)
-        | RemeshError::Density(_)
-        | RemeshError::RefineUnfitted
-        | RemeshError::RefineLimit { .. }
-        | RemeshError::Attributes(_) => DATA,
+        _ => DATA,
     }
 }
 

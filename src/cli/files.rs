@@ -187,13 +187,10 @@ fn folder_of(path: &Path) -> &Path {
     path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."))
 }
 
-/// Refuses `outputs` that would replace a file in `kept`, or each other.
-pub(crate) fn check_apart<'a>(
-    kept: impl Iterator<Item = &'a Path>,
-    outputs: impl Iterator<Item = &'a Path>,
-) -> Result<()> {
+/// Refuses files in `new` that would replace one in `kept`, or each other.
+pub(crate) fn check_apart<'a>(kept: impl Iterator<Item = &'a Path>, new: impl Iterator<Item = &'a Path>) -> Result<()> {
     let mut places: Vec<_> = kept.map(place).collect();
-    for path in outputs {
+    for path in new {
         let own = place(path);
         if own.is_some() && places.contains(&own) {
             return Err(Usage(format!("{} is named twice; give each file a name of its own", path.display())).into());
@@ -330,10 +327,7 @@ fn list<T>(
 ) -> Result<T> {
     let text = read_text(path)?;
     let format = input.format(INPUT_FORMAT)?;
-    let bytes = match FileVertices::needs_bytes(format) {
-        true => input.bytes()?,
-        false => Vec::new(),
-    };
+    let bytes = if FileVertices::needs_bytes(format) { input.bytes()? } else { Vec::new() };
     let vertices = FileVertices::of(format, &bytes, mesh);
     let vertices = vertices.map_err(|error| BadInput(format!("{input}: {error}")))?;
     Ok(read(&vertices, &text).map_err(|error| BadInput(format!("{}: {error}", path.display())))?)

@@ -8,6 +8,7 @@ use std::collections::BTreeMap;
 use std::ops::Deref;
 
 use anyhow::Result;
+use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use clap::parser::ValueSource;
 use clap::{ArgMatches, Args, Command, FromArgMatches, Id};
 
@@ -33,6 +34,17 @@ pub(crate) fn message(given: [&Texts; 3]) -> Result<proto::RemeshOptions> {
         fields.set(name, text).map_err(wrong)?;
     }
     Ok(fields.finish())
+}
+
+/// Words that an option takes, each with its help and what it stands for.
+pub(crate) type Words<T> = &'static [(&'static str, &'static str, T)];
+
+/// Reads one of these words.
+pub(crate) fn words<T: Clone + Send + Sync + 'static>(all: Words<T>) -> impl TypedValueParser<Value = T> {
+    PossibleValuesParser::new(all.iter().map(|(word, help, _)| PossibleValue::new(*word).help(*help))).try_map(|word| {
+        let known = all.iter().find(|(known, ..)| *known == word);
+        known.map(|(.., value)| value.clone()).ok_or("is no such word")
+    })
 }
 
 impl<A> Given<A> {

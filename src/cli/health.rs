@@ -131,8 +131,7 @@ async fn ask(address: &str, limit: Duration) -> Result<Readiness, Unavailable> {
     })
 }
 
-/// Asks `place`, HOST:PORT, for `path`. An answer has at most `most` bytes. Errors: a clause that says why there is no
-/// answer.
+/// Asks `place`, HOST:PORT, for `path`. An answer has at most `most` bytes. Errors: a clause that says why there is no answer.
 pub(crate) async fn get(place: &str, path: &str, limit: Duration, most: usize) -> Result<(StatusCode, Bytes), String> {
     match tokio::time::timeout(limit, answer(place, path, most)).await {
         Ok(answer) => answer.map_err(|error| match error.downcast_ref::<hyper::Error>() {

@@ -77,7 +77,7 @@ fn print(told: &GetServerInfoResponse) -> Result<()> {
     Ok(())
 }
 
-fn seconds(time: Option<prost_types::Duration>) -> Option<f64> {
+pub(crate) fn seconds(time: Option<prost_types::Duration>) -> Option<f64> {
     time.map(|time| time.seconds as f64 + f64::from(time.nanos) * 1e-9)
 }
 

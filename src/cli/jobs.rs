@@ -11,10 +11,11 @@ use std::path::Path;
 use std::time::Duration;
 
 use anyhow::Result;
-use clap::{Args, Subcommand, ValueEnum};
+use clap::{Args, Subcommand};
 use serde_json::json;
 
 use super::exit::{self, NoResult, Usage};
+use super::given::{Words, words};
 use super::progress::{Plan, Progress};
 use super::remote::{is_id, session};
 use super::say;
@@ -130,8 +131,8 @@ struct WatchArgs {
 #[derive(Args, Debug)]
 struct ListArgs {
     /// Only jobs in this state; may be given several times.
-    #[arg(long = "state", value_enum, value_name = "STATE")]
-    states: Vec<StateArg>,
+    #[arg(long = "state", value_parser = words(STATES), value_name = "STATE")]
+    states: Vec<JobState>,
     /// Only jobs with this label; may be given several times.
     #[arg(long = "label", value_name = "K=V", value_parser = label)]
     labels: Vec<(String, String)>,
@@ -140,28 +141,14 @@ struct ListArgs {
     limit: u32,
 }
 
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-enum StateArg {
-    /// It waits for its turn.
-    Queued,
-    /// It is being done.
-    Running,
-    /// It is done.
-    Succeeded,
-    /// It has no result.
-    Failed,
-    /// Its caller ended it.
-    Cancelled,
-    /// A deadline passed, or its result is no longer kept.
-    Expired,
-}
-
-impl StateArg {
-    fn message(self) -> JobState {
-        let name = format!("JOB_STATE_{self:?}").to_ascii_uppercase();
-        JobState::from_str_name(&name).unwrap_or_default()
-    }
-}
+const STATES: Words<JobState> = &[
+    ("queued", "It waits for its turn", JobState::Queued),
+    ("running", "It is being done", JobState::Running),
+    ("succeeded", "It is done", JobState::Succeeded),
+    ("failed", "It has no result", JobState::Failed),
+    ("cancelled", "Its caller ended it", JobState::Cancelled),
+    ("expired", "A deadline passed, or its result is no longer kept", JobState::Expired),
+];
 
 fn id(text: &str) -> Result<String, String> {
     let text = text.to_ascii_lowercase();
@@ -169,10 +156,8 @@ fn id(text: &str) -> Result<String, String> {
 }
 
 fn request_id(text: &str) -> Result<String, String> {
-    match (1..=128).contains(&text.len()) && text.bytes().all(|b| b.is_ascii_graphic()) {
-        true => Ok(text.to_owned()),
-        false => Err("1 to 128 printable ASCII characters without spaces are needed".to_owned()),
-    }
+    let named = (1..=128).contains(&text.len()) && text.bytes().all(|b| b.is_ascii_graphic());
+    named.then(|| text.to_owned()).ok_or("1 to 128 printable ASCII characters without spaces are needed".to_owned())
 }
 
 fn deadline(text: &str) -> Result<Duration, String> {
@@ -197,10 +182,7 @@ fn labels(all: &[(String, String)]) -> Result<std::collections::HashMap<String, 
             return Err(Usage(format!("--label {key} is given twice; a key has one value")).into());
         }
     }
-    match labels.len() > 64 {
-        true => Err(Usage("a job has at most 64 labels".to_owned()).into()),
-        false => Ok(labels),
-    }
+    if labels.len() > 64 { Err(Usage("a job has at most 64 labels".to_owned()).into()) } else { Ok(labels) }
 }
 
 pub(crate) fn run(args: &JobsArgs) -> Result<()> {
@@ -263,7 +245,7 @@ fn estimate(asked: &Asked, server: &ServerArgs) -> Result<()> {
 }
 
 fn list(args: &ListArgs, server: &ServerArgs) -> Result<()> {
-    let states = args.states.iter().map(|state| state.message().into()).collect();
+    let states = args.states.iter().map(|&state| state.into()).collect();
     let query = ListJobsRequest { states, labels: labels(&args.labels)?, ..ListJobsRequest::default() };
     let (jobs, more) = session(server, async |session| session.jobs(&query, args.limit).await)?;
     let json = || json!({ "jobs": jobs.iter().map(show::json_of).collect::<Vec<_>>(), "more": more });
@@ -309,10 +291,7 @@ fn wait(id: &str, server: &ServerArgs) -> Result<()> {
         _ => error,
     })?;
     server.tell(|| show::json_of(&job), Vec::new)?;
-    match show::why(&job) {
-        Some(why) => Err(NoResult(format!("job {id} {why}")).into()),
-        None => Ok(()),
-    }
+    show::why(&job).map_or(Ok(()), |why| Err(NoResult(format!("job {id} {why}")).into()))
 }
 
 /// About what a job takes. The size of its surface is not known here.

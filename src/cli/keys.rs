@@ -72,10 +72,8 @@ struct AddArgs {
 }
 
 fn lasting(text: &str) -> Result<Duration, String> {
-    period(text).and_then(|time| match time < Duration::from_secs(1) {
-        true => Err("a key lasts a second at least".to_owned()),
-        false => Ok(time),
-    })
+    let time = period(text)?;
+    if time < Duration::from_secs(1) { Err("a key lasts a second at least".to_owned()) } else { Ok(time) }
 }
 
 fn weight(text: &str) -> Result<f64, String> {

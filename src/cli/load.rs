@@ -28,7 +28,7 @@ use self::calls::{Caller, delete_blob, put};
 use self::clients::{Doors, Ran};
 use self::compare::{Comparison, Samples};
 use self::measure::Measure;
-use self::meshes::{Source, Surface};
+use self::meshes::Surface;
 use self::report::{QUANTILES, View};
 use self::thresholds::Threshold;
 use super::exit::{self, Crossed, Unavailable, Usage};
@@ -181,11 +181,7 @@ fn length(text: &str) -> Result<Duration, String> {
 pub(crate) fn run(args: &LoadArgs) -> Result<()> {
     args.check()?;
     let server = args.at.server()?;
-    let source = match args.mesh.is_empty() {
-        true => Source::Shape(args.shape, args.facets),
-        false => Source::Files(args.mesh.clone()),
-    };
-    let surfaces = source.build(args.points)?;
+    let surfaces = meshes::build(&args.mesh, args.shape, args.facets, args.points)?;
     let threads = std::thread::available_parallelism().map_or(2, usize::from).clamp(2, 8);
     let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(threads).enable_all().build();
     let done = runtime.context("no runtime")?.block_on(args.load(&server, surfaces))?;

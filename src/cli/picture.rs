@@ -6,11 +6,12 @@
 use std::path::PathBuf;
 
 use anyhow::{Context, Result};
-use clap::{Args, ValueEnum};
+use clap::Args;
 use glam::DVec3;
 
 use super::exit::Usage;
 use super::files;
+use super::given::{Words, words};
 use geometry::mesh::TriMesh;
 use geometry::mesh::closest_point::ClosestPoint;
 use geometry::rvd::PieceBatch;
@@ -35,19 +36,15 @@ pub(crate) struct PictureArgs {
         allow_hyphen_values = true)]
     up: DVec3,
     /// Meaning of the colours [default: plain for a remesh, cell for a diagram].
-    #[arg(long, alias = "color", value_enum, requires = "picture")]
-    colour: Option<Colour>,
+    #[arg(long, alias = "color", value_parser = words(COLOURS), requires = "picture")]
+    colour: Option<Paint>,
 }
 
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-enum Colour {
-    /// Nothing.
-    Plain,
-    /// The quality of each triangle, red to blue-grey.
-    Quality,
-    /// The cell: in a remesh, what lies nearest to each vertex.
-    Cell,
-}
+const COLOURS: Words<Paint> = &[
+    ("plain", "Nothing", Paint::Plain),
+    ("quality", "The quality of each triangle, red to blue-grey", Paint::Quality),
+    ("cell", "The cell: in a remesh, what lies nearest to each vertex", Paint::Cell),
+];
 
 fn size(text: &str) -> Result<Size, String> {
     let (width, height) = text.split_once(['x', 'X', '×']).ok_or("give it as 1600x1200")?;
@@ -71,7 +68,7 @@ impl PictureArgs {
 
     /// As [`Self::check`], for a diagram, which has no triangles.
     pub(crate) fn check_for_cells(&self) -> Result<()> {
-        if self.colour == Some(Colour::Quality) {
+        if self.colour == Some(Paint::Quality) {
             let text = "--colour quality is for a remesh; the pieces of a diagram have plain or cell";
             return Err(Usage(text.to_owned()).into());
         }
@@ -81,13 +78,8 @@ impl PictureArgs {
     /// Draws a remesh, with bold lines for edges on curves that it keeps, if that is wanted.
     pub(crate) fn draw(&self, mesh: &TriMesh, curves: &[[u32; 2]]) -> Result<()> {
         let Some(path) = &self.picture else { return Ok(()) };
-        let paint = match self.colour {
-            None | Some(Colour::Plain) => Paint::Plain,
-            Some(Colour::Quality) => Paint::Quality,
-            Some(Colour::Cell) => Paint::Cell,
-        };
         let lines: Vec<[DVec3; 2]> = curves.iter().map(|e| e.map(|v| mesh.positions()[v as usize])).collect();
-        Ok(draw_mesh(mesh, self.view_of(mesh)?, paint, &lines).write(path)?)
+        Ok(draw_mesh(mesh, self.view_of(mesh)?, self.colour.unwrap_or_default(), &lines).write(path)?)
     }
 
     /// Begins the picture of a diagram of `seeds` seeds, if that is wanted.
@@ -100,7 +92,7 @@ impl PictureArgs {
             canvas: Canvas::new(view),
             normals: shading_normals(mesh),
             dots: dots.then(|| ClosestPoint::new(mesh)),
-            plain: self.colour == Some(Colour::Plain),
+            plain: self.colour == Some(Paint::Plain),
             faces: Vec::new(),
         }))
     }

@@ -40,14 +40,8 @@ struct State {
 impl Progress {
     /// Of the work on the file `of`, which begins now with reading it.
     pub(crate) fn begin(of: &Path, quiet: bool) -> Self {
-        let bar = ProgressBar::with_draw_target(Some(PARTS), ProgressDrawTarget::stderr());
-        let bar = Some(bar).filter(|bar| !quiet && !bar.is_hidden());
+        let bar = bar(PARTS, "{spinner} {wide_bar} {percent:>3} % {msg}", quiet);
         let between = if bar.is_some() { TICK } else { line_every() };
-        if let Some((bar, style)) =
-            bar.as_ref().zip(ProgressStyle::with_template("{spinner} {wide_bar} {percent:>3} % {msg}").ok())
-        {
-            bar.set_style(style);
-        }
         let name = of.file_name().map_or_else(|| of.display().to_string(), |name| name.to_string_lossy().into_owned());
         let (track, stage) = (Track::new(Instant::now()), "read".to_owned());
         let shared = State { name, start: Instant::now(), track, span: (0.0, 1.0), bar, stage, detail: String::new() };
@@ -102,10 +96,7 @@ impl Progress {
     }
 
     pub(crate) fn note(&self, text: &str) {
-        match &lock(&self.shared).bar {
-            Some(bar) => bar.suspend(|| errln!("{text}")),
-            None => errln!("{text}"),
-        }
+        self.aside(|| errln!("{text}"));
     }
 
     pub(crate) fn aside<R>(&self, write: impl FnOnce() -> R) -> R {
@@ -114,6 +105,13 @@ impl Progress {
             None => write(),
         }
     }
+}
+
+/// A bar on the standard error stream, if that is a terminal and may have one.
+pub(crate) fn bar(length: u64, template: &str, quiet: bool) -> Option<ProgressBar> {
+    let bar = ProgressBar::with_draw_target(Some(length), ProgressDrawTarget::stderr());
+    let style = ProgressStyle::with_template(template).ok()?;
+    (!quiet && !bar.is_hidden()).then(|| bar.with_style(style))
 }
 
 impl State {

@@ -12,7 +12,7 @@ use std::time::Instant;
 
 use anyhow::{Context, Result};
 use args::flag;
-pub(crate) use args::{DensityArg, RemeshArgs};
+pub(crate) use args::{DENSITIES, RemeshArgs};
 use serde_json::{Value, json};
 use summary::Told;
 use tasks::Task;
@@ -30,7 +30,6 @@ use geometry::remesh::{RemeshOptions, Seeds, Warning, remesh};
 use geometry::rvd::Backend;
 use geometry::token::Token;
 use jobs::memory;
-use wire::proto;
 
 pub(crate) fn run(args: &RemeshArgs) -> Result<()> {
     let tasks = tasks::of(args)?;
@@ -62,18 +61,17 @@ impl Worker {
         &mut self,
         args: &RemeshArgs,
         mesh: &TriMesh,
-        (message, options): &(proto::RemeshOptions, RemeshOptions),
+        task: &remote::Task,
         progress: &mut Progress,
     ) -> Result<RemeshDone> {
         if let Some(server) = &self.server {
-            let job = remote::RemeshJob { mesh, message, options, backend: args.backend.backend };
-            return remote::remesh(server, &job, progress);
+            return remote::remesh(server, mesh, task, args.backend.backend, progress);
         }
         let backend = match &self.backend {
             Some(backend) => Arc::clone(backend),
             None => Arc::clone(self.backend.insert(backends::one(&args.backend)?)),
         };
-        let done = remesh(mesh, options, backend.as_ref(), progress, &self.token)?;
+        let done = remesh(mesh, &task.1, backend.as_ref(), progress, &self.token)?;
         let report = to_json(&done.report)?;
         Ok(RemeshDone { mesh: done.mesh, curve_edges: done.curve_edges, report, attributes: done.attributes })
     }

@@ -1,7 +1,7 @@
 //! The client of a server: `--endpoint`, jobs and blobs.
 //!
 //! Purpose: the calls of a client, from connecting to the last message. Streams of `--endpoint` are here; `jobs` and
-//! `blobs` hold the calls of a [`Session`]. Invariant: what is received is checked (`wire::arrays`), then against the
+//! `blobs` hold the calls of a [`Session`]. Invariant: what is received is checked (`wire::assemble`), then against the
 //! request and against itself (`checks`), before it is used. Must not know: the server (`service`).
 
 mod blobs;
@@ -11,6 +11,7 @@ mod jobs;
 mod link;
 mod session;
 
+pub(crate) use blobs::blobs;
 use std::future::Future;
 use std::sync::atomic::Ordering;
 
@@ -19,7 +20,7 @@ use checks::{Expected, Pieces};
 pub(crate) use faults::is_lost;
 use faults::wrong;
 use glam::DVec3;
-pub(crate) use link::{Door, Line, Windows};
+pub(crate) use link::{Answered, Door, Line, Windows};
 use link::{Link, Patience, Sent};
 use serde_json::Value;
 pub(crate) use session::{Session, health, info, session, watch_health};
@@ -34,9 +35,9 @@ use geometry::mesh::attributes::Attributes;
 use geometry::remesh::{RemeshOptions, Seeds};
 use geometry::rvd::{PieceBatch, RvdError};
 use geometry::token::Stopped;
-pub(crate) use jobs::{has_ended, is_id};
+pub(crate) use jobs::{has_ended, is_id, jobs};
 pub(crate) use server::config::BackendArg;
-use wire::arrays::Arrays;
+use wire::assemble::Arrays;
 use wire::cells::batch;
 use wire::chunks::{facet_chunks, index_chunks, number_chunks, point_chunks};
 use wire::counts::{MeshCounts, mesh_header};
@@ -44,14 +45,8 @@ use wire::proto::remesh_service_client::RemeshServiceClient;
 use wire::proto::{ArrayKind, Chunk};
 use wire::{attributes, proto};
 
-pub(crate) struct RemeshJob<'a> {
-    pub(crate) mesh: &'a TriMesh,
-    /// What to do, as the server is asked.
-    pub(crate) message: &'a proto::RemeshOptions,
-    /// The same with the arrays.
-    pub(crate) options: &'a RemeshOptions,
-    pub(crate) backend: BackendArg,
-}
+/// What to do, as the server is asked; and the same with the arrays.
+pub(crate) type Task = (proto::RemeshOptions, RemeshOptions);
 
 pub(crate) struct RemeshDone {
     pub(crate) mesh: TriMesh,
@@ -61,26 +56,28 @@ pub(crate) struct RemeshDone {
     pub(crate) attributes: Option<Attributes>,
 }
 
-pub(crate) fn remesh(server: &Server, job: &RemeshJob<'_>, progress: &Progress) -> Result<RemeshDone> {
+/// Has `mesh` remeshed by `backend` at `server`.
+pub(crate) fn remesh(
+    server: &Server,
+    mesh: &TriMesh,
+    (message, options): &Task,
+    backend: BackendArg,
+    progress: &Progress,
+) -> Result<RemeshDone> {
     use proto::remesh_request::Message as Ask;
     use proto::remesh_response::Message as Answer;
-    let options = job.options;
     let lengths = if let DensitySource::Sizes(sizes) = &options.density.source { &sizes[..] } else { &[] };
     let announced = options.attributes.as_ref().map(attributes::headers).unwrap_or_default();
-    let mesh = proto::MeshHeader {
+    let described = proto::MeshHeader {
         edge_lengths: lengths.len() as u64,
         creases: options.creases.len() as u64,
         attributes: announced.clone(),
-        ..mesh_header(job.mesh)
+        ..mesh_header(mesh)
     };
-    let header = proto::RemeshHeader {
-        mesh: Some(mesh),
-        seeds: 0,
-        backend: choice(job.backend).into(),
-        options: Some(*job.message),
-    };
+    let (backend, options_sent) = (choice(backend).into(), Some(*message));
+    let header = proto::RemeshHeader { mesh: Some(described), seeds: 0, backend, options: options_sent };
     let mut messages = vec![Ask::Header(header)];
-    messages.extend(mesh_chunks(job.mesh).map(Ask::Chunk));
+    messages.extend(mesh_chunks(mesh).map(Ask::Chunk));
     messages.extend(number_chunks(ArrayKind::EdgeLengths, lengths).map(Ask::Chunk));
     if !options.creases.is_empty() {
         messages.extend(index_chunks(ArrayKind::Creases, options.creases.as_flattened()).map(Ask::Chunk));
@@ -90,14 +87,14 @@ pub(crate) fn remesh(server: &Server, job: &RemeshJob<'_>, progress: &Progress) 
     messages.extend(carried.into_iter().flatten().map(Ask::Chunk));
     messages.push(Ask::Finish(proto::Finish {}));
     let requests = messages.into_iter().map(|m| proto::RemeshRequest { message: Some(m) }).collect::<Vec<_>>();
-    let patience = Patience::with(job.mesh.positions().len() + job.mesh.facets().len());
+    let patience = Patience::with(mesh.positions().len() + mesh.facets().len());
     block_on(async {
         progress.stage("connect", 0, 0);
         let link = Link::open(server, patience).await?;
-        let mut client = client(&link);
+        let mut client = surfaces(link.channel());
         let requests = tokio_stream::iter(counted(requests, progress, link.sent()));
         let mut answers = link.answers(client.remesh(requests)).await?;
-        let mut expected = Expected::of_remesh(job.mesh, options, &announced);
+        let mut expected = Expected::of_remesh(mesh, options, &announced);
         let mut arrays = Arrays::default();
         loop {
             match answers.next().await?.message {
@@ -132,18 +129,16 @@ fn result(arrays: &Arrays, expected: &Expected, done: &proto::RemeshDone) -> Res
     Ok(RemeshDone { mesh, curve_edges, report, attributes })
 }
 
-pub(crate) struct RvdJob<'a> {
-    pub(crate) mesh: &'a TriMesh,
-    pub(crate) seeds: Seeds,
-    pub(crate) wants: Wants,
-    pub(crate) backend: BackendArg,
-}
-
-/// Has a diagram computed at `endpoint`.
-pub(crate) fn rvd(server: &Server, job: RvdJob<'_>, progress: &Progress, sink: Sink<'_>) -> Result<RvdResult> {
+/// Has the diagram of a mesh and seeds computed at `server`.
+pub(crate) fn rvd(
+    (server, backend): (&Server, BackendArg),
+    (mesh, seeds): (&TriMesh, Seeds),
+    wants: Wants,
+    progress: &Progress,
+    sink: Sink<'_>,
+) -> Result<RvdResult> {
     use proto::compute_rvd_request::Message as Ask;
     use proto::compute_rvd_response::Message as Answer;
-    let RvdJob { mesh, seeds, wants, backend } = job;
     let mut options = proto::DiagramOptions::default();
     let (count, points) = match seeds {
         Seeds::Given(points) => (points.len() as u64, points),
@@ -153,12 +148,8 @@ pub(crate) fn rvd(server: &Server, job: RvdJob<'_>, progress: &Progress, sink: S
         }
         Seeds::Implied { .. } => (0, Vec::new()),
     };
-    if wants.cells {
-        options.outputs.push(proto::RvdOutput::Cells.into());
-    }
-    if wants.centroids {
-        options.outputs.push(proto::RvdOutput::Centroids.into());
-    }
+    options.outputs.extend(wants.cells.then_some(i32::from(proto::RvdOutput::Cells)));
+    options.outputs.extend(wants.centroids.then_some(i32::from(proto::RvdOutput::Centroids)));
     let header = proto::ComputeRvdHeader {
         mesh: Some(mesh_header(mesh)),
         seeds: points.len() as u64,
@@ -174,7 +165,7 @@ pub(crate) fn rvd(server: &Server, job: RvdJob<'_>, progress: &Progress, sink: S
     block_on(async {
         progress.stage("connect", 0, 0);
         let link = Link::open(server, patience).await?;
-        let mut client = client(&link);
+        let mut client = surfaces(link.channel());
         let requests = tokio_stream::iter(counted(requests, progress, link.sent()));
         let mut answers = link.answers(client.compute_rvd(requests)).await?;
         let mut expected = Expected::of_rvd(count, wants.centroids);
@@ -197,11 +188,9 @@ pub(crate) fn rvd(server: &Server, job: RvdJob<'_>, progress: &Progress, sink: S
                 }
                 Some(Answer::Done(done)) => {
                     expected.whole()?;
-                    let centroids = match wants.centroids {
-                        true => arrays.points(ArrayKind::Centroids).map_err(wrong)?,
-                        false => Vec::new(),
-                    };
+                    let mut centroids = Vec::new();
                     if wants.centroids {
+                        centroids = arrays.points(ArrayKind::Centroids).map_err(wrong)?;
                         checks::centroids(&centroids, count)?;
                     }
                     let report = checks::report(report(&arrays, &done.report_json).map_err(wrong)?)?;
@@ -248,8 +237,8 @@ fn waiting(progress: &Progress, accepted: &proto::Accepted) {
     }
 }
 
-fn client(link: &Link<'_>) -> RemeshServiceClient<Door> {
-    RemeshServiceClient::new(link.channel()).max_decoding_message_size(16 << 20)
+pub(crate) fn surfaces(door: Door) -> RemeshServiceClient<Door> {
+    RemeshServiceClient::new(door).max_decoding_message_size(16 << 20)
 }
 
 pub(crate) fn choice(backend: BackendArg) -> proto::BackendChoice {

@@ -128,8 +128,8 @@ fn work(args: &RvdArgs) -> Result<()> {
     let (mut result, seeds) = match &server {
         None => here(args, mesh, seeds, wants, &mut progress, &mut sink)?,
         Some(server) => {
-            let job = remote::RvdJob { mesh: &mesh, seeds, wants, backend: args.backend.backend };
-            (remote::rvd(server, job, &progress, &mut sink)?, given)
+            let at = (server, args.backend.backend);
+            (remote::rvd(at, (&mesh, seeds), wants, &progress, &mut sink)?, given)
         }
     };
     let writing = Instant::now();

@@ -1,9 +1,8 @@
 //! Lines on the standard output and the standard error stream, and text from elsewhere, made fit to be shown.
 //!
 //! Purpose: a server's words cannot move the cursor, change colours, turn the writing round or hide what follows ([`plain`]).
-//! Invariant: a closed pipe is no error, so that work which writes files still ends and writes them; any other failure of
-//! the standard output is one, since the output was the result. Nothing else in the program prints. Must not know: what is
-//! printed.
+//! Invariant: a closed pipe is no error, so that work which writes files still ends and writes them; any other failure of the
+//! standard output is one, since the output was the result. Nothing else in the program prints. Must not know: what is printed.
 
 use std::io::{ErrorKind, Write};
 use std::{fmt, io};

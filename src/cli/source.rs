@@ -31,10 +31,8 @@ impl Source {
         if meta.is_dir() {
             return Err(unread(io::ErrorKind::IsADirectory.into()).into());
         }
-        let mut kept = match meta.is_file() {
-            true => None,
-            false => Some(NamedTempFile::new().context("cannot keep what the pipe brings")?),
-        };
+        let kept = (!meta.is_file()).then(NamedTempFile::new).transpose();
+        let mut kept = kept.context("cannot keep what the pipe brings")?;
         let (mut hash, mut file, mut buffer) = (Hash::default(), BufReader::new(file), vec![0; 1 << 16]);
         loop {
             match file.read(&mut buffer) {

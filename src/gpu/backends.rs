@@ -1,8 +1,7 @@
 //! Opens a backend: the only module that names all three.
 //!
-//! Purpose: [`BackendOptions::open`] makes the backend that a caller chooses, or the best one that is there.
-//! Invariant: [`BackendChoice::Auto`] never fails for want of a GPU.
-//! Must not know: jobs, the command line.
+//! Purpose: [`BackendOptions::open`] makes the backend that a caller chooses, or the best one that is there. Invariant:
+//! [`BackendChoice::Auto`] never fails for want of a GPU. Must not know: jobs, the command line.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -29,8 +28,7 @@ pub struct BackendOptions {
     pub choice: BackendChoice,
     /// Threads of the pool, at least 1. `None`, the default, is one for each core.
     pub threads: Option<usize>,
-    /// Whether an adapter that runs on the CPU may stand in for a GPU. Off by default: it is slower than the parallel
-    /// backend.
+    /// Whether an adapter that runs on the CPU may stand in for a GPU. Off by default: it is slower than the parallel backend.
     pub software_gpu: bool,
     /// How long the GPU may take for one submission until it counts as lost; a minute by default.
     pub gpu_timeout: Option<Duration>,

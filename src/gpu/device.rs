@@ -1,11 +1,10 @@
 //! The one persistent device.
 //!
-//! Purpose: choose an adapter, open it with all the limits it has, submit, wait, and report.
-//! Invariant: callbacks only set flags; [`Device::check`] reads them after each step. wgpu's `poll` panics on a lost
-//! device, so it is never called on one known to be lost, and a panic inside is turned into [`GpuError::Lost`]. No caller
-//! waits longer than the timeout for a driver that does not answer: not for the end of its work, not when it submits, not
-//! when it drops the device.
-//! Must not know: what is computed.
+//! Purpose: choose an adapter, open it with all the limits it has, submit, wait, and report. Invariant: callbacks only set
+//! flags; [`Device::check`] reads them after each step. wgpu's `poll` panics on a lost device, so it is never called on one
+//! known to be lost, and a panic inside is turned into [`GpuError::Lost`]. No caller waits longer than the timeout for a driver
+//! that does not answer: not for the end of its work, not when it submits, not when it drops the device. Must not know: what is
+//! computed.
 
 use std::panic::AssertUnwindSafe;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -292,20 +291,14 @@ impl Device {
         if let Some(why) = noted(&self.flags.lost) {
             return Err(GpuError::Lost(why));
         }
-        match noted(&self.flags.error) {
-            Some(why) => Err(self.fault(why)),
-            None => Ok(()),
-        }
+        noted(&self.flags.error).map_or(Ok(()), |why| Err(self.fault(why)))
     }
 
     /// `Lost` if the device is lost, else `Failed` with this reason. The driver reports a loss only when it is polled, and
     /// calls on a lost device may fail before that.
     fn fault(&self, why: String) -> GpuError {
         drop(std::panic::catch_unwind(AssertUnwindSafe(|| self.device.poll(wgpu::PollType::Poll))));
-        match noted(&self.flags.lost) {
-            Some(lost) => GpuError::Lost(lost),
-            None => GpuError::Failed(why),
-        }
+        noted(&self.flags.lost).map_or(GpuError::Failed(why), GpuError::Lost)
     }
 
     /// Runs `make` and returns what it makes, or the error that the device has with it.
@@ -322,10 +315,8 @@ impl Device {
         if memory.is_some() {
             return Err(GpuError::OutOfMemory { what: "a buffer".to_owned(), needed_bytes: 0, limit_bytes: 0 });
         }
-        match internal.or(validation) {
-            Some(error) => Err(self.fault(error.to_string())),
-            None => self.check().map(|()| made),
-        }
+        let failed = internal.or(validation).map(|error| self.fault(error.to_string()));
+        failed.map_or_else(|| self.check().map(|()| made), Err)
     }
 
     /// A buffer of at least 16 bytes, zeroed: one that a session before has left, or a new one.

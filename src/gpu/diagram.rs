@@ -1,23 +1,20 @@
 //! Single precision on a wgpu device, as exact as the other backends.
 //!
-//! Purpose: the GPU backend. The stage `divide` does most facets as a whole, without a polygon. The other facets, and all of them
-//! where the pieces themselves are wanted, go to a list of (facet, cell) pairs (\[HYWZ17\], Algorithms 1 and 2): the nearest
-//! seed of each facet begins it, each clipped piece appends the cells across its bisectors, and a hash set per facet
+//! Purpose: the GPU backend. The stage `divide` does most facets as a whole, without a polygon. The other facets, and all of
+//! them where the pieces themselves are wanted, go to a list of (facet, cell) pairs (\[HYWZ17\], Algorithms 1 and 2): the
+//! nearest seed of each facet begins it, each clipped piece appends the cells across its bisectors, and a hash set per facet
 //! keeps pairs apart. Sums are added in fixed point. Neighbours and nearest seeds are found on the device too (`neighbours`),
 //! and seeds can be moved there (`optimizer`). Indirect dispatches follow the list. The host reads one small block between
-//! submissions, and launches the pairs that did not end again, with more of what they lacked.
-//! Invariant: every pair ends `Done` here or in f64. A full set or list grows, and the pass begins from zero. Integer sums
-//! have no order, so every run has the same bits. Which facets `divide` does, and its variant, depend on the surface and
-//! the seeds alone, never on capacities.
+//! submissions, and launches the pairs that did not end again, with more of what they lacked. Invariant: every pair ends `Done`
+//! here or in f64. A full set or list grows, and the pass begins from zero. Integer sums have no order, so every run has the
+//! same bits. Which facets `divide` does, and its variant, depend on the surface and the seeds alone, never on capacities.
 //!
 //! What costs time on a software adapter: it executes a branch that no lane takes. A loop that is left at its head executes its
 //! body once more. A word that each of eight lanes loads from a place of its own costs about 20 cycles. Measured with 69,000
 //! facets of 2.3 cells each: clipping all pairs took 30 ms. Dividing the facets took 20 ms with room for 8 cells, 17 for 6 and
-//! 10 for 4, the last with 64-bit atomics (a fifth of it).
-//! Must not know: iterations, jobs, files.
+//! 10 for 4, the last with 64-bit atomics (a fifth of it). Must not know: iterations, jobs, files.
 
 mod clip;
-pub(crate) mod forecast;
 pub mod layout;
 mod memory;
 mod neighbours;
@@ -26,7 +23,6 @@ mod pipelines;
 pub mod plan;
 mod session;
 pub mod shaders;
-mod strategy;
 
 use std::sync::Arc;
 use std::time::Instant;

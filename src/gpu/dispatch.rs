@@ -8,6 +8,8 @@
 
 use std::ops::Range;
 
+use wgpu::{BindGroup, Buffer, CommandEncoder, ComputePass, ComputePipeline};
+
 use crate::device::WORKGROUP;
 use crate::{Device, GpuError};
 use geometry::token::{Stopped, Token};
@@ -51,56 +53,40 @@ pub(crate) fn workgroups(items: u64, limits: Limits) -> [u32; 2] {
     [x as u32, y as u32]
 }
 
-pub(crate) fn run(
-    compute: &mut wgpu::ComputePass<'_>,
-    pipeline: &wgpu::ComputePipeline,
-    bindings: &wgpu::BindGroup,
-    items: u64,
-    limits: Limits,
-) {
-    run_groups(compute, pipeline, bindings, workgroups(items, limits));
+pub(crate) fn run(pass: &mut ComputePass<'_>, stage: &ComputePipeline, bound: &BindGroup, items: u64, limits: Limits) {
+    run_groups(pass, stage, bound, workgroups(items, limits));
 }
 
-pub(crate) fn run_groups(
-    compute: &mut wgpu::ComputePass<'_>,
-    pipeline: &wgpu::ComputePipeline,
-    bindings: &wgpu::BindGroup,
-    [x, y]: [u32; 2],
-) {
-    compute.set_pipeline(pipeline);
-    compute.set_bind_group(0, bindings, &[]);
-    compute.dispatch_workgroups(x, y, 1);
+pub(crate) fn run_groups(pass: &mut ComputePass<'_>, stage: &ComputePipeline, bound: &BindGroup, [x, y]: [u32; 2]) {
+    pass.set_pipeline(stage);
+    pass.set_bind_group(0, bound, &[]);
+    pass.dispatch_workgroups(x, y, 1);
 }
 
 /// Dispatches a stage in as many workgroups as the device has written to `arguments`.
-pub(crate) fn run_indirect(
-    compute: &mut wgpu::ComputePass<'_>,
-    pipeline: &wgpu::ComputePipeline,
-    bindings: &wgpu::BindGroup,
-    (arguments, offset): (&wgpu::Buffer, u64),
-) {
-    compute.set_pipeline(pipeline);
-    compute.set_bind_group(0, bindings, &[]);
-    compute.dispatch_workgroups_indirect(arguments, offset);
+pub(crate) fn run_indirect(pass: &mut ComputePass<'_>, stage: &ComputePipeline, bound: &BindGroup, at: (&Buffer, u64)) {
+    pass.set_pipeline(stage);
+    pass.set_bind_group(0, bound, &[]);
+    pass.dispatch_workgroups_indirect(at.0, at.1);
 }
 
 /// Where a stage reads the first item of its part.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Origins<'a> {
-    pub of_parts: &'a wgpu::Buffer,
-    pub to: &'a wgpu::Buffer,
+    pub of_parts: &'a Buffer,
+    pub to: &'a Buffer,
     pub offset: u64,
 }
 
 #[derive(Debug)]
 pub(crate) struct Stage<'a> {
-    pub pipeline: &'a wgpu::ComputePipeline,
-    pub bindings: &'a wgpu::BindGroup,
+    pub pipeline: &'a ComputePipeline,
+    pub bindings: &'a BindGroup,
     pub items: u64,
     /// [`PART`]s that one dispatch may have.
     pub size: u64,
     /// Where the device says how many workgroups each part has, one part's arguments after another's, if it does.
-    pub arguments: Option<(&'a wgpu::Buffer, u64)>,
+    pub arguments: Option<(&'a Buffer, u64)>,
 }
 
 impl Stage<'_> {
@@ -109,11 +95,11 @@ impl Stage<'_> {
     }
 
     /// Dispatches all of it; it is not long.
-    pub(crate) fn run(&self, compute: &mut wgpu::ComputePass<'_>, limits: Limits) {
+    pub(crate) fn run(&self, compute: &mut ComputePass<'_>, limits: Limits) {
         self.run_part(compute, 0, self.items, limits);
     }
 
-    fn run_part(&self, compute: &mut wgpu::ComputePass<'_>, part: u64, items: u64, limits: Limits) {
+    fn run_part(&self, compute: &mut ComputePass<'_>, part: u64, items: u64, limits: Limits) {
         let Some((arguments, first)) = self.arguments else {
             return run(compute, self.pipeline, self.bindings, items, limits);
         };
@@ -124,7 +110,7 @@ impl Stage<'_> {
 /// Encodes `stages` in their order. Those that take many parts are submitted on the way.
 pub(crate) fn encode<E: From<GpuError> + From<Stopped>>(
     device: &Device,
-    encoder: &mut wgpu::CommandEncoder,
+    encoder: &mut CommandEncoder,
     lane: usize,
     stages: &[Stage<'_>],
     origins: Origins<'_>,
@@ -149,14 +135,14 @@ pub(crate) fn encode<E: From<GpuError> + From<Stopped>>(
 
 fn in_parts<E: From<GpuError> + From<Stopped>>(
     device: &Device,
-    encoder: &mut wgpu::CommandEncoder,
+    encoder: &mut CommandEncoder,
     lane: usize,
     stage: &Stage<'_>,
     origins: Origins<'_>,
     token: &Token,
 ) -> Result<(), E> {
     let limits = Limits::of(&device.limits());
-    let begin_at = |encoder: &mut wgpu::CommandEncoder, item: u64| {
+    let begin_at = |encoder: &mut CommandEncoder, item: u64| {
         encoder.copy_buffer_to_buffer(origins.of_parts, item / PART * 4, origins.to, origins.offset, 4);
     };
     for (k, part) in parts(stage.items, stage.size).enumerate() {

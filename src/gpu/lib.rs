@@ -2,11 +2,10 @@
 //!
 //! Purpose: [`device`] opens one persistent wgpu device and turns everything that can go wrong with it into [`GpuError`];
 //! [`buffers`] allocates and moves bytes; [`dispatch`] says what it allows, and turns counts of items into workgroups and
-//! parts; `submitter` makes the calls that a driver may hold up; `timing` reads the device's clock; [`shader`] composes WGSL. These
-//! know no facet and no seed. [`diagram`] is the backend on top of them. [`BackendOptions`] opens any backend, this one or those
-//! of the CPU, also in a build without the feature `device`.
-//! Invariant: no panic and no silent error leaves here. A lost device is reported as [`GpuError::Lost`] by the next call.
-//! Must not know: jobs, messages, files.
+//! parts; `submitter` makes the calls that a driver may hold up; `timing` reads the device's clock; [`shader`] composes WGSL.
+//! These know no facet and no seed. [`diagram`] is the backend on top of them. [`BackendOptions`] opens any backend, this one
+//! or those of the CPU, also in a build without the feature `device`. Invariant: no panic and no silent error leaves here. A
+//! lost device is reported as [`GpuError::Lost`] by the next call. Must not know: jobs, messages, files.
 
 #![warn(unreachable_pub)]
 
@@ -96,7 +95,7 @@ impl SessionForecast {
     /// Bytes that it takes on a device: those of the plan that allocates. 0 if this build has no GPU backend.
     pub fn device_bytes(&self) -> u64 {
         #[cfg(feature = "device")]
-        return diagram::forecast::session_bytes(self);
+        return diagram::plan::session_bytes(self);
         #[cfg(not(feature = "device"))]
         return 0;
     }

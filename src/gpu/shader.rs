@@ -11,8 +11,7 @@
 //! In other lines, `$NAME` and `$(E)` stand for integers. E is made of integers, names, `+ - * % <` and parentheses. Names
 //! are constants of the stage and variables of `#repeat`.
 //!
-//! Invariant: the same stage and constants give the same text.
-//! Must not know: the device, what a stage computes.
+//! Invariant: the same stage and constants give the same text. Must not know: the device, what a stage computes.
 
 use std::collections::BTreeSet;
 

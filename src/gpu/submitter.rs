@@ -1,10 +1,9 @@
 //! The thread that makes the calls after which a driver may never return.
 //!
-//! Purpose: hand command buffers to the queue, and at last close queue and device. A driver may hold up either until all earlier
-//! work has ended, which is never if that hangs; a caller waits no longer than a submission may take.
-//! Invariant: one call at a time, in the order in which they were asked for. A thread that a driver keeps goes on to hold the device,
-//! and closes it when the driver lets go.
-//! Must not know: what is computed, what a lost device means for a job.
+//! Purpose: hand command buffers to the queue, and at last close queue and device. A driver may hold up either until all
+//! earlier work has ended, which is never if that hangs; a caller waits no longer than a submission may take. Invariant: one
+//! call at a time, in the order in which they were asked for. A thread that a driver keeps goes on to hold the device, and
+//! closes it when the driver lets go. Must not know: what is computed, what a lost device means for a job.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::atomic::{AtomicBool, Ordering};

@@ -1,10 +1,9 @@
 //! Time by the device's own clock.
 //!
-//! Purpose: [`Timer`] writes a time stamp before and after each compute pass of a submission and adds the
-//! differences up by lane, a number that the caller gives a kind of pass.
-//! Invariant: only stamps of the submission that is waited for are read; passes of an encoder that is never
-//! submitted are forgotten. A pass for which there is no stamp left is not timed, and never wrong.
-//! Must not know: what a lane stands for.
+//! Purpose: [`Timer`] writes a time stamp before and after each compute pass of a submission and adds the differences up by
+//! lane, a number that the caller gives a kind of pass. Invariant: only stamps of the submission that is waited for are read;
+//! passes of an encoder that is never submitted are forgotten. A pass for which there is no stamp left is not timed, and never
+//! wrong. Must not know: what a lane stands for.
 
 use std::hash::{DefaultHasher, Hash, Hasher};
 use std::sync::mpsc::{self, Receiver};

@@ -51,10 +51,8 @@ impl Size {
     /// Checks a size.
     pub fn new(width: u32, height: u32) -> Result<Self, PictureError> {
         let sides = 1..=MAX_SIDE;
-        match sides.contains(&width) && sides.contains(&height) && width * height <= MAX_PIXELS {
-            true => Ok(Self { width, height }),
-            false => Err(PictureError::Size(width, height)),
-        }
+        let fits = sides.contains(&width) && sides.contains(&height) && width * height <= MAX_PIXELS;
+        if fits { Ok(Self { width, height }) } else { Err(PictureError::Size(width, height)) }
     }
 }
 

@@ -287,14 +287,8 @@ impl Field<'_> {
     }
 }
 
-/// Marks all `strokes` in the fourth byte of `colour`; `size` in samples.
-pub(super) fn draw_strokes(
-    strokes: &[Stroke],
-    pens: &Pens,
-    size: (usize, usize),
-    depth: &[f32],
-    colour: &mut [[u8; 4]],
-) {
+/// Marks `all` strokes in the fourth byte of `colour`; `size` in samples.
+pub(super) fn draw_strokes(all: &[Stroke], pens: &Pens, size: (usize, usize), depth: &[f32], colour: &mut [[u8; 4]]) {
     let (width, height) = size;
     let radius = |ink: Ink| {
         let width = [pens.fine_width, pens.bold_width, pens.dot_width][ink as usize];
@@ -303,7 +297,7 @@ pub(super) fn draw_strokes(
         if half.is_finite() { half.clamp(0.0, 300.0) as f32 } else { 0.0 }
     };
     let mut of_band = vec![Vec::new(); height.div_ceil(BAND)];
-    for (i, stroke) in strokes.iter().enumerate() {
+    for (i, stroke) in all.iter().enumerate() {
         let rows = stroke.rows(radius(stroke.ink), height);
         if !rows.is_empty() {
             of_band[rows.start / BAND..=(rows.end - 1) / BAND].iter_mut().for_each(|band| band.push(i));
@@ -311,7 +305,7 @@ pub(super) fn draw_strokes(
     }
     let field = Field { depth, width, height };
     colour.par_chunks_mut(BAND * width).zip(of_band).enumerate().for_each(|(band, (colour, here))| {
-        for stroke in here.into_iter().map(|i| strokes[i]) {
+        for stroke in here.into_iter().map(|i| all[i]) {
             stroke.mark(radius(stroke.ink), &field, band * BAND, colour);
         }
     });

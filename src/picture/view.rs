@@ -41,10 +41,7 @@ impl ViewDirection {
 /// Unit vector, also of a tiny or huge one.
 fn direction(v: DVec3) -> Result<DVec3, PictureError> {
     let unit = (v / v.abs().max_element()).normalize_or_zero();
-    match unit.is_finite() && unit != DVec3::ZERO {
-        true => Ok(unit),
-        false => Err(PictureError::Direction(v)),
-    }
+    if unit.is_finite() && unit != DVec3::ZERO { Ok(unit) } else { Err(PictureError::Direction(v)) }
 }
 
 /// A camera.

@@ -95,16 +95,12 @@ pub fn start(format: LogFormat, default: &str, traces: Option<&Traces>) -> Resul
     }
 }
 
-/// Writes events, each with the spans that it lies in. Text has colours for a terminal.
-fn lines(
-    format: LogFormat,
-    is_terminal: bool,
-    writer: impl for<'a> MakeWriter<'a> + Send + Sync + 'static,
-) -> BoxedLayer {
+/// Writes events, each with the spans that it lies in. Text has colours if a terminal shows it.
+fn lines(format: LogFormat, colours: bool, writer: impl for<'a> MakeWriter<'a> + Send + Sync + 'static) -> BoxedLayer {
     // An error of the writer would be logged to the same stream, and panic there.
     let lines = tracing_subscriber::fmt::layer().with_writer(writer).log_internal_errors(false);
     match format {
-        LogFormat::Text => lines.with_ansi(is_terminal).boxed(),
+        LogFormat::Text => lines.with_ansi(colours).boxed(),
         LogFormat::Json => lines.json().flatten_event(true).with_current_span(false).boxed(),
     }
 }

@@ -75,8 +75,9 @@ pub fn here() -> Option<TraceContext> {
 /// Makes a span part of `parent`'s trace, or of a new one, and records the trace in its field `trace_id`. Returns the parent
 /// of its children. Called once, before anything is done in the span.
 pub fn join(span: &Span, parent: Option<TraceContext>) -> TraceContext {
-    let exported = export::join(span, parent);
-    let context = exported.or(parent).unwrap_or_else(TraceContext::new);
+    #[cfg(feature = "otlp")]
+    let parent = exported(span, parent).or(parent);
+    let context = parent.unwrap_or_else(TraceContext::new);
     // Displayed: a text would be in quotes in lines of text.
     span.record("trace_id", tracing::field::display(context.id()));
     context
@@ -98,44 +99,28 @@ pub fn carry<F: Future>(work: F) -> impl Future<Output = F::Output> {
     }
 }
 
+/// As [`join`], for an exporter; nothing if spans are not exported.
 #[cfg(feature = "otlp")]
-mod export {
-    //! Spans as an exporter sees them.
-
+fn exported(span: &Span, parent: Option<TraceContext>) -> Option<TraceContext> {
     use opentelemetry::Context;
     use opentelemetry::trace::{SpanContext, SpanId, TraceContextExt as _, TraceFlags, TraceId, TraceState};
-    use tracing::Span;
     use tracing_opentelemetry::OpenTelemetrySpanExt as _;
 
-    use super::TraceContext;
-
-    /// See [`super::join`]; nothing if spans are not exported.
-    pub(super) fn join(span: &Span, parent: Option<TraceContext>) -> Option<TraceContext> {
-        if let Some(TraceContext { trace_id, span_id, is_sampled }) = parent.filter(|parent| parent.span_id != 0) {
-            let flags = if is_sampled { TraceFlags::SAMPLED } else { TraceFlags::default() };
-            let (trace, asks) = (TraceId::from(trace_id), SpanId::from(span_id));
-            let parent = SpanContext::new(trace, asks, flags, true, TraceState::default());
-            // A span that is not exported has no parent.
-            let _ = span.set_parent(Context::new().with_remote_span_context(parent));
-        }
-        let context = span.context();
-        let own = context.span();
-        let own = own.span_context();
-        own.is_valid().then(|| TraceContext {
-            trace_id: u128::from_be_bytes(own.trace_id().to_bytes()),
-            span_id: u64::from_be_bytes(own.span_id().to_bytes()),
-            is_sampled: own.is_sampled(),
-        })
+    if let Some(TraceContext { trace_id, span_id, is_sampled }) = parent.filter(|parent| parent.span_id != 0) {
+        let flags = if is_sampled { TraceFlags::SAMPLED } else { TraceFlags::default() };
+        let (trace, asks) = (TraceId::from(trace_id), SpanId::from(span_id));
+        let parent = SpanContext::new(trace, asks, flags, true, TraceState::default());
+        // A span that is not exported has no parent.
+        let _ = span.set_parent(Context::new().with_remote_span_context(parent));
     }
-}
-
-#[cfg(not(feature = "otlp"))]
-mod export {
-    //! Nothing is exported.
-
-    pub(super) fn join(_: &tracing::Span, _: Option<super::TraceContext>) -> Option<super::TraceContext> {
-        None
-    }
+    let context = span.context();
+    let own = context.span();
+    let own = own.span_context();
+    own.is_valid().then(|| TraceContext {
+        trace_id: u128::from_be_bytes(own.trace_id().to_bytes()),
+        span_id: u64::from_be_bytes(own.span_id().to_bytes()),
+        is_sampled: own.is_sampled(),
+    })
 }
 
 #[cfg(test)]

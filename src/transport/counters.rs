@@ -41,7 +41,7 @@ const OTHER: &str = "_OTHER";
 const DROPPED: &str = "CANCELLED";
 
 /// The name of a status of gRPC, by its number.
-pub(crate) fn status_name(number: usize) -> &'static str {
+pub fn status_name(number: usize) -> &'static str {
     const BY_NUMBER: &str = "OK CANCELLED UNKNOWN INVALID_ARGUMENT DEADLINE_EXCEEDED NOT_FOUND ALREADY_EXISTS \
         PERMISSION_DENIED RESOURCE_EXHAUSTED FAILED_PRECONDITION ABORTED OUT_OF_RANGE UNIMPLEMENTED INTERNAL UNAVAILABLE \
         DATA_LOSS UNAUTHENTICATED";

@@ -40,7 +40,7 @@ use tonic::body::Body;
 use tonic::codegen::http::{Request, Response};
 
 pub use budget::{Budget, Share};
-pub use counters::{Calls, Counters, Histograms, Labels};
+pub use counters::{Calls, Counters, Histograms, Labels, status_name};
 pub use exchange::Exchange;
 pub use file::read_regular;
 pub use limits::ConnectionLimits;

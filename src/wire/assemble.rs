@@ -1,10 +1,12 @@
-//! Arrays put together from chunks.
+//! Arrays put together from chunks, at a server ([`Assembly`]) and at a client ([`Arrays`]).
 //!
-//! Purpose: [`Assembly`] checks chunks, takes them in order and gives a mesh and seeds at the end.
+//! Purpose: [`Assembly`] checks chunks, takes them in order and gives a mesh and seeds at the end; [`Arrays`] takes those of an
+//! answer as they come, with the same checks of order, CRC-32C and length, and gives whole arrays at the end.
 //! Invariant: memory grows with what has arrived, and its budget is asked before it does; nothing is used before every
 //! announced byte is there. Must not know: budgets, streams, jobs.
 
 use std::borrow::Cow;
+use std::collections::HashMap;
 
 use glam::DVec3;
 
@@ -96,12 +98,8 @@ impl Assembly {
         self.arrays.iter_mut().chain(attributes).find(|array| array.kind == kind)
     }
 
-    /// Takes the next chunk of an array. `grow` is asked for the bytes of memory that it needs, once the chunk is in order.
-    pub fn take<E: From<WireError>>(
-        &mut self,
-        chunk: &Chunk,
-        grow: impl FnOnce(u64) -> Result<(), E>,
-    ) -> Result<(), E> {
+    /// Takes the next chunk of an array. `ask` is asked for the bytes of memory that it needs, once the chunk is in order.
+    pub fn take<E: From<WireError>>(&mut self, chunk: &Chunk, ask: impl FnOnce(u64) -> Result<(), E>) -> Result<(), E> {
         let kind = ArrayKind::try_from(chunk.kind).map_err(|_| unknown_enum("chunk.kind", chunk.kind))?;
         let Some(array) = self.array(kind, chunk.attribute) else {
             let name = kind.as_str_name();
@@ -116,7 +114,7 @@ impl Assembly {
             return Err(WireError::field("chunk.kind", text).into());
         };
         array.check(chunk)?;
-        grow(array.memory_bytes(chunk.data.len() as u64))?;
+        ask(array.memory_bytes(chunk.data.len() as u64))?;
         array.append(&chunk.data);
         Ok(())
     }
@@ -244,32 +242,94 @@ impl Array {
 impl Store {
     fn decode(&mut self, data: &[u8], number_bytes: u64) {
         match self {
-            Self::Points(points) if number_bytes == 4 => {
-                points.extend(triples::<4>(data).map(|t| DVec3::from_array(t.map(|b| f32::from_le_bytes(b).into()))));
-            }
-            Self::Points(points) => {
-                points.extend(triples::<8>(data).map(|t| DVec3::from_array(t.map(f64::from_le_bytes))));
-            }
-            Self::Pairs(edges) => {
-                let numbers = data.as_chunks::<4>().0.as_chunks::<2>().0;
-                edges.extend(numbers.iter().map(|pair| pair.map(u32::from_le_bytes)));
-            }
-            Self::Triples(facets) => facets.extend(triples::<4>(data).map(|t| t.map(u32::from_le_bytes))),
-            Self::Numbers(numbers) if number_bytes == 1 => numbers.extend(data.iter().map(|&b| f64::from(b) / 255.0)),
-            Self::Numbers(numbers) if number_bytes == 4 => {
-                numbers.extend(data.as_chunks::<4>().0.iter().map(|b| f64::from(f32::from_le_bytes(*b))));
-            }
-            Self::Numbers(numbers) => numbers.extend(data.as_chunks::<8>().0.iter().map(|b| f64::from_le_bytes(*b))),
+            Self::Points(all) => all.extend(points(data, number_bytes)),
+            Self::Triples(facets) => facets.extend_from_slice(indices(data).as_chunks::<3>().0),
+            Self::Pairs(edges) => edges.extend_from_slice(indices(data).as_chunks::<2>().0),
+            Self::Numbers(all) => all.extend(numbers(data, number_bytes)),
         }
     }
 }
 
-fn triples<const N: usize>(data: &[u8]) -> impl Iterator<Item = [[u8; N]; 3]> + '_ {
-    data.as_chunks::<N>().0.as_chunks::<3>().0.iter().copied()
+/// Arrays that a server sends: kind and attribute, bytes so far, bytes in all.
+#[derive(Debug, Default)]
+pub struct Arrays(HashMap<(i32, u32), (Vec<u8>, u64)>);
+
+impl Arrays {
+    pub fn take(&mut self, chunk: &Chunk) -> Result<(), WireError> {
+        let (data, total) = self.0.entry((chunk.kind, chunk.attribute)).or_default();
+        if chunk.offset != data.len() as u64 {
+            return broken("the server left out or repeated a part of an array");
+        }
+        if crc32c::crc32c(&chunk.data) != chunk.crc32c {
+            return broken("a chunk was damaged on its way from the server");
+        }
+        data.extend_from_slice(&chunk.data);
+        *total = chunk.total_bytes;
+        Ok(())
+    }
+
+    pub fn bytes(&self, kind: ArrayKind) -> Result<&[u8], WireError> {
+        self.bytes_of(kind, 0)
+    }
+
+    fn bytes_of(&self, kind: ArrayKind, attribute: u32) -> Result<&[u8], WireError> {
+        let name = kind.as_str_name();
+        match self.0.get(&(kind.into(), attribute)) {
+            None => broken(format!("the server sent no {name}")),
+            Some((data, total)) if data.len() as u64 != *total => {
+                broken(format!("the server sent a part of {name} only"))
+            }
+            Some((data, _)) => Ok(data),
+        }
+    }
+
+    pub fn points(&self, kind: ArrayKind) -> Result<Vec<DVec3>, WireError> {
+        Ok(points(self.bytes(kind)?, 8))
+    }
+
+    pub fn facets(&self, kind: ArrayKind) -> Result<Vec<[u32; 3]>, WireError> {
+        Ok(indices(self.bytes(kind)?).as_chunks::<3>().0.to_vec())
+    }
+
+    /// None if the server sent none: an empty array has no chunks.
+    pub fn pairs(&self, kind: ArrayKind) -> Vec<[u32; 2]> {
+        self.bytes(kind).map_or_else(|_| Vec::new(), |data| indices(data).as_chunks::<2>().0.to_vec())
+    }
+
+    /// The arrays of the attribute at `place` in the list of headers.
+    pub fn attribute(&self, counts: AttributeCounts, place: u32) -> Result<UploadedAttribute, WireError> {
+        let (values, corners) = counts.array_kinds();
+        let place = if values == ArrayKind::Scalars { place } else { 0 };
+        let numbers = numbers(self.bytes_of(values, place)?, counts.number_bytes);
+        let corners = if counts.by_corner { self.facets(corners)? } else { Vec::new() };
+        Ok(UploadedAttribute { counts, numbers, corners })
+    }
+}
+
+fn broken<T>(what: impl Into<String>) -> Result<T, WireError> {
+    Err(WireError::Answer(what.into()))
+}
+
+/// Numbers of so many bytes each; one byte is a 255th.
+pub(super) fn numbers(data: &[u8], number_bytes: u64) -> Vec<f64> {
+    match number_bytes {
+        1 => data.iter().map(|&b| f64::from(b) / 255.0).collect(),
+        4 => data.as_chunks::<4>().0.iter().map(|b| f64::from(f32::from_le_bytes(*b))).collect(),
+        _ => data.as_chunks::<8>().0.iter().map(|b| f64::from_le_bytes(*b)).collect(),
+    }
+}
+
+pub(super) fn points(data: &[u8], number_bytes: u64) -> Vec<DVec3> {
+    numbers(data, number_bytes).as_chunks::<3>().0.iter().map(|p| DVec3::from_array(*p)).collect()
+}
+
+pub(super) fn indices(data: &[u8]) -> Vec<u32> {
+    data.as_chunks::<4>().0.iter().map(|b| u32::from_le_bytes(*b)).collect()
 }
 
 #[cfg(test)]
 mod tests {
+    use super::super::chunks::{facet_chunks, point_chunks};
     use super::*;
 
     /// Takes a chunk where memory is no matter.
@@ -341,5 +401,31 @@ mod tests {
         // Nothing was kept of it, and a chunk that is not in order asks for nothing.
         assert_eq!(path(a.take(&chunk(ArrayKind::Positions, 48, &[0; 24]), grow).unwrap_err()), "chunk.offset");
         assert_eq!(left, 6);
+    }
+
+    #[test]
+    fn arrays_come_back_as_they_went() {
+        let points: Vec<DVec3> = (0..10_000).map(|i| DVec3::new(f64::from(i), 0.1, -1e-300)).collect();
+        let facets: Vec<[u32; 3]> = (0..10_000).map(|i| [i, i + 1, u32::MAX]).collect();
+        let mut arrays = Arrays::default();
+        for chunk in point_chunks(ArrayKind::Positions, &points).chain(facet_chunks(ArrayKind::Facets, &facets)) {
+            arrays.take(&chunk).unwrap();
+        }
+        assert_eq!(arrays.points(ArrayKind::Positions).unwrap(), points);
+        assert_eq!(arrays.facets(ArrayKind::Facets).unwrap(), facets);
+        assert!(arrays.bytes(ArrayKind::Seeds).is_err());
+        assert!(arrays.pairs(ArrayKind::Creases).is_empty());
+    }
+
+    #[test]
+    fn what_is_damaged_or_incomplete_is_refused() {
+        let points = vec![DVec3::ONE; 10_000];
+        let chunks: Vec<Chunk> = point_chunks(ArrayKind::Positions, &points).collect();
+        let mut arrays = Arrays::default();
+        assert!(arrays.take(&chunks[1]).is_err(), "a part is missing");
+        assert!(arrays.take(&Chunk { crc32c: !chunks[0].crc32c, ..chunks[0].clone() }).is_err());
+        arrays.take(&chunks[0]).unwrap();
+        assert!(arrays.take(&chunks[0]).is_err(), "it came twice");
+        assert!(arrays.points(ArrayKind::Positions).is_err(), "the rest has not come");
     }
 }

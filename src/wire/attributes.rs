@@ -1,9 +1,8 @@
 //! What a surface carries, as messages.
 //!
-//! Purpose: [`check`] takes headers, [`collect`] uploaded arrays; [`headers`] and [`chunks`] make messages. Server
-//! and client use all four: a remesh carries attributes both ways.
-//! Invariant: an attribute is known by its place in the list of headers, in errors and in chunks.
-//! Must not know: streams, jobs, how attributes get to a result.
+//! Purpose: [`check`] takes headers, [`collect`] uploaded arrays; [`headers`] and [`chunks`] make messages. Server and client
+//! use all four: a remesh carries attributes both ways. Invariant: an attribute is known by its place in the list of headers,
+//! in errors and in chunks. Must not know: streams, jobs, how attributes get to a result.
 
 use glam::{DVec2, DVec3};
 

@@ -1,11 +1,10 @@
 //! Pieces of a diagram as messages.
 //!
-//! Purpose: [`cells_chunks`] cuts a batch into messages; [`batch`] makes a batch of a message again.
-//! Invariant: a piece is never split. What does not fit together is refused.
-//! Must not know: how pieces are computed.
+//! Purpose: [`cells_chunks`] cuts a batch into messages; [`batch`] makes a batch of a message again. Invariant: a piece is
+//! never split. What does not fit together is refused. Must not know: how pieces are computed.
 
 use super::WireError;
-use super::arrays::{indices, numbers, points};
+use super::assemble::{indices, numbers, points};
 use super::chunks::CHUNK_BYTES;
 use super::proto::CellsChunk;
 use geometry::rvd::PieceBatch;
@@ -51,7 +50,8 @@ pub fn cells_chunks(batch: &PieceBatch) -> impl Iterator<Item = CellsChunk> + '_
 pub fn batch(chunk: &CellsChunk) -> Result<PieceBatch, WireError> {
     let mut cells = PieceBatch::default();
     let (facet, seed, count) = (indices(&chunk.facet), indices(&chunk.seed), indices(&chunk.vertex_count));
-    let (position, weight, opposite) = (points(&chunk.positions), numbers(&chunk.weights), indices(&chunk.opposite));
+    let (position, weight, opposite) =
+        (points(&chunk.positions, 8), numbers(&chunk.weights, 8), indices(&chunk.opposite));
     let vertices: u64 = count.iter().map(|c| u64::from(*c)).sum();
     let whole = facet.len() == seed.len()
         && facet.len() == count.len()

@@ -1,8 +1,7 @@
 //! Arrays as chunks.
 //!
-//! Purpose: an array becomes [`Chunk`]s, made one at a time, each with its offset and its CRC-32C.
-//! Invariant: chunks are cut between elements, and every chunk says how many bytes the array has.
-//! Must not know: which message a chunk travels in.
+//! Purpose: an array becomes [`Chunk`]s, made one at a time, each with its offset and its CRC-32C. Invariant: chunks are cut
+//! between elements, and every chunk says how many bytes the array has. Must not know: which message a chunk travels in.
 
 use glam::DVec3;
 

@@ -128,39 +128,31 @@ pub fn schema<M: Name>(name: &str) -> serde_json::Value {
 #[derive(Debug)]
 pub struct Fields {
     all: Vec<Field>,
-    read: Vec<(usize, Value)>,
+    message: Option<DynamicMessage>,
 }
 
 impl Default for Fields {
     fn default() -> Self {
-        Self { all: all(), read: Vec::new() }
+        Self { all: all(), message: descriptor::<RemeshOptions>().map(DynamicMessage::new) }
     }
 }
 
 impl Fields {
     /// Takes an option. Whether there is one of this name.
     pub fn set(&mut self, name: &str, text: &str) -> Result<bool, String> {
-        let Some(place) = self.all.iter().position(|field| field.name == name) else { return Ok(false) };
-        self.read.push((place, self.all[place].read(text)?));
+        let Some(field) = self.all.iter().find(|field| field.name == name) else { return Ok(false) };
+        let value = field.read(text)?;
+        let mut message = self.message.as_mut();
+        if field.in_density {
+            message = message.and_then(|all| all.get_field_by_name_mut(DENSITY)?.as_message_mut());
+        }
+        message.into_iter().for_each(|message| message.set_field(&field.descriptor, value.clone()));
         Ok(true)
     }
 
     /// The message.
     pub fn finish(self) -> RemeshOptions {
-        let Some(mut options) = descriptor::<RemeshOptions>().map(DynamicMessage::new) else {
-            return RemeshOptions::default();
-        };
-        for (place, value) in self.read {
-            let Field { descriptor, in_density, .. } = &self.all[place];
-            match in_density {
-                false => options.set_field(descriptor, value),
-                true => {
-                    let density = options.get_field_by_name_mut(DENSITY).and_then(Value::as_message_mut);
-                    density.into_iter().for_each(|density| density.set_field(descriptor, value.clone()));
-                }
-            }
-        }
-        options.transcode_to().unwrap_or_default()
+        self.message.and_then(|message| message.transcode_to().ok()).unwrap_or_default()
     }
 }
 

@@ -1,18 +1,15 @@
 //! The messages of the interface, and the library's types made of them and into them.
 //!
-//! Purpose: `proto` holds the generated messages, `json` writes them as JSON and says
-//! what that looks like. `options` has all checks of options, for streams,
-//! jobs and the command; `names` and `fields` call options by the names that the command, HTTP and Python share. `codec` and
-//! `attributes` translate values. `chunks` and `cells` cut arrays into messages; `assemble` (at the server) and `arrays` (at a
-//! client) put them together again. `pieces` are those of blobs at a client. `counts` and `upload` check what a
-//! request announces, and the order of its messages.
-//! Invariant: an unknown enum value is an error, never a default. A refusal has the path of the field in the message.
-//! Must not know: handlers, streams, queues, status codes, the server's half of the transport, the command line.
+//! Purpose: `proto` holds the generated messages, `json` writes them as JSON and says what that looks like. `options` has all
+//! checks of options, for streams, jobs and the command; `names` and `fields` call options by the names that the command, HTTP
+//! and Python share. `codec` and `attributes` translate values. `chunks` and `cells` cut arrays into messages; `assemble` puts
+//! them together again. `pieces` are those of blobs at a client. `counts` and `upload` check what a request announces, and the
+//! order of its messages. Invariant: an unknown enum value is an error, never a default. A refusal has the path of the field in
+//! the message. Must not know: handlers, streams, queues, status codes, the server's half of the transport, the command line.
 
 #![warn(unreachable_pub)]
 // Fields and variants that their names explain; the callers are crates of this house.
 #![allow(missing_docs)]
-pub mod arrays;
 pub mod assemble;
 pub mod attributes;
 pub mod cells;

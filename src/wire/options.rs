@@ -1,10 +1,9 @@
 //! Options between messages and the library.
 //!
 //! Purpose: [`remesh`], [`session`] and [`diagram`] check the options of a message and give the library's; [`of_remesh`] writes
-//! the message of options. Streams, jobs and the command share them.
-//! Invariant: all checks of an option's value are here; a refusal has the field's path below the options. An option that is
-//! not set has the library's default, and no number here is one.
-//! Must not know: streams, jobs, how arrays arrive, what an option does.
+//! the message of options. Streams, jobs and the command share them. Invariant: all checks of an option's value are here; a
+//! refusal has the field's path below the options. An option that is not set has the library's default, and no number here is
+//! one. Must not know: streams, jobs, how arrays arrive, what an option does.
 
 use glam::DVec3;
 
@@ -85,25 +84,9 @@ pub fn fill(options: &mut dyn Start, points: Vec<DVec3>, edge_lengths: Option<Ve
 
 /// A remesh. Seeds and lengths or weights that are given beside the options are empty until [`fill`].
 pub fn remesh(given: &proto::RemeshOptions, beside: Beside, bounds: &Bounds) -> Read<RemeshOptions> {
-    let &proto::RemeshOptions {
-        points,
-        seed,
-        ref density,
-        lloyd,
-        newton,
-        projection,
-        placement,
-        crease_angle,
-        boundaries,
-        thin,
-        max_deviation,
-        max_deviation_length,
-        max_points,
-        measure,
-    } = given;
     let usual = RemeshOptions::usual();
-    let (seeds, density) = start(points, seed, density.as_ref(), beside, bounds)?;
-    let steps = |path, given: Option<u32>, usual: usize| match given {
+    let (seeds, density) = start(given.points, given.seed, given.density.as_ref(), beside, bounds)?;
+    let steps = |path, steps: Option<u32>, usual: usize| match steps {
         Some(steps) => {
             within(path, steps.into(), 0, bounds.max_iterations.into())?;
             Ok::<_, WireError>(steps as usize)
@@ -111,36 +94,37 @@ pub fn remesh(given: &proto::RemeshOptions, beside: Beside, bounds: &Bounds) -> 
         // A server that allows fewer iterations than the default means that for all callers.
         None => Ok(usual.min(bounds.max_iterations as usize)),
     };
-    if let Some(angle) = crease_angle.filter(|angle| !(0.0..=180.0).contains(angle)) {
+    if let Some(angle) = given.crease_angle.filter(|angle| !(0.0..=180.0).contains(angle)) {
         return Err(WireError::field("crease_angle", format!("is {angle}; give an angle from 0 to 180 degrees")));
     }
-    let placement = match choice("placement", placement)? {
+    let placement = match choice("placement", given.placement)? {
         proto::Placement::Unspecified => usual.placement,
         proto::Placement::Fitted => Placement::Fitted,
         proto::Placement::Surface => Placement::Surface,
         proto::Placement::Centroids => Placement::Centroids,
     };
     let counts = (!matches!(seeds, Seeds::Implied { .. }), first(&seeds, beside));
+    let tolerances = (given.max_deviation, given.max_deviation_length);
     Ok(RemeshOptions {
-        refine: refine((max_deviation, max_deviation_length), max_points, placement, counts, bounds)?,
+        refine: refine(tolerances, given.max_points, placement, counts, bounds)?,
         seeds,
-        lloyd: steps("lloyd", lloyd, usual.lloyd)?,
-        newton: steps("newton", newton, usual.newton)?,
+        lloyd: steps("lloyd", given.lloyd, usual.lloyd)?,
+        newton: steps("newton", given.newton, usual.newton)?,
         density,
-        projection: self::projection(projection)?,
+        projection: projection(given.projection)?,
         placement,
-        crease_angle_deg: crease_angle.unwrap_or(usual.crease_angle_deg),
-        keep_boundaries: match choice("boundaries", boundaries)? {
+        crease_angle_deg: given.crease_angle.unwrap_or(usual.crease_angle_deg),
+        keep_boundaries: match choice("boundaries", given.boundaries)? {
             BoundaryRule::Unspecified => usual.keep_boundaries,
             BoundaryRule::Keep => true,
             BoundaryRule::Free => false,
         },
-        keep_thin: match choice("thin", thin)? {
+        keep_thin: match choice("thin", given.thin)? {
             ThinRule::Unspecified => usual.keep_thin,
             ThinRule::Finer => true,
             ThinRule::Even => false,
         },
-        measure: match choice("measure", measure)? {
+        measure: match choice("measure", given.measure)? {
             Measure::Unspecified => usual.measure,
             Measure::Full => true,
             Measure::Topology => false,
@@ -324,10 +308,8 @@ pub fn choice<E: TryFrom<i32>>(path: &str, value: i32) -> Read<E> {
 }
 
 fn positive(path: &str, given: Option<f64>) -> Read<()> {
-    match given.filter(|number| !(number.is_finite() && *number > 0.0)) {
-        Some(number) => Err(WireError::field(path, format!("is {number}; give a finite number above 0"))),
-        None => Ok(()),
-    }
+    let Some(number) = given.filter(|number| !(number.is_finite() && *number > 0.0)) else { return Ok(()) };
+    Err(WireError::field(path, format!("is {number}; give a finite number above 0")))
 }
 
 /// Checks that `least <= value <= most`.
@@ -355,52 +337,34 @@ pub fn source(density: &DensityOptions) -> proto::DensitySource {
 
 /// The message of options, all numbers written out. Arrays are left aside.
 pub fn of_remesh(options: &RemeshOptions) -> proto::RemeshOptions {
-    let RemeshOptions {
-        seeds,
-        lloyd,
-        newton,
-        density,
-        projection,
-        placement,
-        crease_angle_deg,
-        creases: _,
-        refine,
-        keep_boundaries,
-        keep_thin,
-        measure,
-        attributes: _,
-    } = options;
     let count = |count: usize| u32::try_from(count).unwrap_or(u32::MAX);
-    let tolerance = refine.map(|refine| refine.tolerance);
+    let tolerance = options.refine.map(|refine| refine.tolerance);
     proto::RemeshOptions {
-        points: if let Seeds::Sample { points, .. } = seeds { Some(count(*points)) } else { None },
-        seed: match seeds {
-            Seeds::Sample { seed, .. } | Seeds::Implied { seed } => Some(*seed),
-            Seeds::Given(_) => None,
-        },
+        points: if let Seeds::Sample { points, .. } = &options.seeds { Some(count(*points)) } else { None },
+        seed: if let Seeds::Sample { seed, .. } | Seeds::Implied { seed } = options.seeds { Some(seed) } else { None },
         density: Some(proto::Density {
-            source: source(density).into(),
-            edge_length: density.edge_length,
-            adaptivity: Some(density.adaptivity),
-            gradation: Some(density.gradation),
+            source: source(&options.density).into(),
+            edge_length: options.density.edge_length,
+            adaptivity: Some(options.density.adaptivity),
+            gradation: Some(options.density.gradation),
         }),
-        lloyd: Some(count(*lloyd)),
-        newton: Some(count(*newton)),
-        projection: match projection {
+        lloyd: Some(count(options.lloyd)),
+        newton: Some(count(options.newton)),
+        projection: match options.projection {
             Projection::Free => proto::Projection::Free.into(),
             Projection::OnSurface => proto::Projection::Surface.into(),
         },
-        placement: match placement {
+        placement: match options.placement {
             Placement::Fitted => proto::Placement::Fitted.into(),
             Placement::Surface => proto::Placement::Surface.into(),
             Placement::Centroids => proto::Placement::Centroids.into(),
         },
-        crease_angle: Some(*crease_angle_deg),
-        boundaries: if *keep_boundaries { BoundaryRule::Keep } else { BoundaryRule::Free }.into(),
-        thin: if *keep_thin { ThinRule::Finer } else { ThinRule::Even }.into(),
+        crease_angle: Some(options.crease_angle_deg),
+        boundaries: if options.keep_boundaries { BoundaryRule::Keep } else { BoundaryRule::Free }.into(),
+        thin: if options.keep_thin { ThinRule::Finer } else { ThinRule::Even }.into(),
         max_deviation: if let Some(Tolerance::DiagonalPercent(percent)) = tolerance { Some(percent) } else { None },
         max_deviation_length: if let Some(Tolerance::Length(length)) = tolerance { Some(length) } else { None },
-        max_points: refine.and_then(|refine| refine.max_points).map(count),
-        measure: if *measure { Measure::Full } else { Measure::Topology }.into(),
+        max_points: options.refine.and_then(|refine| refine.max_points).map(count),
+        measure: if options.measure { Measure::Full } else { Measure::Topology }.into(),
     }
 }

@@ -1,8 +1,7 @@
 //! The order of an upload's messages: a header, chunks, an end mark.
 //!
-//! Purpose: [`Upload`] takes messages one by one and gives everything when the end mark comes.
-//! Invariant: the header's counts are checked before anything is kept; any other order is refused.
-//! Must not know: where messages come from, memory, jobs.
+//! Purpose: [`Upload`] takes messages one by one and gives everything when the end mark comes. Invariant: the header's counts
+//! are checked before anything is kept; any other order is refused. Must not know: where messages come from, memory, jobs.
 
 use super::WireError;
 use super::assemble::{Assembly, Uploaded};
@@ -107,8 +106,8 @@ impl<H: Header> Upload<H> {
     }
 }
 
-macro_rules! header {
-    ($header:ty, $options:ty, $check:path, $reads:expr, $request:ty, $message:path, $end:path) => {
+macro_rules! headers {
+    ($($header:ty, $request:ty, $message:path, $end:ident; $check:path => $options:ty, $reads:expr;)*) => {$(
         impl Header for $header {
             type Options = $options;
             const READS: Reads = $reads;
@@ -128,39 +127,20 @@ macro_rules! header {
                 match request.message {
                     Some(Message::Header(header)) => Self::Header(header),
                     Some(Message::Chunk(chunk)) => Self::Chunk(chunk),
-                    Some($end(_)) => Self::End,
+                    Some(Message::$end(_)) => Self::End,
                     #[allow(unreachable_patterns)]
                     _ => Self::Other,
                 }
             }
         }
-    };
+    )*};
 }
 
-header!(
-    ComputeRvdHeader,
-    Diagram,
-    options::diagram,
-    Reads { edge_lengths: false, features: false },
-    ComputeRvdRequest,
-    compute_rvd_request::Message,
-    compute_rvd_request::Message::Finish
-);
-header!(
-    CvtHeader,
-    Session,
-    options::session,
-    Reads { edge_lengths: true, features: false },
-    CvtRequest,
-    cvt_request::Message,
-    cvt_request::Message::Start
-);
-header!(
-    RemeshHeader,
-    RemeshOptions,
-    options::remesh,
-    Reads { edge_lengths: true, features: true },
-    RemeshRequest,
-    remesh_request::Message,
-    remesh_request::Message::Finish
-);
+headers! {
+    ComputeRvdHeader, ComputeRvdRequest, compute_rvd_request::Message, Finish;
+        options::diagram => Diagram, Reads { edge_lengths: false, features: false };
+    CvtHeader, CvtRequest, cvt_request::Message, Start;
+        options::session => Session, Reads { edge_lengths: true, features: false };
+    RemeshHeader, RemeshRequest, remesh_request::Message, Finish;
+        options::remesh => RemeshOptions, Reads { edge_lengths: true, features: true };
+}

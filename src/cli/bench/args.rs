@@ -51,10 +51,8 @@ pub(super) struct SeedsArgs {
 impl SeedsArgs {
     /// Those of the file, or such as are to be drawn.
     pub(super) fn seeds(&self, run: &RunArgs) -> Result<Seeds> {
-        match &self.seeds {
-            Some(path) => Ok(Seeds::Given(files::read_points(path)?)),
-            None => Ok(run.drawn(self.points)),
-        }
+        let given = self.seeds.as_deref().map(files::read_points).transpose()?;
+        Ok(given.map_or_else(|| run.drawn(self.points), Seeds::Given))
     }
 }
 

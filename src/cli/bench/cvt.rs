@@ -12,9 +12,10 @@ use serde_json::{Value, json};
 
 use super::args::{RunArgs, SeedsArgs, SurfaceArgs, Worker, by_step, head, ratio, report};
 use super::measure::{Load, Spread, Timed};
-use crate::remesh::DensityArg;
+use crate::given::words;
+use crate::remesh::DENSITIES;
 use geometry::cvt::StepKind;
-use geometry::cvt::density::DensityOptions;
+use geometry::cvt::density::{DensityOptions, DensitySource};
 use geometry::mesh::TriMesh;
 use geometry::rvd::PhasesMs;
 use picture::chart::{Figure, Series};
@@ -33,8 +34,8 @@ pub(super) struct CvtBenchArgs {
     rounds: u32,
     /// Compare adaptive seeds of this density with uniform ones: on the surface as it is, and with those facets halved that
     /// are for this density, where it changes fast beside them or they are much longer than the edges it asks for.
-    #[arg(long, value_enum, default_value_t)]
-    density: DensityArg,
+    #[arg(long, default_value = "uniform", value_parser = words(DENSITIES))]
+    density: DensitySource,
 }
 
 /// One density's figures.
@@ -56,21 +57,19 @@ pub(super) fn run(args: &CvtBenchArgs) -> Result<()> {
     let seeds = args.seeds.seeds(&args.run)?;
     let mut worker = args.run.worker()?;
     worker.keep_time()?;
-    let load = |name: &str, mesh: (String, TriMesh), density: DensityArg| -> Result<(String, Load)> {
-        let mut load = Load::new(mesh, seeds.clone(), DensityOptions::from_source(density.source()))?;
+    let load = |name: &str, mesh: (String, TriMesh), density: &DensitySource| -> Result<(String, Load)> {
+        let mut load = Load::new(mesh, seeds.clone(), DensityOptions::from_source(density.clone()))?;
         load.relax(&worker, args.run.relax as usize, UNLIMITED, &token)?;
         Ok((name.to_owned(), load))
     };
-    let mut loads = vec![load("uniform", mesh.clone(), DensityArg::Uniform)?];
-    if args.density != DensityArg::Uniform {
-        let adaptive = load(args.density.source().name(), mesh.clone(), args.density)?;
-        let divided = match adaptive.1.surface.facets().len() == mesh.1.facets().len() {
-            true => None,
-            false => Some(adaptive.1.mesh()?),
-        };
+    let mut loads = vec![load("uniform", mesh.clone(), &DensitySource::Uniform)?];
+    if args.density != DensitySource::Uniform {
+        let adaptive = load(args.density.name(), mesh.clone(), &args.density)?;
+        let is_divided = adaptive.1.surface.facets().len() != mesh.1.facets().len();
+        let divided = is_divided.then(|| adaptive.1.mesh()).transpose()?;
         loads.push(adaptive);
         if let Some(divided) = divided {
-            loads.push(load("uniform on these facets", (mesh.0, divided), DensityArg::Uniform)?);
+            loads.push(load("uniform on these facets", (mesh.0, divided), &DensitySource::Uniform)?);
         }
     }
     let time = |load: &Load, kind| load.time(&worker, kind, args.run.iterations as usize, UNLIMITED, &token);

@@ -19,7 +19,6 @@ use geometry::mesh::TriMesh;
 use geometry::remesh::Seeds;
 use geometry::rvd::{DeviceWork, Surface};
 use geometry::token::Token;
-use jobs::JobError;
 use jobs::executor::prepared::{Input, Prepared};
 
 /// Steps of a kind before the first that is timed: buffers and rows of neighbours get their sizes.
@@ -42,24 +41,10 @@ pub(super) struct Load {
 
 impl Load {
     /// Prepares the surface as a remesh does, and draws the seeds, if they are to be drawn.
-    pub(super) fn new(mesh: (String, TriMesh), seeds: Seeds, density: DensityOptions) -> Result<Self> {
-        Self::of(mesh, seeds, density, |input| Prepared::for_steps(input, &Token::default()))
-    }
-
-    /// The same of the mesh's own facets.
-    pub(super) fn undivided(mesh: (String, TriMesh), seeds: Seeds) -> Result<Self> {
-        Self::of(mesh, seeds, DensityOptions::default(), |input| Prepared::new(input, &Token::default()))
-    }
-
-    fn of(
-        (name, mesh): (String, TriMesh),
-        seeds: Seeds,
-        density: DensityOptions,
-        prepare: impl FnOnce(Input) -> Result<Prepared, JobError>,
-    ) -> Result<Self> {
+    pub(super) fn new((name, mesh): (String, TriMesh), seeds: Seeds, density: DensityOptions) -> Result<Self> {
         let (source, facets) = (density.source.name(), mesh.facets().len());
         let input = Input { mesh, density, seeds, creases: Vec::new(), attributes: None };
-        let Prepared { surface, seeds, .. } = prepare(input)?;
+        let Prepared { surface, seeds, .. } = Prepared::for_steps(input, &Token::default())?;
         Ok(Self { name, surface, facets, seeds: seeds.to_vec(), density: source, relaxed: 0 })
     }
 

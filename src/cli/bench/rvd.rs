@@ -8,15 +8,18 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use anyhow::Result;
-use clap::{Args, ValueEnum};
+use clap::Args;
 use glam::DVec3;
 use serde_json::{Value, json};
 
 use super::args::{RunArgs, SeedsArgs, SurfaceArgs, Worker, by_step, head, report};
-use super::measure::{Load, Spread};
+use super::measure::Spread;
+use crate::given::{Words, words};
+use geometry::cvt::density::DensityOptions;
 use geometry::rvd::{Accumulate, CellSums, DeviceWork, PassStats, Session, SessionOptions, Strategy, Surface, Tuning};
 use geometry::token::Token;
 use gpu::diagram::{AccumulationMs, Gpu};
+use jobs::executor::prepared::{Input, Prepared};
 use picture::chart::{Figure, Series};
 
 #[derive(Args, Debug)]
@@ -28,43 +31,34 @@ pub(super) struct RvdBenchArgs {
     #[command(flatten)]
     run: RunArgs,
     /// How a GPU finds the pairs of a facet.
-    #[arg(long, value_enum, default_value_t)]
-    strategy: StrategyArg,
+    #[arg(long, default_value = "facet", value_parser = words(STRATEGIES))]
+    strategy: Strategy,
     /// How a GPU adds pieces to their cells.
-    #[arg(long, value_enum, default_value_t)]
-    accumulate: AccumulateArg,
+    #[arg(long, default_value = "auto", value_parser = words(WAYS_OF_ADDING))]
+    accumulate: Accumulate,
 }
 
-#[derive(Clone, Copy, Debug, Default, ValueEnum)]
-enum StrategyArg {
-    /// Across bisectors, from each facet's first cell.
-    #[default]
-    Facet,
-    /// Each cell looks for its facets.
-    Cell,
-    /// By cell where a facet is expected to meet more than 20 cells.
-    Auto,
-}
-
-#[derive(Clone, Copy, Debug, Default, ValueEnum)]
-enum AccumulateArg {
-    /// Atomics to global memory.
-    Direct,
-    /// Partial sums of a workgroup first.
-    TwoPhase,
-    /// What measured better.
-    #[default]
-    Auto,
-}
+const STRATEGIES: Words<Strategy> = &[
+    ("facet", "Across bisectors, from each facet's first cell", Strategy::Facet),
+    ("cell", "Each cell looks for its facets", Strategy::Cell),
+    ("auto", "By cell where a facet is expected to meet more than 20 cells", Strategy::Auto),
+];
+const WAYS_OF_ADDING: Words<Accumulate> = &[
+    ("direct", "Atomics to global memory", Accumulate::Direct),
+    ("two-phase", "Partial sums of a workgroup first", Accumulate::TwoPhase),
+    ("auto", "What measured better", Accumulate::Auto),
+];
 
 pub(super) fn run(args: &RvdBenchArgs) -> Result<()> {
     let token = args.run.begin()?;
-    let mesh = args.surface.mesh()?;
-    let seeds = args.seeds.seeds(&args.run)?;
+    let (name, mesh) = args.surface.mesh()?;
+    let (seeds, density) = (args.seeds.seeds(&args.run)?, DensityOptions::default());
     let worker = args.run.worker()?;
-    let Load { name, surface, seeds, .. } = Load::undivided(mesh, seeds)?;
+    let input = Input { mesh, density, seeds, creases: Vec::new(), attributes: None };
+    let Prepared { surface, seeds, .. } = Prepared::new(input, &Token::default())?;
     let mut seeds: Vec<DVec3> = seeds.iter().map(|&p| surface.frame().to_unit(p)).collect();
-    let options = SessionOptions { tuning: tuning(args), ..SessionOptions::new(seeds.len()) };
+    let tuning = Tuning { strategy: args.strategy, accumulate: args.accumulate, ..Tuning::default() };
+    let options = SessionOptions { tuning, ..SessionOptions::new(seeds.len()) };
     let mut session = worker.backend.session(Arc::clone(&surface), options)?;
     for _ in 0..args.run.relax {
         step(session.as_mut(), &mut seeds, &token)?;
@@ -81,24 +75,8 @@ pub(super) fn run(args: &RvdBenchArgs) -> Result<()> {
 }
 
 /// As the command line has it.
-fn name(arg: impl ValueEnum) -> Option<String> {
-    arg.to_possible_value().map(|value| value.get_name().to_owned())
-}
-
-fn tuning(args: &RvdBenchArgs) -> Tuning {
-    Tuning {
-        strategy: match args.strategy {
-            StrategyArg::Facet => Strategy::Facet,
-            StrategyArg::Cell => Strategy::Cell,
-            StrategyArg::Auto => Strategy::Auto,
-        },
-        accumulate: match args.accumulate {
-            AccumulateArg::Direct => Accumulate::Direct,
-            AccumulateArg::TwoPhase => Accumulate::TwoPhase,
-            AccumulateArg::Auto => Accumulate::Auto,
-        },
-        ..Tuning::default()
-    }
+fn name<T: PartialEq>(words: Words<T>, value: &T) -> Option<&'static str> {
+    words.iter().find(|(.., known)| known == value).map(|(word, ..)| *word)
 }
 
 /// One Lloyd step: its whole time and what its pass did.
@@ -220,8 +198,8 @@ impl Case {
             "points": self.points,
             "relax": args.run.relax,
             "iterations": self.steps.len(),
-            "strategy": name(args.strategy),
-            "accumulate": name(args.accumulate),
+            "strategy": name(STRATEGIES, &args.strategy),
+            "accumulate": name(WAYS_OF_ADDING, &args.accumulate),
             "iteration_ms": Spread::of(self.steps.iter().map(|s| s.ms)),
             "phases_ms": means,
             "phases_spread_ms": spreads,

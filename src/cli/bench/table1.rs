@@ -1,8 +1,7 @@
 //! `tessera bench table1`: several models, all backends.
 //!
-//! Purpose: Table 1 of \[HYWZ17\] laid out the same way, beside what was published: the file of `--published`.
-//! Invariant: all backends of a row begin at the same seeds; no published figure that is not in the file. Must not know: how a
-//! step is taken.
+//! Purpose: Table 1 of \[HYWZ17\] laid out the same way, beside what was published: the file of `--published`. Invariant: all
+//! backends of a row begin at the same seeds; no published figure that is not in the file. Must not know: how a step is taken.
 
 use std::path::{Path, PathBuf};
 use std::time::Duration;
@@ -78,10 +77,7 @@ pub(super) fn run(args: &Table1Args) -> Result<()> {
     outln!("{}", head_line())?;
     let mut rows: Vec<Row> = Vec::new();
     for model in &models {
-        let seeds = match &given {
-            Some(seeds) => Seeds::Given(seeds.clone()),
-            None => args.run.drawn(model.points),
-        };
+        let seeds = given.clone().map_or_else(|| args.run.drawn(model.points), Seeds::Given);
         let mesh = mesh(model.file.map(PathBuf::as_path), model.shape, model.facets as usize)?;
         let mut load = Load::new(mesh, seeds, DensityOptions::default())?;
         let times = load.time_all(&workers, &args.run, Duration::MAX, &token)?;

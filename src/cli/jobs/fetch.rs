@@ -2,7 +2,7 @@
 //!
 //! Invariant: a file gets its name once its bytes are all there and have their digest.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use anyhow::Result;
 use clap::Args;
@@ -107,7 +107,7 @@ fn digest<'a>(job: &'a Job, name: &str) -> Result<&'a str> {
 }
 
 /// Refuses a name that says another format than the surface has.
-fn check_extension(job: &Job, name: &str, path: &std::path::Path) -> Result<()> {
+fn check_extension(job: &Job, name: &str, path: &Path) -> Result<()> {
     let (Some(has), Ok(named)) = (show::format(job), Format::of_path(path)) else { return Ok(()) };
     if name == "mesh" && named.extension() != has {
         let text =
@@ -121,12 +121,7 @@ fn check_extension(job: &Job, name: &str, path: &std::path::Path) -> Result<()> 
     Ok(())
 }
 
-async fn write_report(
-    session: &mut Session<'_>,
-    digest: &str,
-    path: &std::path::Path,
-    progress: &Progress,
-) -> Result<()> {
+async fn write_report(session: &mut Session<'_>, digest: &str, path: &Path, progress: &Progress) -> Result<()> {
     let wrong = |text: &str| Unavailable(format!("the server's answer is wrong: {text}"));
     let mut bytes = Vec::new();
     let mut keep = |piece: &[u8]| match bytes.len() + piece.len() > REPORT_BYTES {

@@ -3,9 +3,10 @@
 //! Invariant: text of a server goes through `plain`. Keys of the JSON stay as they are; more may be added. Must not know:
 //! calls.
 
-use prost_types::{Duration, Timestamp};
+use prost_types::Timestamp;
 use serde_json::{Map, Value, json};
 
+use crate::info::seconds;
 use crate::say::{plain, plain_json};
 use geometry::mesh::io::Format;
 use wire::proto::{
@@ -60,10 +61,6 @@ pub(super) fn moment(at: Option<&Timestamp>) -> Option<String> {
     Some(Timestamp { seconds: at.seconds, nanos: nanos - nanos % 1_000_000 }.to_string())
 }
 
-fn seconds(span: Option<&Duration>) -> Option<f64> {
-    span.map(|span| span.seconds as f64 + f64::from(span.nanos) * 1e-9)
-}
-
 fn failure(value: i32) -> String {
     word(JobFailureKind::try_from(value).ok().map(|kind| kind.as_str_name()), "JOB_FAILURE_KIND_")
 }
@@ -112,8 +109,8 @@ pub(super) fn json_of(job: &Job) -> Value {
         "format": format(job),
         "backend": backend(spec.map_or(0, |spec| spec.backend)),
         "priority": spec.and_then(|spec| spec.priority).unwrap_or_default(),
-        "queue_deadline_s": seconds(spec.and_then(|spec| spec.queue_deadline.as_ref())),
-        "run_deadline_s": seconds(spec.and_then(|spec| spec.run_deadline.as_ref())),
+        "queue_deadline_s": seconds(spec.and_then(|spec| spec.queue_deadline)),
+        "run_deadline_s": seconds(spec.and_then(|spec| spec.run_deadline)),
     }))
 }
 
@@ -139,10 +136,7 @@ pub(super) fn why(job: &Job) -> Option<String> {
 
 pub(super) fn lines(job: &Job) -> Vec<String> {
     let mut lines = vec![format!("id        {}", job.id), format!("kind      {}", kind(job))];
-    lines.push(match why(job) {
-        Some(why) => format!("state     {why}"),
-        None => format!("state     {}", state(job.state)),
-    });
+    lines.push(format!("state     {}", why(job).unwrap_or_else(|| state(job.state))));
     for (name, at) in [("created", &job.created), ("started", &job.started), ("changed", &job.changed)] {
         lines.extend(moment(at.as_ref()).map(|at| format!("{name:9} {at}")));
     }

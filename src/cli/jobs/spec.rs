@@ -8,10 +8,10 @@ use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
 use anyhow::Result;
-use clap::{ArgGroup, Args, ValueEnum};
+use clap::{ArgGroup, Args};
 
 use crate::exit::Usage;
-use crate::given::{self, Given};
+use crate::given::{self, Given, Words, words};
 use crate::remesh::args::{ShapeArgs, SizeArgs, StepArgs, usage};
 use crate::rvd::SeedArgs;
 use crate::source::Source;
@@ -46,19 +46,16 @@ impl FromStr for Input {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
-        match text.strip_prefix("blob:") {
-            Some(rest) => digest(rest).map(Self::Blob),
-            None => Ok(Self::File(text.into())),
-        }
+        let blob = text.strip_prefix("blob:");
+        blob.map_or_else(|| Ok(Self::File(text.into())), |rest| digest(rest).map(Self::Blob))
     }
 }
 
 /// A digest, as blobs are named.
 pub(crate) fn digest(text: &str) -> Result<String, String> {
-    match text.len() == 64 && text.bytes().all(|b| b.is_ascii_hexdigit()) {
-        true => Ok(text.to_ascii_lowercase()),
-        false => Err("a digest has 64 hexadecimal digits: the SHA-256 of the bytes".to_owned()),
-    }
+    let whole = text.len() == 64 && text.bytes().all(|b| b.is_ascii_hexdigit());
+    let wrong = "a digest has 64 hexadecimal digits: the SHA-256 of the bytes";
+    if whole { Ok(text.to_ascii_lowercase()) } else { Err(wrong.to_owned()) }
 }
 
 #[derive(Args, Debug)]
@@ -148,15 +145,11 @@ impl RemeshWork {
     }
 }
 
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-enum OutputArg {
-    /// The pieces, as a PLY file of polygons.
-    Cells,
-    /// The centroid of each cell.
-    Centroids,
-    /// Mass, area and energy of each cell.
-    Sums,
-}
+const OUTPUTS: Words<RvdOutput> = &[
+    ("cells", "The pieces, as a PLY file of polygons", RvdOutput::Cells),
+    ("centroids", "The centroid of each cell", RvdOutput::Centroids),
+    ("sums", "Mass, area and energy of each cell", RvdOutput::Sums),
+];
 
 #[derive(Args, Debug)]
 #[command(group(ArgGroup::new("of").required(true).args(["seeds", "points"])))]
@@ -164,8 +157,8 @@ pub(super) struct RvdWork {
     #[command(flatten)]
     input: InputArgs,
     /// Outputs, separated by commas [default: cells].
-    #[arg(long, value_enum, value_delimiter = ',')]
-    outputs: Vec<OutputArg>,
+    #[arg(long, value_parser = words(OUTPUTS), value_delimiter = ',')]
+    outputs: Vec<RvdOutput>,
     /// The format of the cells: a PLY file.
     #[arg(long, value_parser = ["ply"])]
     format: Option<String>,
@@ -181,15 +174,10 @@ impl RvdWork {
             let seeds = Some(text(path, &mut asked.sources)?);
             asked.spec.arrays = Some(JobArrays { seeds, ..JobArrays::default() });
         }
-        let outputs = self.outputs.iter().map(|output| match output {
-            OutputArg::Cells => RvdOutput::Cells.into(),
-            OutputArg::Centroids => RvdOutput::Centroids.into(),
-            OutputArg::Sums => RvdOutput::Sums.into(),
-        });
         asked.spec.work = Some(job_spec::Work::Rvd(DiagramOptions {
             points: seeds.points,
             seed: seeds.given("seed", seeds.seed),
-            outputs: outputs.collect(),
+            outputs: self.outputs.iter().map(|&output| output.into()).collect(),
         }));
         Ok(asked)
     }

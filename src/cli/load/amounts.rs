@@ -128,10 +128,7 @@ impl Sizes {
 
 impl fmt::Display for Sizes {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self.is_one() {
-            true => write!(f, "{}", self.least),
-            false => write!(f, "{}..{}", self.least, self.most),
-        }
+        if self.is_one() { write!(f, "{}", self.least) } else { write!(f, "{}..{}", self.least, self.most) }
     }
 }
 

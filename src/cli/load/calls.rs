@@ -19,10 +19,11 @@ use tonic_types::StatusExt;
 
 use super::LoadArgs;
 use super::amounts::{Item, Kind};
-use super::compare::{Call, Tally, status_name};
+use super::compare::{Call, Tally};
 use super::meshes::Surface;
-use crate::remote::{Door, choice, is_lost};
+use crate::remote::{Answered, Door, choice, is_lost};
 use crate::say::plain;
+use transport::status_name;
 use wire::proto::server_service_client::ServerServiceClient;
 use wire::proto::{DiagramOptions, GetServerInfoRequest, RemeshOptions};
 
@@ -110,16 +111,10 @@ impl Ends {
                 std::future::pending::<()>().await;
             }
         };
-        let cancel = async {
-            match self.cancel {
-                Some(at) => tokio::time::sleep_until(at).await,
-                None => std::future::pending().await,
-            }
-        };
         tokio::select! {
             biased;
             () = stopped => Why::Stop,
-            () = cancel => Why::Cancel,
+            () = tokio::time::sleep_until(self.cancel.unwrap_or(self.limit)), if self.cancel.is_some() => Why::Cancel,
             () = tokio::time::sleep_until(self.limit) => Why::TooLong,
         }
     }
@@ -198,7 +193,7 @@ fn outcome(end: End) -> Outcome {
         End::Status(status) if is_lost(&status) => failed("CONNECTION_LOST", status.message()),
         End::Status(status) => match status.get_details_retry_info().and_then(|info| info.retry_delay) {
             Some(after) => Outcome::Refused { reason: reason(&status), after },
-            None => failed(status_name(status.code()), status.message()),
+            None => failed(status_name(status.code() as usize), status.message()),
         },
     }
 }
@@ -215,7 +210,7 @@ fn reason(status: &Status) -> String {
             false => text.push(c),
         }
     }
-    format!("{}: {}", status_name(status.code()), text.chars().take(MOST).collect::<String>())
+    format!("{}: {}", status_name(status.code() as usize), text.chars().take(MOST).collect::<String>())
 }
 
 struct Pace {
@@ -264,16 +259,12 @@ impl At<'_> {
 }
 
 /// Waits for the answer of a call that has only one.
-async fn unary<T>(
-    call: Call,
-    ends: &Ends,
-    answer: impl Future<Output = Result<Response<T>, Status>>,
-) -> Result<T, End> {
+async fn unary<T>(call: Call, ends: &Ends, answer: impl Future<Output = Answered<T>>) -> Result<T, End> {
     ends.or(counted(call, answer)).await?.map_err(End::Status)
 }
 
 /// The same, for as long as it takes.
-async fn counted<T>(call: Call, answer: impl Future<Output = Result<Response<T>, Status>>) -> Result<T, Status> {
+async fn counted<T>(call: Call, answer: impl Future<Output = Answered<T>>) -> Result<T, Status> {
     let answer = answer.await;
     call.over(&answer);
     answer.map(Response::into_inner)
@@ -285,11 +276,7 @@ struct Answers<T> {
 }
 
 impl<T> Answers<T> {
-    async fn of(
-        call: Call,
-        ends: &Ends,
-        answer: impl Future<Output = Result<Response<Streaming<T>>, Status>>,
-    ) -> Result<Self, End> {
+    async fn of(call: Call, ends: &Ends, answer: impl Future<Output = Answered<Streaming<T>>>) -> Result<Self, End> {
         match ends.or(answer).await? {
             Ok(answer) => Ok(Self { call: Some(call), stream: answer.into_inner() }),
             Err(status) => {

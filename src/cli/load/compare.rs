@@ -19,6 +19,7 @@ use crate::exit::Unavailable;
 use crate::health::get;
 use crate::remote::is_lost;
 use jobs::lock;
+use transport::status_name;
 
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub(super) struct Row {
@@ -190,8 +191,8 @@ pub(super) struct Call {
 impl Call {
     pub(super) fn over<T>(mut self, answer: &Result<T, Status>) {
         self.heard = match answer {
-            Ok(_) => Some(status_name(Code::Ok)),
-            Err(status) => (!is_lost(status)).then(|| status_name(status.code())),
+            Ok(_) => Some(status_name(Code::Ok as usize)),
+            Err(status) => (!is_lost(status)).then(|| status_name(status.code() as usize)),
         };
     }
 }
@@ -325,14 +326,6 @@ pub(super) async fn settled(url: &Uri) -> Result<Samples> {
         last = next;
     }
     Ok(last)
-}
-
-/// A status as gRPC writes it.
-pub(super) fn status_name(code: Code) -> &'static str {
-    const BY_NUMBER: &str = "OK CANCELLED UNKNOWN INVALID_ARGUMENT DEADLINE_EXCEEDED NOT_FOUND ALREADY_EXISTS \
-        PERMISSION_DENIED RESOURCE_EXHAUSTED FAILED_PRECONDITION ABORTED OUT_OF_RANGE UNIMPLEMENTED INTERNAL UNAVAILABLE \
-        DATA_LOSS UNAUTHENTICATED";
-    BY_NUMBER.split(' ').nth(code as usize).unwrap_or("UNKNOWN")
 }
 
 #[cfg(test)]

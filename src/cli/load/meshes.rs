@@ -22,25 +22,16 @@ use wire::proto::{ArrayKind, Chunk, MeshHeader};
 /// How many surfaces a distribution of sizes becomes.
 const SURFACES: usize = 16;
 
-#[derive(Debug)]
-pub(super) enum Source {
-    Files(Vec<PathBuf>),
-    Shape(Shape, Sizes),
-}
-
-impl Source {
-    pub(super) fn build(&self, points: Points) -> Result<Vec<Surface>> {
-        let of = |mesh: &TriMesh| Surface::of(mesh, points.of(mesh.facets().len()));
-        match self {
-            Self::Files(paths) => paths.iter().map(|path| of(&files::read_mesh(path)?)).collect(),
-            Self::Shape(shape, sizes) if sizes.is_one() => Ok(vec![of(&shape.build(sizes.at(0.0)))?]),
-            Self::Shape(shape, sizes) => {
-                // The middle of each sixteenth: all sizes are there whatever the seed is.
-                let at = |k: usize| (k as f64 + 0.5) / SURFACES as f64;
-                (0..SURFACES).map(|k| of(&shape.build(sizes.at(at(k))))).collect()
-            }
-        }
+/// Those of the files, or of a shape if there are none.
+pub(super) fn build(paths: &[PathBuf], shape: Shape, sizes: Sizes, points: Points) -> Result<Vec<Surface>> {
+    let of = |mesh: &TriMesh| Surface::of(mesh, points.of(mesh.facets().len()));
+    if !paths.is_empty() {
+        return paths.iter().map(|path| of(&files::read_mesh(path)?)).collect();
     }
+    // The middle of each sixteenth: all sizes are there whatever the seed is.
+    let at = |k: usize| (k as f64 + 0.5) / SURFACES as f64;
+    let count = if sizes.is_one() { 1 } else { SURFACES };
+    (0..count).map(|k| of(&shape.build(sizes.at(at(k))))).collect()
 }
 
 #[derive(Debug)]
@@ -99,7 +90,7 @@ mod tests {
 
     #[test]
     fn a_file_with_a_comment_is_the_same_surface() {
-        let surfaces = Source::Shape(Shape::Torus, "500..5000".parse().unwrap()).build("10%".parse().unwrap()).unwrap();
+        let surfaces = build(&[], Shape::Torus, "500..5000".parse().unwrap(), "10%".parse().unwrap()).unwrap();
         assert_eq!(surfaces.len(), SURFACES);
         let facets: Vec<u64> = surfaces.iter().map(|surface| surface.facets).collect();
         assert!(facets.is_sorted() && facets[0] < 700 && facets[15] > 4000, "{facets:?}");

@@ -6,7 +6,7 @@
 use std::collections::BTreeMap;
 use std::time::Duration;
 
-use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+use indicatif::ProgressBar;
 use serde_json::{Value, json};
 
 use super::Done;
@@ -15,6 +15,7 @@ use super::calls::Stages;
 use super::compare::Comparison;
 use super::measure::{Counts, Latencies};
 use crate::load::measure::{Measure, Second};
+use crate::progress::bar;
 use picture::chart::{Axis, Figure, Panel, Series};
 
 /// Quantiles of latencies, and their names.
@@ -165,10 +166,8 @@ fn head(name: &str) -> String {
 fn row(name: &str, all: &Latencies) -> String {
     let quantiles = QUANTILES.map(|(_, part)| all.quantile(part));
     let rest = [all.max(), all.mean()];
-    let values = quantiles.iter().chain(&rest).map(|value| match value {
-        Some(seconds) => format!("{:>10.1}", 1e3 * seconds),
-        None => format!("{:>10}", "-"),
-    });
+    let number = |value: &Option<f64>| value.map_or("-".to_owned(), |seconds| format!("{:.1}", 1e3 * seconds));
+    let values = quantiles.iter().chain(&rest).map(|value| format!("{:>10}", number(value)));
     format!("{name:<16}{:>10}{}", all.count(), values.collect::<String>())
 }
 
@@ -242,12 +241,7 @@ impl View {
 
     /// Of a run that lasts so long.
     pub(super) fn new(length: Duration, quiet: bool) -> Self {
-        let bar = ProgressBar::with_draw_target(Some(length.as_millis() as u64), ProgressDrawTarget::stderr());
-        let bar = Some(bar).filter(|bar| !quiet && !bar.is_hidden());
-        if let Some((bar, style)) = bar.as_ref().zip(ProgressStyle::with_template("{spinner} {bar:20} {msg}").ok()) {
-            bar.set_style(style);
-        }
-        Self(bar)
+        Self(bar(length.as_millis() as u64, "{spinner} {bar:20} {msg}", quiet))
     }
 
     pub(super) fn draw(&self, measure: &Measure, elapsed: Duration, open: u64) {

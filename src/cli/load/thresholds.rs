@@ -91,10 +91,7 @@ impl FromStr for Threshold {
         let at = text.find(['<', '>']).ok_or("a threshold is written as p99>2s, errors>0 or refused>1%")?;
         let (name, rest) = text.split_at(at);
         let than = if rest.starts_with('>') { Than::More } else { Than::Less };
-        let (or_equal, bound) = match rest[1..].strip_prefix('=') {
-            Some(bound) => (true, bound),
-            None => (false, &rest[1..]),
-        };
+        let (or_equal, bound) = rest[1..].strip_prefix('=').map_or((false, &rest[1..]), |bound| (true, bound));
         let known = FIGURES.into_iter().find(|(known, _)| *known == name.to_ascii_lowercase());
         let (figure, unit) = known.ok_or_else(|| {
             let names = FIGURES.map(|(name, _)| name);

@@ -7,11 +7,11 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::Result;
-use clap::{ArgGroup, Args, ValueEnum};
+use clap::{ArgGroup, Args};
 
 use crate::exit::{BadInput, Usage};
 use crate::files::{self, Surface};
-use crate::given::{self, Given};
+use crate::given::{self, Given, Words, words};
 use crate::picture::PictureArgs;
 use crate::say::SayArgs;
 use crate::server::{EndpointArgs, number};
@@ -25,7 +25,8 @@ use geometry::token::Token;
 use server::config::{BackendArgs, count, whole};
 use wire::counts::Bounds;
 use wire::options::{self, Beside};
-use wire::{WireError, names, proto};
+use wire::proto::{self, BoundaryRule, Placement, Projection, ThinRule};
+use wire::{WireError, names};
 
 #[derive(Args, Debug)]
 #[command(group(ArgGroup::new("size").required(true).multiple(true).args(["points", "edge_length", "sizes"])))]
@@ -95,8 +96,8 @@ pub(crate) struct SizeArgs {
     #[arg(long, value_name = "FILE")]
     pub(crate) sizes: Option<PathBuf>,
     /// Where short edges go.
-    #[arg(long, value_enum, default_value_t, conflicts_with = "sizes")]
-    pub(crate) density: DensityArg,
+    #[arg(long, default_value = "uniform", value_parser = words(DENSITIES), conflicts_with = "sizes")]
+    pub(crate) density: DensitySource,
     /// The most that edge lengths grow per distance.
     #[arg(long, value_name = "G", default_value_t = DensityOptions::default().gradation, value_parser = positive)]
     #[arg(allow_negative_numbers = true)]
@@ -125,14 +126,14 @@ pub(crate) struct ShapeArgs {
     #[arg(long, value_name = "FILE")]
     pub(crate) creases: Option<PathBuf>,
     /// What happens to the boundaries of an open surface.
-    #[arg(long, value_enum, default_value_t)]
-    pub(crate) boundaries: BoundariesArg,
+    #[arg(long, default_value = "keep", value_parser = words(BOUNDARIES))]
+    pub(crate) boundaries: BoundaryRule,
     /// What happens where the surface is too thin for edges as long as elsewhere.
-    #[arg(long, value_enum, default_value_t)]
-    pub(crate) thin: ThinArg,
+    #[arg(long, default_value = "finer", value_parser = words(THIN))]
+    pub(crate) thin: ThinRule,
     /// Where the vertices of the remesh go.
-    #[arg(long, value_enum, default_value_t)]
-    pub(crate) placement: PlacementArg,
+    #[arg(long, default_value = "fitted", value_parser = words(PLACEMENTS))]
+    pub(crate) placement: Placement,
 }
 
 #[derive(Args, Debug)]
@@ -145,33 +146,19 @@ pub(crate) struct StepArgs {
     #[arg(long, value_name = "N", default_value_t = RemeshOptions::usual().newton as u32, value_parser = whole::<u32>)]
     pub(crate) newton: u32,
     /// Where seeds go after each step. They end on the surface either way.
-    #[arg(long, value_enum, default_value_t)]
-    pub(crate) projection: ProjectionArg,
+    #[arg(long, default_value = "free", value_parser = words(PROJECTIONS))]
+    pub(crate) projection: Projection,
     /// Random seed of the first points.
     #[arg(long, value_name = "N", default_value_t = Seeds::RANDOM_SEED, value_parser = whole::<u64>)]
     pub(crate) seed: u64,
 }
 
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
-pub(crate) enum DensityArg {
-    /// Edges of one length.
-    #[default]
-    Uniform,
-    /// Where the surface bends.
-    Curvature,
-    /// Where the surface is thin, hollow or sharp: local feature size.
-    Lfs,
-}
-
-impl DensityArg {
-    pub(crate) fn source(self) -> DensitySource {
-        match self {
-            Self::Uniform => DensitySource::Uniform,
-            Self::Curvature => DensitySource::Curvature,
-            Self::Lfs => DensitySource::FeatureSize,
-        }
-    }
-}
+/// Where short edges go.
+pub(crate) const DENSITIES: Words<DensitySource> = &[
+    ("uniform", "Edges of one length", DensitySource::Uniform),
+    ("curvature", "Where the surface bends", DensitySource::Curvature),
+    ("lfs", "Where the surface is thin, hollow or sharp: local feature size", DensitySource::FeatureSize),
+];
 
 fn positive(text: &str) -> Result<f64, String> {
     match text.parse::<f64>() {
@@ -184,43 +171,31 @@ fn angle(text: &str) -> Result<f64, String> {
     number(text, 0.0..=180.0, "an angle from 0 to 180 is needed")
 }
 
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
-pub(crate) enum BoundariesArg {
-    /// They get vertices of their own and stay where they are.
-    #[default]
-    Keep,
-    /// The rim settles where the cells end, about half an edge inside.
-    Free,
-}
-
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
-pub(crate) enum ThinArg {
-    /// Edges become shorter there, so that horns, fingers, strips and bridges stay. Not if --sizes says how long they are.
-    #[default]
-    Finer,
-    /// Edges are as long as elsewhere; what is too thin for them may be missing.
-    Even,
-}
-
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
-pub(crate) enum ProjectionArg {
-    /// Where the step takes them, near the surface.
-    #[default]
-    Free,
-    /// To the closest point of the surface; a quasi-Newton step then begins without a history.
-    Surface,
-}
-
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
-pub(crate) enum PlacementArg {
-    /// Where the facets between them are nearest to the input in the mean.
-    #[default]
-    Fitted,
-    /// On the input surface.
-    Surface,
-    /// To the centroids of their cells.
-    Centroids,
-}
+const BOUNDARIES: Words<BoundaryRule> = &[
+    ("keep", "They get vertices of their own and stay where they are", BoundaryRule::Keep),
+    ("free", "The rim settles where the cells end, about half an edge inside", BoundaryRule::Free),
+];
+const THIN: Words<ThinRule> = &[
+    (
+        "finer",
+        "Edges become shorter there, so that horns, fingers, strips and bridges stay. Not if --sizes says how long they are",
+        ThinRule::Finer,
+    ),
+    ("even", "Edges are as long as elsewhere; what is too thin for them may be missing", ThinRule::Even),
+];
+const PROJECTIONS: Words<Projection> = &[
+    ("free", "Where the step takes them, near the surface", Projection::Free),
+    (
+        "surface",
+        "To the closest point of the surface; a quasi-Newton step then begins without a history",
+        Projection::Surface,
+    ),
+];
+const PLACEMENTS: Words<Placement> = &[
+    ("fitted", "Where the facets between them are nearest to the input in the mean", Placement::Fitted),
+    ("surface", "On the input surface", Placement::Surface),
+    ("centroids", "To the centroids of their cells", Placement::Centroids),
+];
 
 pub(crate) fn usage(error: WireError) -> anyhow::Error {
     let text = error.under("options").to_string();

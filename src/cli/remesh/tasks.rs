@@ -57,10 +57,8 @@ fn check_together(args: &RemeshArgs) -> Result<()> {
             "the standard input has no name; give -o instead of --out-dir".to_owned(),
         ),
     ];
-    match refused.into_iter().find(|(is_wrong, _)| *is_wrong) {
-        Some((_, text)) => Err(Usage(text).into()),
-        None => Ok(()),
-    }
+    let wrong = refused.into_iter().find(|(is_wrong, _)| *is_wrong);
+    wrong.map_or(Ok(()), |(_, text)| Err(Usage(text).into()))
 }
 
 fn task(args: &RemeshArgs, path: &Path, output: Option<&Path>) -> Result<Task> {

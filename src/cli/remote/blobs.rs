@@ -28,9 +28,12 @@ use wire::proto::{
 /// How many digests are asked for at once.
 const DIGESTS: usize = 10_000;
 
-fn client(link: &Link<'_>) -> BlobServiceClient<Door> {
-    BlobServiceClient::new(link.channel()).max_decoding_message_size(16 << 20)
+pub(crate) fn blobs(door: Door) -> BlobServiceClient<Door> {
+    BlobServiceClient::new(door).max_decoding_message_size(16 << 20)
 }
+
+/// Takes bytes as they come.
+type Sink<'a> = &'a mut dyn FnMut(&[u8]) -> Result<()>;
 
 /// How the sending of pieces ended early, if it did.
 type Broken = Arc<Mutex<Option<io::Error>>>;
@@ -38,11 +41,8 @@ type Broken = Arc<Mutex<Option<io::Error>>>;
 impl Session<'_> {
     pub(crate) async fn stat(&mut self, digest: &str) -> Result<u64> {
         let request = StatRequest { digest: digest.to_owned() };
-        let answer = self.once(async |link| one(link, client(link).stat(request)).await).await?;
-        match answer.digest == digest {
-            true => Ok(answer.size_bytes),
-            false => Err(wrong("it is about another blob")),
-        }
+        let answer = self.once(async |link| one(link, blobs(link.channel()).stat(request)).await).await?;
+        if answer.digest == digest { Ok(answer.size_bytes) } else { Err(wrong("it is about another blob")) }
     }
 
     /// Uploads those of `sources` that the server does not have; how many bytes that were.
@@ -52,7 +52,7 @@ impl Session<'_> {
             let digests: Vec<String> = some.iter().map(|source| source.digest.clone()).collect();
             let ask = async |link: &Link<'_>| {
                 let request = FindMissingRequest { digests: digests.clone() };
-                one(link, client(link).find_missing(request)).await
+                one(link, blobs(link.channel()).find_missing(request)).await
             };
             missing.extend(self.repeat(ask).await?.digests);
         }
@@ -85,12 +85,7 @@ impl Session<'_> {
     }
 
     /// Fetches a blob and gives its bytes to `sink` as they come; how many there are.
-    pub(crate) async fn download(
-        &mut self,
-        digest: &str,
-        sink: &mut dyn FnMut(&[u8]) -> Result<()>,
-        progress: &Progress,
-    ) -> Result<u64> {
+    pub(crate) async fn download(&mut self, digest: &str, sink: Sink<'_>, progress: &Progress) -> Result<u64> {
         let mut blob = Incoming::new(digest);
         loop {
             let before = blob.bytes();
@@ -110,7 +105,7 @@ impl Session<'_> {
 async fn go_on(link: &Link<'_>, source: &Source, kept: &mut u64, progress: &Progress) -> Result<(), Fault> {
     let (digest, size_bytes) = (source.digest.clone(), source.size);
     let request = QueryWriteStatusRequest { digest: digest.clone(), size_bytes };
-    let status = match link.first(client(link).query_write_status(request)).await? {
+    let status = match link.first(blobs(link.channel()).query_write_status(request)).await? {
         Ok(answer) => answer.into_inner(),
         Err(status) if status.code() == Code::NotFound => QueryWriteStatusResponse::default(),
         Err(status) => return Err(faults::of_call(link.url(), &status)),
@@ -128,7 +123,7 @@ async fn go_on(link: &Link<'_>, source: &Source, kept: &mut u64, progress: &Prog
     let counter = progress.counter("upload", left);
     let pieces = source.pieces(status.kept_bytes).map_err(unread)?;
     let messages = messages(pieces, digest.clone(), size_bytes, Arc::clone(&broken), (link.sent(), counter));
-    let answer = link.first(client(link).write(tokio_stream::iter(messages))).await?;
+    let answer = link.first(blobs(link.channel()).write(tokio_stream::iter(messages))).await?;
     if let Some(cause) = broken.lock().unwrap_or_else(PoisonError::into_inner).take() {
         return Err(unread(cause).into());
     }
@@ -185,11 +180,11 @@ async fn read_on(
     link: &Link<'_>,
     digest: &str,
     blob: &mut Incoming,
-    sink: &mut dyn FnMut(&[u8]) -> Result<()>,
+    sink: Sink<'_>,
     progress: &Progress,
 ) -> Result<(), Fault> {
     let request = ReadRequest { digest: digest.to_owned(), offset: blob.bytes(), limit_bytes: 0 };
-    let mut pieces = one(link, client(link).read(request)).await?;
+    let mut pieces = one(link, blobs(link.channel()).read(request)).await?;
     while !blob.whole() {
         match link.first(pieces.message()).await? {
             Ok(Some(piece)) => {

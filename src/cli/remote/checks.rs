@@ -118,12 +118,9 @@ impl Expected {
 
     /// Whether all that was begun was brought to its end.
     pub(super) fn whole(&self) -> Result<()> {
-        match self.came.iter().find(|(_, (came, whole))| came != whole) {
-            Some(((kind, _), (came, whole))) => {
-                Err(wrong(format!("of the {whole} bytes of {} only {came} were sent", name(*kind))))
-            }
-            None => Ok(()),
-        }
+        let cut = self.came.iter().find(|(_, (came, whole))| came != whole);
+        let Some(((kind, _), (came, whole))) = cut else { return Ok(()) };
+        Err(wrong(format!("of the {whole} bytes of {} only {came} were sent", name(*kind))))
     }
 
     /// Whether the attributes of the last message are those that were sent, for `mesh`.
@@ -180,10 +177,7 @@ pub(super) fn remesh(mesh: &TriMesh, curve_edges: &[[u32; 2]], done: &RemeshDone
 }
 
 pub(super) fn report(value: serde_json::Value) -> Result<serde_json::Value> {
-    match value.is_object() {
-        true => Ok(crate::say::plain_json(value)),
-        false => Err(wrong("its report is no report")),
-    }
+    if value.is_object() { Ok(crate::say::plain_json(value)) } else { Err(wrong("its report is no report")) }
 }
 
 /// Whether there is one finite centroid for each seed.
@@ -191,10 +185,8 @@ pub(super) fn centroids(points: &[glam::DVec3], seeds: u64) -> Result<()> {
     if points.len() as u64 != seeds {
         return Err(wrong(format!("{} centroids were sent for {seeds} seeds", points.len())));
     }
-    match points.iter().position(|p| !p.is_finite()) {
-        Some(at) => Err(wrong(format!("centroid {at} is not finite"))),
-        None => Ok(()),
-    }
+    let odd = points.iter().position(|p| !p.is_finite());
+    odd.map_or(Ok(()), |at| Err(wrong(format!("centroid {at} is not finite"))))
 }
 
 /// Pieces on their way: each (facet, seed) once, in order, so that there is an end to them.

@@ -25,10 +25,7 @@ const NO_GRPC: &str = "grpc-status header missing, mapped from HTTP status code 
 
 /// The error for how the stream of a piece of work ended.
 pub(super) fn of_status(url: &ServerUrl, status: &Status) -> anyhow::Error {
-    match cut(status) {
-        Some(cause) => lost(url, cause),
-        None => said(url, status),
-    }
+    cut(status).map_or_else(|| said(url, status), |cause| lost(url, cause))
 }
 
 #[derive(Debug)]

@@ -6,10 +6,10 @@
 use std::future::Future;
 
 use anyhow::Result;
-use tonic::{Response, Status};
+use tonic::Response;
 
 use super::faults::{self, Fault, wrong};
-use super::link::{Door, Link};
+use super::link::{Answered, Door, Link};
 use super::session::{Session, one};
 use crate::progress::Progress;
 use wire::proto::job_service_client::JobServiceClient;
@@ -18,12 +18,15 @@ use wire::proto::{
     GetJobRequest, Job, JobEvent, JobState, ListJobsRequest, ListJobsResponse, WatchJobRequest, job_event,
 };
 
+/// Takes an event. False if no more are wanted.
+type Events<'a> = &'a mut dyn FnMut(&JobEvent) -> Result<bool>;
+
 const PAGE: u32 = 100;
 /// Pages in a row in which nothing is: a server may look for long, but not for ever.
 const EMPTY_PAGES: u32 = 1000;
 
-fn client(link: &Link<'_>) -> JobServiceClient<Door> {
-    JobServiceClient::new(link.channel()).max_decoding_message_size(16 << 20)
+pub(crate) fn jobs(door: Door) -> JobServiceClient<Door> {
+    JobServiceClient::new(door).max_decoding_message_size(16 << 20)
 }
 
 /// Whether a job in this state stays in it, but for being forgotten.
@@ -46,16 +49,19 @@ fn checked(job: Option<Job>, id: Option<&str>) -> Result<Job> {
     if !is_id(&job.id) || id.is_some_and(|id| id != job.id) {
         return Err(wrong("it is about another job"));
     }
-    match JobState::try_from(job.state) {
-        Ok(JobState::Unspecified) | Err(_) => Err(wrong(format!("there is no state {}", job.state))),
-        Ok(_) => Ok(job),
-    }
+    known(job.state)?;
+    Ok(job)
+}
+
+fn known(state: i32) -> Result<JobState> {
+    let known = JobState::try_from(state).ok().filter(|known| *known != JobState::Unspecified);
+    known.ok_or_else(|| wrong(format!("there is no state {state}")))
 }
 
 impl Session<'_> {
     /// Creates a job. Without a number of the caller's, a call whose answer is lost is not repeated.
     pub(crate) async fn create(&mut self, request: &CreateJobRequest) -> Result<CreateJobResponse> {
-        let ask = async |link: &Link<'_>| one(link, client(link).create_job(request.clone())).await;
+        let ask = async |link: &Link<'_>| one(link, jobs(link.channel()).create_job(request.clone())).await;
         let mut answer = match request.request_id.is_empty() {
             false => self.repeat(ask).await?,
             true => self.once(ask).await.map_err(|fault| match fault {
@@ -76,11 +82,11 @@ impl Session<'_> {
 
     /// The newest jobs that `query` is about, at most `limit`; and whether there are more.
     pub(crate) async fn jobs(&mut self, query: &ListJobsRequest, limit: u32) -> Result<(Vec<Job>, bool)> {
-        let (mut jobs, mut token, mut empty) = (Vec::new(), String::new(), 0);
+        let (mut found, mut token, mut empty) = (Vec::new(), String::new(), 0);
         loop {
-            let page_size = (limit - jobs.len() as u32).min(PAGE);
+            let page_size = (limit - found.len() as u32).min(PAGE);
             let request = ListJobsRequest { page_size, page_token: token.clone(), ..query.clone() };
-            let answer = self.once(async |link| one(link, client(link).list_jobs(request)).await).await?;
+            let answer = self.once(async |link| one(link, jobs(link.channel()).list_jobs(request)).await).await?;
             let ListJobsResponse { jobs: page, next_page_token } = answer;
             if page.len() > page_size as usize {
                 return Err(wrong(format!("{page_size} jobs were asked for, and {} came", page.len())));
@@ -90,11 +96,11 @@ impl Session<'_> {
                 return Err(wrong("its pages do not end"));
             }
             for job in page {
-                jobs.push(checked(Some(job), None)?);
+                found.push(checked(Some(job), None)?);
             }
             let more = !next_page_token.is_empty();
-            if !more || jobs.len() as u32 >= limit {
-                return Ok((jobs, more));
+            if !more || found.len() as u32 >= limit {
+                return Ok((found, more));
             }
             token = next_page_token;
         }
@@ -102,27 +108,25 @@ impl Session<'_> {
 
     pub(crate) async fn cancel(&mut self, id: &str) -> Result<Job> {
         let request = CancelJobRequest { id: id.to_owned() };
-        checked(self.once(async |link| in_state(link, client(link).cancel_job(request)).await).await?.job, Some(id))
+        checked(
+            self.once(async |link| in_state(link, jobs(link.channel()).cancel_job(request)).await).await?.job,
+            Some(id),
+        )
     }
 
     pub(crate) async fn delete(&mut self, id: &str) -> Result<()> {
         let request = DeleteJobRequest { id: id.to_owned() };
-        self.once(async |link| in_state(link, client(link).delete_job(request)).await).await?;
+        self.once(async |link| in_state(link, jobs(link.channel()).delete_job(request)).await).await?;
         Ok(())
     }
 
     /// What a job would need.
     pub(crate) async fn estimate(&mut self, request: EstimateJobRequest) -> Result<EstimateJobResponse> {
-        Ok(self.once(async |link| one(link, client(link).estimate_job(request)).await).await?)
+        Ok(self.once(async |link| one(link, jobs(link.channel()).estimate_job(request)).await).await?)
     }
 
     /// Gives each event of a job after number `after` to `sink`, until the job has ended or `sink` wants no more.
-    pub(crate) async fn watch(
-        &mut self,
-        id: &str,
-        mut after: u64,
-        sink: &mut dyn FnMut(&JobEvent) -> Result<bool>,
-    ) -> Result<()> {
+    pub(crate) async fn watch(&mut self, id: &str, mut after: u64, sink: Events<'_>) -> Result<()> {
         loop {
             let before = after;
             let tried = self.once(async |link| watch_on(link, id, &mut after, sink).await).await;
@@ -160,23 +164,19 @@ impl Session<'_> {
 }
 
 /// Waits for the answer of a call that only a job in the right state allows.
-async fn in_state<T>(link: &Link<'_>, call: impl Future<Output = Result<Response<T>, Status>>) -> Result<T, Fault> {
+async fn in_state<T>(link: &Link<'_>, call: impl Future<Output = Answered<T>>) -> Result<T, Fault> {
     let answer = link.first(call).await?;
     answer.map(Response::into_inner).map_err(|status| faults::of_state(link.url(), &status))
 }
 
 async fn get(link: &Link<'_>, request: GetJobRequest, id: &str) -> Result<Job, Fault> {
-    Ok(checked(one(link, client(link).get_job(request)).await?.job, Some(id))?)
+    Ok(checked(one(link, jobs(link.channel()).get_job(request)).await?.job, Some(id))?)
 }
 
 /// Goes on with the events after number `after`. False if they ended, and the job did not.
-async fn watch_on(
-    link: &Link<'_>,
-    id: &str,
-    after: &mut u64,
-    sink: &mut dyn FnMut(&JobEvent) -> Result<bool>,
-) -> Result<bool, Fault> {
-    let mut events = one(link, client(link).watch_job(WatchJobRequest { id: id.to_owned(), after: *after })).await?;
+async fn watch_on(link: &Link<'_>, id: &str, after: &mut u64, sink: Events<'_>) -> Result<bool, Fault> {
+    let mut events =
+        one(link, jobs(link.channel()).watch_job(WatchJobRequest { id: id.to_owned(), after: *after })).await?;
     loop {
         // That it was created is an event, so that there is one at once. Later ones take as long as the work does.
         let message = if *after == 0 { link.first(events.message()).await? } else { events.message().await };
@@ -190,12 +190,7 @@ async fn watch_on(
         }
         let mut ended = false;
         if let Some(job_event::What::State(change)) = &event.what {
-            match JobState::try_from(change.state) {
-                Ok(JobState::Unspecified) | Err(_) => {
-                    return Err(wrong(format!("there is no state {}", change.state)).into());
-                }
-                Ok(state) => ended = is_end(state),
-            }
+            ended = is_end(known(change.state)?);
         }
         *after = event.number;
         if !sink(&event)? || ended {

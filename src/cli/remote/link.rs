@@ -54,6 +54,9 @@ const NARROW_BYTES: u32 = 65_535;
 
 pub(super) type Sent = Arc<AtomicU64>;
 
+/// What a call answers.
+pub(crate) type Answered<T> = Result<Response<T>, Status>;
+
 const TENANT: &str = "tessera-tenant";
 const KEY: &str = "authorization";
 
@@ -168,7 +171,7 @@ impl<'a> Link<'a> {
     /// Waits for the head of what `call` answers.
     pub(super) async fn answers<T>(
         &'a self,
-        call: impl Future<Output = Result<Response<Streaming<T>>, Status>>,
+        call: impl Future<Output = Answered<Streaming<T>>>,
     ) -> Result<Answers<'a, T>> {
         let stream = self.first(call).await?.map_err(|status| faults::of_status(self.url, &status))?;
         Ok(Answers { link: self, stream: stream.into_inner(), begun: false })

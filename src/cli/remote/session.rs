@@ -9,13 +9,13 @@ use std::time::Duration;
 
 use anyhow::{Error, Result};
 use tokio::time::Instant;
-use tonic::{Code, Response, Status};
+use tonic::{Code, Response};
 use tonic_health::pb::HealthCheckRequest;
 use tonic_health::pb::health_check_response::ServingStatus;
 use tonic_health::pb::health_client::HealthClient;
 
 use super::faults::{self, Fault};
-use super::link::{Link, Patience};
+use super::link::{Answered, Link, Patience};
 use crate::exit::{Unavailable, Usage};
 use crate::server::{Server, ServerArgs};
 use wire::proto::server_service_client::ServerServiceClient;
@@ -79,10 +79,7 @@ impl<'a> Session<'a> {
 }
 
 /// Waits for the answer of a call that has only one.
-pub(super) async fn one<T>(
-    link: &Link<'_>,
-    call: impl Future<Output = Result<Response<T>, Status>>,
-) -> Result<T, Fault> {
+pub(super) async fn one<T>(link: &Link<'_>, call: impl Future<Output = Answered<T>>) -> Result<T, Fault> {
     let answer = link.first(call).await?;
     answer.map(Response::into_inner).map_err(|status| faults::of_call(link.url(), &status))
 }

@@ -2,9 +2,8 @@
 //!
 //! Purpose: [`Features::find`] collects the edges that are a boundary, whose dihedral angle exceeds a threshold, or that the
 //! caller named; [`graph`] removes features too short for a remesh, which are noise on scans; [`chains`] joins the rest to
-//! curves between corners.
-//! Invariant: a curve is a chain of mesh edges through welded vertices, simple inside, either closed or between two corners.
-//! A boundary is never removed. Depends on the mesh and the options alone. Must not know: seeds, diagrams.
+//! curves between corners. Invariant: a curve is a chain of mesh edges through welded vertices, simple inside, either closed or
+//! between two corners. A boundary is never removed. Depends on the mesh and the options alone. Must not know: seeds, diagrams.
 
 mod chains;
 mod graph;

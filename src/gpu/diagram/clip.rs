@@ -1,10 +1,9 @@
 //! Facets clipped to cells, and their sums.
 //!
 //! Purpose: the dispatches of a pass over a window of facets, what pairs that did not end need, and the sums and pieces that
-//! come of it.
-//! Invariant: nothing is dropped: a pair ends on the device, is launched again with more, or is finished in f64. Which facets
-//! `divide` does, and its variant, depend on the surface and the seeds alone, never on capacities.
-//! Must not know: where rows and first cells come from, why seeds move.
+//! come of it. Invariant: nothing is dropped: a pair ends on the device, is launched again with more, or is finished in f64.
+//! Which facets `divide` does, and its variant, depend on the surface and the seeds alone, never on capacities. Must not know:
+//! where rows and first cells come from, why seeds move.
 
 pub(super) mod by_cell;
 pub(super) mod fixed;
@@ -21,7 +20,6 @@ use super::memory::{Memory, OnDevice, records};
 use super::neighbours::{Neighbours, Rows};
 use super::pipelines::SLOTS;
 use super::plan::{BATCH, size};
-use super::strategy;
 use super::{Context, Result};
 use crate::dispatch::{ARGUMENTS_BYTES, Stage, run_groups, run_indirect};
 use geometry::rvd::incident::FacetWalker;
@@ -125,7 +123,10 @@ impl Clip {
             near,
             demoted: Vec::new(),
             divides: true,
-            accumulate: strategy::adding(how),
+            accumulate: match how {
+                Accumulate::Direct | Accumulate::Auto => accumulate::DIRECT,
+                Accumulate::TwoPhase => accumulate::TWO_PHASE,
+            },
             scales: fixed::Scales::default(),
             walker: FacetWalker::default(),
             pass: PassResult::default(),

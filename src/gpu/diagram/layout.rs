@@ -1,9 +1,7 @@
 //! The records of `shaders/shared/` in Rust.
 //!
-//! Purpose: what the host writes and reads, byte for byte.
-//! Invariant: same fields, names, offsets and sizes as in WGSL; `tests/gpu/shaders.rs` compares
-//! each of them with what naga reflects.
-//! Must not know: where the numbers come from.
+//! Purpose: what the host writes and reads, byte for byte. Invariant: same fields, names, offsets and sizes as in WGSL;
+//! `tests/gpu/shaders.rs` compares each of them with what naga reflects. Must not know: where the numbers come from.
 
 use bytemuck::{Pod, Zeroable};
 
@@ -40,8 +38,7 @@ pub mod accumulate {
     pub const NOWHERE: u32 = 2;
 }
 
-/// An entry of the list of failures: (facet, seed, code). `None` if the device has put the pair to the end of its
-/// list again.
+/// An entry of the list of failures: (facet, seed, code). `None` if the device has put the pair to the end of its list again.
 pub fn failure(entry: [u32; 2]) -> Option<(u32, u32, u32)> {
     // The next bit says in the first word that it was, and in the second that the pair is the first of its facet.
     let code = (entry[0] >> 31) | ((entry[1] >> 31) << 1);
@@ -351,8 +348,7 @@ impl Seed {
         [0, 1, 2].map(|k| f64::from(self.hi[k]) + f64::from(self.lo[k]))
     }
 
-    /// Squared distance to `other`, with the bits of `squared` in `shaders/shared/distance.wgsl`: each
-    /// operation rounded once.
+    /// Squared distance to `other`, with the bits of `squared` in `shaders/shared/distance.wgsl`: each operation rounded once.
     pub fn key(&self, other: &Self) -> f32 {
         let [x, y, z] = [0, 1, 2].map(|k| (other.hi[k] - self.hi[k]) + (other.lo[k] - self.lo[k])).map(|b| b * b);
         (x + y) + z

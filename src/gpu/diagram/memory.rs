@@ -32,7 +32,7 @@ pub(super) struct OnDevice {
 }
 
 pub(super) struct Memory {
-    cx: Arc<Context>,
+    pub cx: Arc<Context>,
     pub counts: Counts,
     pub windows: Windows,
     /// Log2 of the slots of each facet's set of cells.
@@ -48,16 +48,6 @@ fn places(facets: &Range<u32>) -> Range<usize> {
 }
 
 impl Memory {
-    pub(super) fn new(
-        cx: Arc<Context>,
-        counts: Counts,
-        windows: Windows,
-        slots_log2: Vec<u8>,
-        facets: Vec<layout::Facet>,
-    ) -> Self {
-        Self { cx, counts, windows, slots_log2, facets, on_device: None }
-    }
-
     pub(super) fn there(&self) -> Result<&OnDevice> {
         self.on_device.as_ref().ok_or_else(|| RvdError::Internal("no buffers".to_owned()))
     }

@@ -1,15 +1,13 @@
 //! Neighbours of the seeds, and first cells of the facets.
 //!
-//! Purpose: rows of neighbours from a uniform grid on the device, the nearest seed of each facet by a
-//! walk over them, and the decision whether the host does it instead.
-//! Invariant: a row is the beginning of every longer row, wherever it comes from: its order is that of
-//! [`layout::Seed::key`], then of indices. Rows and first cells are proved, or the host makes them with
-//! its tree; nothing is cut off. The choice depends on the seeds alone.
-//! Seeds that converge hardly move. So the device keeps a Verlet list for each seed (Verlet 1967), somewhat longer than its row,
-//! and takes the row from it while it proves the row: a seed that was beyond a list's reach is no nearer now than that less
-//! what both have moved. A row is the same wherever it comes from. The device decides (`shaders/neighbours/offsets.wgsl`),
-//! so that passes without the host can use lists too.
-//! Must not know: clipping.
+//! Purpose: rows of neighbours from a uniform grid on the device, the nearest seed of each facet by a walk over them, and the
+//! decision whether the host does it instead. Invariant: a row is the beginning of every longer row, wherever it comes from:
+//! its order is that of [`layout::Seed::key`], then of indices. Rows and first cells are proved, or the host makes them with
+//! its tree; nothing is cut off. The choice depends on the seeds alone. Seeds that converge hardly move. So the device keeps a
+//! Verlet list for each seed (Verlet 1967), somewhat longer than its row, and takes the row from it while it proves the row: a
+//! seed that was beyond a list's reach is no nearer now than that less what both have moved. A row is the same wherever it
+//! comes from. The device decides (`shaders/neighbours/offsets.wgsl`), so that passes without the host can use lists too. Must
+//! not know: clipping.
 
 pub(super) mod grid;
 mod host;

@@ -1,11 +1,10 @@
 //! Seeds that are moved on the device.
 //!
 //! Purpose: the present point x, its gradient, the search direction and the quasi-Newton history are buffers; the stages on
-//! them move seeds, and scalars come back.
-//! Invariant: a trial point goes into the pass's own seeds, so x is what it was until it is accepted.
-//! Energy and area are added as integers, the rest in a fixed tree: the same bits on every run.
-//! Gradients are stored times a power of two that makes a mean one about 1, far from what floats lose.
-//! Must not know: what a search along the direction looks for, and when passes are run.
+//! them move seeds, and scalars come back. Invariant: a trial point goes into the pass's own seeds, so x is what it was until
+//! it is accepted. Energy and area are added as integers, the rest in a fixed tree: the same bits on every run. Gradients are
+//! stored times a power of two that makes a mean one about 1, far from what floats lose. Must not know: what a search along the
+//! direction looks for, and when passes are run.
 
 mod history;
 mod moving;

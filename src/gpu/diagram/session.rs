@@ -26,7 +26,7 @@ use super::optimizer::Optimizer;
 use super::pipelines::SLOTS;
 use super::plan::{self, Counts};
 use super::{Context, Result};
-use super::{Gpu, phases, strategy};
+use super::{Gpu, phases};
 use crate::Traffic;
 use geometry::rvd::parallel::Parallel;
 use geometry::rvd::{
@@ -75,11 +75,11 @@ impl GpuSession {
         let expected = records::expected_cells(surface, max_seeds);
         let slots_log2 = records::first_slots(&expected, capacities.cells, Capacities::default().cells);
         let mut facets = records::facets(surface, &slots_log2);
-        let by_cell = strategy::by_cell(&expected, tuning.strategy);
-        for &f in &by_cell {
+        let found = by_cell::choose(&expected, tuning.strategy);
+        for &f in &found {
             facets[f as usize].slot_mask |= BY_CELL;
         }
-        let near = by_cell::Grid::new(surface, &by_cell, max_seeds);
+        let near = by_cell::Grid::new(surface, &found, max_seeds);
         let k = capacities.neighbours.clamp(1, max_seeds.max(1)) as u64;
         // Rows by the device or by the host, and a quarter for longer ones where there is room for it; of these as many
         // as the device makes in a pass.
@@ -101,7 +101,7 @@ impl GpuSession {
         let live = (0..facets.len()).filter(|&f| !surface.skips(f));
         let roots = live.map(|f| [f as u32, NONE]).collect();
         Self {
-            memory: Memory::new(Arc::clone(&cx), counts, windows, slots_log2, facets),
+            memory: Memory { cx: Arc::clone(&cx), counts, windows, slots_log2, facets, on_device: None },
             neighbours: Neighbours::new(Arc::clone(&cx), side, roots),
             clip: Clip::new(Arc::clone(&cx), near, tuning.accumulate),
             optimizer: Optimizer::new(tuning.together),

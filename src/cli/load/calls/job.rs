@@ -16,10 +16,8 @@ use super::{Answers, Asked, At, End, Ends, Pace, Why, counted, unary};
 use crate::load::UploadArg;
 use crate::load::amounts::Kind;
 use crate::load::compare::Tally;
-use crate::remote::{Door, has_ended};
+use crate::remote::{Door, blobs, has_ended, jobs};
 use wire::pieces::{Incoming, PIECE_BYTES, piece};
-use wire::proto::blob_service_client::BlobServiceClient;
-use wire::proto::job_service_client::JobServiceClient;
 use wire::proto::{
     CancelJobRequest, CreateJobRequest, DeleteJobRequest, DeleteRequest, FindMissingRequest, GetJobRequest, Job,
     JobMesh, JobSpec, JobState, ListJobsRequest, MeshFile, MeshFormat, ReadRequest, WatchJobRequest, WriteRequest,
@@ -40,14 +38,6 @@ pub(in crate::load) struct Rubbish {
 /// How long a job that was cancelled may take to end.
 const CANCEL: Duration = Duration::from_secs(10);
 
-fn jobs(door: &Door) -> JobServiceClient<Door> {
-    JobServiceClient::new(door.clone()).max_decoding_message_size(16 << 20)
-}
-
-fn blobs(door: &Door) -> BlobServiceClient<Door> {
-    BlobServiceClient::new(door.clone()).max_decoding_message_size(16 << 20)
-}
-
 impl At<'_> {
     pub(super) async fn job(&self, kind: Kind, asked: &mut Asked, pace: &mut Pace) -> Result<(), End> {
         let (caller, tally) = (self.caller, &self.caller.tally);
@@ -67,7 +57,7 @@ impl At<'_> {
         };
         let request = CreateJobRequest { spec: Some(self.spec(kind, digest)), request_id: String::new() };
         let call = tally.begin("tessera.v1.JobService/CreateJob");
-        let created = unary(call, self.ends, jobs(self.door).create_job(request)).await?;
+        let created = unary(call, self.ends, jobs(self.door.clone()).create_job(request)).await?;
         let Some(Job { id, .. }) = created.job else { return Err(End::Wrong("there is no job in it".to_owned())) };
         rubbish.job = Some(id.clone());
         asked.rubbish = Some(rubbish.clone());
@@ -76,7 +66,10 @@ impl At<'_> {
             watched => watched?,
         }
         let call = tally.begin("tessera.v1.JobService/GetJob");
-        let job = unary(call, self.ends, jobs(self.door).get_job(GetJobRequest { id })).await?.job.unwrap_or_default();
+        let job = unary(call, self.ends, jobs(self.door.clone()).get_job(GetJobRequest { id }))
+            .await?
+            .job
+            .unwrap_or_default();
         rubbish.blobs.extend(job.results.iter().map(|result| result.digest.clone()));
         asked.rubbish = Some(rubbish);
         (asked.stages.queue, asked.stages.compute) = stages(&job);
@@ -118,7 +111,7 @@ impl At<'_> {
     async fn give_up(&self, id: &str, why: Why) -> Result<(), End> {
         let (tally, ends) = (&self.caller.tally, within(CANCEL));
         let call = tally.begin("tessera.v1.JobService/CancelJob");
-        let told = unary(call, &ends, jobs(self.door).cancel_job(CancelJobRequest { id: id.to_owned() })).await;
+        let told = unary(call, &ends, jobs(self.door.clone()).cancel_job(CancelJobRequest { id: id.to_owned() })).await;
         match (told, why) {
             // The result of a job that ended before is taken as if nothing had been said.
             (Err(End::Status(status)), Why::Cancel) if status.code() == Code::FailedPrecondition => return Ok(()),
@@ -132,7 +125,7 @@ impl At<'_> {
     async fn read(&self, digest: &str, asked: &mut Asked, pace: &mut Pace) -> Result<(), End> {
         let wrong = |what: &dyn std::fmt::Display| End::Wrong(what.to_string());
         let request = ReadRequest { digest: digest.to_owned(), ..ReadRequest::default() };
-        let (call, mut client) = (self.caller.tally.begin("tessera.v1.BlobService/Read"), blobs(self.door));
+        let (call, mut client) = (self.caller.tally.begin("tessera.v1.BlobService/Read"), blobs(self.door.clone()));
         let ends = Ends { cancel: None, limit: self.ends.limit, stop: self.ends.stop.clone() };
         let mut pieces = Answers::of(call, &ends, client.read(request)).await?;
         let mut blob = Incoming::new(digest);
@@ -152,7 +145,7 @@ fn within(limit: Duration) -> Ends {
 }
 
 async fn watch_job(tally: &Tally, door: &Door, ends: &Ends, id: &str) -> Result<(), End> {
-    let (call, mut client) = (tally.begin("tessera.v1.JobService/WatchJob"), jobs(door));
+    let (call, mut client) = (tally.begin("tessera.v1.JobService/WatchJob"), jobs(door.clone()));
     let request = WatchJobRequest { id: id.to_owned(), after: 0 };
     let mut events = Answers::of(call, ends, client.watch_job(request)).await?;
     let mut last = JobState::Unspecified;
@@ -161,12 +154,8 @@ async fn watch_job(tally: &Tally, door: &Door, ends: &Ends, id: &str) -> Result<
             last = change.state();
         }
     }
-    match last {
-        JobState::Unspecified | JobState::Queued | JobState::Running => {
-            Err(End::Wrong("its events ended before the job did".to_owned()))
-        }
-        _ => Ok(()),
-    }
+    let open = matches!(last, JobState::Unspecified | JobState::Queued | JobState::Running);
+    if open { Err(End::Wrong("its events ended before the job did".to_owned())) } else { Ok(()) }
 }
 
 /// How long a job waited and worked, by the server's clock.
@@ -192,11 +181,9 @@ async fn write(tally: &Tally, door: &Door, ends: &Ends, digest: &str, bytes: Byt
         message
     });
     let call = tally.begin("tessera.v1.BlobService/Write");
-    let stored = unary(call, ends, blobs(door).write(tokio_stream::iter(messages))).await?;
-    match stored.complete {
-        true => Ok(()),
-        false => Err(End::Wrong(format!("all {size_bytes} bytes were sent, but the blob is not complete"))),
-    }
+    let stored = unary(call, ends, blobs(door.clone()).write(tokio_stream::iter(messages))).await?;
+    let wrong = || End::Wrong(format!("all {size_bytes} bytes were sent, but the blob is not complete"));
+    stored.complete.then_some(()).ok_or_else(wrong)
 }
 
 /// Uploads a file that many jobs use, unless it is there. Whether it was not.
@@ -210,7 +197,7 @@ pub(in crate::load) async fn put(
     let ends = within(limit);
     let request = FindMissingRequest { digests: vec![digest.to_owned()] };
     let call = tally.begin("tessera.v1.BlobService/FindMissing");
-    let missing = unary(call, &ends, blobs(door).find_missing(request)).await.map_err(status)?;
+    let missing = unary(call, &ends, blobs(door.clone()).find_missing(request)).await.map_err(status)?;
     if missing.digests.is_empty() {
         return Ok(false);
     }
@@ -229,7 +216,7 @@ fn status(end: End) -> Status {
 /// Removes a blob. Whether it is gone, or belongs to another job.
 pub(in crate::load) async fn delete_blob(tally: &Tally, door: &Door, digest: &str) -> bool {
     let call = tally.begin("tessera.v1.BlobService/Delete");
-    let answer = counted(call, blobs(door).delete(DeleteRequest { digest: digest.to_owned() })).await;
+    let answer = counted(call, blobs(door.clone()).delete(DeleteRequest { digest: digest.to_owned() })).await;
     !answer.is_err_and(|status| !matches!(status.code(), Code::NotFound | Code::FailedPrecondition))
 }
 
@@ -237,12 +224,12 @@ pub(in crate::load) async fn delete_blob(tally: &Tally, door: &Door, digest: &st
 async fn delete_job(tally: &Tally, door: &Door, id: &str, ended: bool) -> bool {
     if !ended {
         let call = tally.begin("tessera.v1.JobService/CancelJob");
-        let _ = counted(call, jobs(door).cancel_job(CancelJobRequest { id: id.to_owned() })).await;
+        let _ = counted(call, jobs(door.clone()).cancel_job(CancelJobRequest { id: id.to_owned() })).await;
         // A job at work may take a moment to hear of it.
         let _ = watch_job(tally, door, &within(CANCEL), id).await;
     }
     let call = tally.begin("tessera.v1.JobService/DeleteJob");
-    let answer = counted(call, jobs(door).delete_job(DeleteJobRequest { id: id.to_owned() })).await;
+    let answer = counted(call, jobs(door.clone()).delete_job(DeleteJobRequest { id: id.to_owned() })).await;
     !answer.is_err_and(|status| status.code() != Code::NotFound)
 }
 
@@ -269,7 +256,7 @@ pub(in crate::load) async fn sweep(tally: &Tally, door: &Door, run: &str) -> u64
     loop {
         let request = ListJobsRequest { labels: labels.clone(), page_token, ..ListJobsRequest::default() };
         let call = tally.begin("tessera.v1.JobService/ListJobs");
-        let Ok(page) = counted(call, jobs(door).list_jobs(request)).await else { return left + 1 };
+        let Ok(page) = counted(call, jobs(door.clone()).list_jobs(request)).await else { return left + 1 };
         for job in page.jobs {
             let rubbish = Rubbish {
                 blobs: job.results.iter().map(|result| result.digest.clone()).collect(),

@@ -8,16 +8,11 @@ use std::time::Duration;
 use tokio::time::Instant;
 
 use super::{Answers, Asked, At, End, Pace};
-use crate::remote::Door;
-use wire::arrays::Arrays;
-use wire::proto::remesh_service_client::RemeshServiceClient;
+use crate::remote::surfaces;
+use wire::assemble::Arrays;
 use wire::proto::{self, ArrayKind, Chunk, RvdOutput, Timing};
 
 const CVT_STEPS: u32 = 5;
-
-fn client(door: &Door) -> RemeshServiceClient<Door> {
-    RemeshServiceClient::new(door.clone()).max_decoding_message_size(16 << 20)
-}
 
 /// When the last message of a request left.
 type Left = Arc<OnceLock<Instant>>;
@@ -85,7 +80,7 @@ macro_rules! stream {
         let all = [header].into_iter().chain(chunks).chain($ends);
         let messages = all.map(|message| proto::$request { message: Some(message) }).collect();
         $asked.sent_bytes = $at.surface.chunk_bytes();
-        let (mut $flow, mut client) = (Flow::begin(), client($at.door));
+        let (mut $flow, mut client) = (Flow::begin(), surfaces($at.door.clone()));
         let call = $at.caller.tally.begin(concat!("tessera.v1.RemeshService/", $method));
         let mut answers = Answers::of(call, $at.ends, client.$call(told(messages, &$flow.left))).await?;
         let mut done = None;
@@ -121,10 +116,8 @@ impl At<'_> {
         );
         let bytes = |kind| arrays.bytes(kind).map(|bytes| bytes.len() as u64).map_err(wrong);
         let (positions, facets) = (bytes(ArrayKind::Positions)?, bytes(ArrayKind::Facets)?);
-        match (positions, facets) == (24 * done.vertices, 12 * done.facets) && facets > 0 {
-            true => Ok(()),
-            false => Err(wrong("its arrays are not as long as it says")),
-        }
+        let fits = (positions, facets) == (24 * done.vertices, 12 * done.facets) && facets > 0;
+        if fits { Ok(()) } else { Err(wrong("its arrays are not as long as it says")) }
     }
 
     pub(super) async fn rvd(&self, asked: &mut Asked, pace: &mut Pace) -> Result<(), End> {
@@ -144,10 +137,8 @@ impl At<'_> {
             }
         );
         let centroids = arrays.bytes(ArrayKind::Centroids).map_err(wrong)?.len() as u64;
-        match centroids == 24 * done.seeds && done.seeds == self.surface.points && pieces > 0 {
-            true => Ok(()),
-            false => Err(wrong("its cells are not those of the seeds")),
-        }
+        let fits = centroids == 24 * done.seeds && done.seeds == self.surface.points && pieces > 0;
+        if fits { Ok(()) } else { Err(wrong("its cells are not those of the seeds")) }
     }
 
     pub(super) async fn cvt(&self, asked: &mut Asked, pace: &mut Pace) -> Result<(), End> {
@@ -163,9 +154,7 @@ impl At<'_> {
                 Answer::Iteration(_) => steps += 1,
             }
         );
-        match steps == CVT_STEPS && done.iterations == u64::from(CVT_STEPS) {
-            true => Ok(()),
-            false => Err(wrong("it took other steps than were asked for")),
-        }
+        let fits = steps == CVT_STEPS && done.iterations == u64::from(CVT_STEPS);
+        if fits { Ok(()) } else { Err(wrong("it took other steps than were asked for")) }
     }
 }

@@ -31,10 +31,8 @@ fn numbers<T: FromStr + Copy + Default, const N: usize>(line: &str) -> Option<[T
 /// The beginning of a line, for a message.
 fn shown(line: &str) -> String {
     const SHOWN: usize = 60;
-    match line.char_indices().nth(SHOWN) {
-        Some((end, _)) => format!("{:?}...", &line[..end]),
-        None => format!("{line:?}"),
-    }
+    let cut = line.char_indices().nth(SHOWN);
+    cut.map_or_else(|| format!("{line:?}"), |(end, _)| format!("{:?}...", &line[..end]))
 }
 
 /// Points, `x y z` a line; none is an error. Reading ends after one more than `most`, or once the token is stopped.

@@ -1,11 +1,9 @@
 //! Wavefront OBJ.
 //!
 //! Purpose: bytes to triangles with what they carry, in one pass over the statements, and back. Vertices are numbered by their
-//! first use in a facet; those that no facet uses are left out.
-//! How: statements as nearly all files have them ([`common`]) are read in place, on all threads. A file with any other statement
-//! is read as one piece ([`dialects`]): the `tobj` crate reads its geometry.
-//! Invariant: both give the same to the bit, whatever the number of threads.
-//! Must not know: other formats.
+//! first use in a facet; those that no facet uses are left out. How: statements as nearly all files have them ([`common`]) are
+//! read in place, on all threads. A file with any other statement is read as one piece ([`dialects`]): the `tobj` crate reads
+//! its geometry. Invariant: both give the same to the bit, whatever the number of threads. Must not know: other formats.
 
 mod common;
 mod dialects;
@@ -43,17 +41,13 @@ const COLOURS: &str = "colours";
 
 /// Reads a surface; what it carries only if it is `wanted`.
 fn decode(bytes: &[u8], wanted: bool) -> Result<Soup, DataError> {
-    match common::read(bytes, wanted).and_then(Statements::surface) {
-        Some(soup) => Ok(soup),
-        None => dialects::decode(bytes, wanted),
-    }
+    let surface = common::read(bytes, wanted).and_then(Statements::surface);
+    surface.map_or_else(|| dialects::decode(bytes, wanted), Ok)
 }
 
 fn vertex_order(bytes: &[u8]) -> Result<VertexOrder, DataError> {
-    let mut statements = match common::read(bytes, false) {
-        Some(statements) => statements,
-        None => dialects::read(bytes, true, false)?.0,
-    };
+    let all = || dialects::read(bytes, true, false).map(|read| read.0);
+    let mut statements = common::read(bytes, false).map_or_else(all, Ok)?;
     Ok((statements.vertices, statements.number_by_use().unwrap_or_default()))
 }
 

@@ -1,10 +1,9 @@
 //! Stanford PLY: ascii and both binary orders. Writes little-endian binary.
 //!
-//! Purpose: bytes to triangles with what they carry, in one pass over the data, and back. `vertex` needs scalar properties x, y,
-//! z; `face` a list property `vertex_indices` or `vertex_index`. Other scalar properties of vertices are attributes, and so is
-//! `texcoord`, six numbers for a triangle, of faces, which is how seams are stored. All else is skipped.
-//! Invariant: declared counts are checked against the bytes that are there before anything is read.
-//! Must not know: other formats.
+//! Purpose: bytes to triangles with what they carry, in one pass over the data, and back. `vertex` needs scalar properties x,
+//! y, z; `face` a list property `vertex_indices` or `vertex_index`. Other scalar properties of vertices are attributes, and so
+//! is `texcoord`, six numbers for a triangle, of faces, which is how seams are stored. All else is skipped. Invariant: declared
+//! counts are checked against the bytes that are there before anything is read. Must not know: other formats.
 
 mod carried;
 mod data;

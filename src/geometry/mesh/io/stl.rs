@@ -101,10 +101,8 @@ fn encode(mesh: &TriMesh, _held: &Held<'_>) -> Result<Vec<u8>, DataError> {
         })
         .collect();
     let mut out = Vec::with_capacity(HEADER + RECORD * triangles.len());
-    match stl_io::write_stl(&mut out, triangles.iter()) {
-        Ok(()) => Ok(out),
-        Err(error) => Err(DataError::Header(error.to_string())),
-    }
+    stl_io::write_stl(&mut out, triangles.iter()).map_err(|error| DataError::Header(error.to_string()))?;
+    Ok(out)
 }
 
 fn declared_facets(bytes: &[u8]) -> Option<usize> {

@@ -3,14 +3,12 @@
 //! Purpose: \[HYWZ17\] gives a thread to each facet, and to each cell where a facet meets more than 20 cells: a facet of many
 //! cells is a long walk, and few facets are few threads. Here both sides end in the same list of pairs. By facet, pairs are
 //! found across bisectors from the facet's first cell, a ring of cells a round. By cell, the stage `reach` lets each seed enter
-//! the facets that it reaches, nearly all of them in one round. `measure` chooses those facets. This module makes the
-//! grid in which seeds look for them.
-//! Invariant: what is listed by cell is still closed under propagation, so nothing is missed. The stage `verify` proves that
-//! nothing else was added. Facets without that proof, or with pairs that the device cannot end, are left to propagation: same
-//! pairs, same bits.
-//! Measured on a software adapter (clip phase, two cores): two triangles and 20,000 cells, 12.2 ms by cell against 12.7 by facet;
-//! 192 facets and 50,000 cells, 68 against 38, and as much again in each pass that has to begin anew. A mesh finer than its
-//! cells takes several times longer. The rounds that are saved cost little there.
+//! the facets that it reaches, nearly all of them in one round. [`choose`] says which facets are found by cell, [`Grid`] is
+//! where seeds look for them. Invariant: what is listed by cell is still closed under propagation, so nothing is missed. The
+//! stage `verify` proves that nothing else was added. Facets without that proof, or with pairs that the device cannot end, are
+//! left to propagation: same pairs, same bits. Measured on a software adapter (clip phase, two cores): two triangles and 20,000
+//! cells, 12.2 ms by cell against 12.7 by facet; 192 facets and 50,000 cells, 68 against 38, and as much again in each pass
+//! that has to begin anew. A mesh finer than its cells takes several times longer. The rounds that are saved cost little there.
 //! Must not know: how facets are clipped.
 
 use super::{Clip, Result};
@@ -21,11 +19,21 @@ use crate::diagram::memory::Memory;
 use crate::diagram::neighbours::Neighbours;
 use crate::diagram::plan::size;
 use crate::dispatch::Stage;
-use geometry::rvd::{PassStats, Surface};
+use geometry::rvd::{CELLS_PER_FACET, PassStats, Strategy, Surface};
 use geometry::token::Token;
 
 /// Grid cells along a side at most.
 const MOST_CELLS: f64 = 64.0;
+
+/// Facets whose pairs are found by cell, of those that are expected to meet so many cells. No strategy changes a bit of a result.
+pub(crate) fn choose(expected: &[f64], strategy: Strategy) -> Vec<u32> {
+    let least = match strategy {
+        Strategy::Facet => return Vec::new(),
+        Strategy::Cell => 0.0,
+        Strategy::Auto => CELLS_PER_FACET,
+    };
+    (0..expected.len() as u32).filter(|&f| expected[f as usize] > least).collect()
+}
 
 /// The facets near each place of the unit box.
 #[derive(Debug, Default)]
@@ -170,5 +178,13 @@ mod tests {
             }
         }
         assert_eq!(Grid::new(&surface, &[], 10).side, 0);
+    }
+
+    #[test]
+    fn strategies_choose_facets() {
+        let expected = [0.0, 3.0, 20.0, 20.5];
+        assert!(choose(&expected, Strategy::Facet).is_empty());
+        assert_eq!(choose(&expected, Strategy::Cell), [1, 2, 3]);
+        assert_eq!(choose(&expected, Strategy::Auto), [3]);
     }
 }

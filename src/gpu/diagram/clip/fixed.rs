@@ -1,10 +1,9 @@
 //! Fixed-point sums: scales and decoding.
 //!
-//! Purpose: the host's half of `shaders/shared/fixed.wgsl`.
-//! Invariant: no sum over any set of pieces can leave 64 bits. With total mass M and area A of the surface, and every
-//! point of it within R of its nearest seed, the sums over all cells together, in absolute value, are at most A, M, M R
-//! (each component of the moment) and M R². A scale is the largest power of two that keeps its bound below 2^60, which
-//! leaves a factor of 8 for rounding. The unit is then at most 2^-59 of the bound.
+//! Purpose: the host's half of `shaders/shared/fixed.wgsl`. Invariant: no sum over any set of pieces can leave 64 bits. With
+//! total mass M and area A of the surface, and every point of it within R of its nearest seed, the sums over all cells
+//! together, in absolute value, are at most A, M, M R (each component of the moment) and M R². A scale is the largest power of
+//! two that keeps its bound below 2^60, which leaves a factor of 8 for rounding. The unit is then at most 2^-59 of the bound.
 //! Must not know: the device.
 
 use glam::DVec3;

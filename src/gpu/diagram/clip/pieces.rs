@@ -1,9 +1,8 @@
 //! The pieces themselves.
 //!
 //! Purpose: batches of the pairs of a pass are clipped once more by the stage `emit`, which writes polygons, and converted to
-//! the unit frame in f64.
-//! Invariant: one batch of polygons at a time is on the device and in readback memory.
-//! Must not know: sums.
+//! the unit frame in f64. Invariant: one batch of polygons at a time is on the device and in readback memory. Must not know:
+//! sums.
 
 use glam::{DVec3, dvec3};
 

@@ -1,10 +1,8 @@
 //! What becomes of pairs that did not end.
 //!
 //! Purpose: sorts failed pairs into those that get a longer row, those that get more slots and those finished in f64, and
-//! finishes the last.
-//! Invariant: nothing is dropped. A pair that is launched again sees a longer prefix of the same row, so capacities cannot
-//! change its polygon.
-//! Must not know: how pairs are launched.
+//! finishes the last. Invariant: nothing is dropped. A pair that is launched again sees a longer prefix of the same row, so
+//! capacities cannot change its polygon. Must not know: how pairs are launched.
 
 use std::collections::{HashMap, HashSet};
 

@@ -1,8 +1,7 @@
 //! Records for the device from the surface and the seeds.
 //!
-//! Purpose: f64 in, the shaders' records out; how many slots each facet's set of cells gets.
-//! Invariant: frames are computed in f64 and rounded once.
-//! Must not know: the device.
+//! Purpose: f64 in, the shaders' records out; how many slots each facet's set of cells gets. Invariant: frames are computed in
+//! f64 and rounded once. Must not know: the device.
 
 use glam::DVec3;
 use rayon::prelude::*;

@@ -1,10 +1,9 @@
 //! The quasi-Newton history as scalars.
 //!
-//! Purpose: the two-loop recursion works on steps s, changes of the gradient y and the gradient g only by their dot
-//! products, and those of y and g divided by the cells' masses, so the host does it on those, in f64, and the device
-//! combines the vectors once (\[FWW14\] does L-BFGS on a GPU loop by loop; this way there is one stage instead of thirty).
-//! Invariant: a pair is in use only if sᵀy > 1e-10 ‖s‖ ‖y‖; the oldest goes where there are [`HISTORY`].
-//! Must not know: the device.
+//! Purpose: the two-loop recursion works on steps s, changes of the gradient y and the gradient g only by their dot products,
+//! and those of y and g divided by the cells' masses, so the host does it on those, in f64, and the device combines the vectors
+//! once (\[FWW14\] does L-BFGS on a GPU loop by loop; this way there is one stage instead of thirty). Invariant: a pair is in
+//! use only if sᵀy > 1e-10 ‖s‖ ‖y‖; the oldest goes where there are [`HISTORY`]. Must not know: the device.
 
 use crate::diagram::layout::{DOTS, PAIRS, PLAIN_DOTS};
 use geometry::rvd::resident::HISTORY;

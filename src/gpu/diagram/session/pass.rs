@@ -1,11 +1,10 @@
 //! One pass over a range of facets.
 //!
 //! Purpose: seed the list, run clip dispatches until it is drained, and begin again with more room where a set or the list was
-//! full. Pairs that did not end get longer rows for `NeighboursExhausted`, more slots for `PolygonOverflow`, and f64 for the rest;
-//! then they are put to the end of the list and launched again. What the device has seen to itself (the stages `lengthen` and
-//! `overflow`) is not among them.
-//! Invariant: a pass that returns has every pair of its facets done, on the device or in f64.
-//! Must not know: what each pair lacks.
+//! full. Pairs that did not end get longer rows for `NeighboursExhausted`, more slots for `PolygonOverflow`, and f64 for the
+//! rest; then they are put to the end of the list and launched again. What the device has seen to itself (the stages `lengthen`
+//! and `overflow`) is not among them. Invariant: a pass that returns has every pair of its facets done, on the device or in
+//! f64. Must not know: what each pair lacks.
 
 use std::collections::HashMap;
 use std::ops::Range;
@@ -185,8 +184,7 @@ impl GpuSession {
         Ok(done.then_some(state))
     }
 
-    /// Whether all pieces that cells entered are proved; if not, their facets are left to
-    /// propagation and the pass begins anew.
+    /// Whether all pieces that cells entered are proved; if not, their facets are left to propagation and the pass begins anew.
     fn verify(&mut self, state: State, stats: &mut PassStats, token: &Token) -> Result<bool> {
         self.ensure_memory()?;
         let unproved = self.clip.unproved(&self.memory, &self.neighbours, state, token)?;

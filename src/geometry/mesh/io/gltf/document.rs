@@ -248,28 +248,6 @@ enum At {
     Required,
 }
 
-#[derive(Clone, Copy, Debug, Deserialize)]
-#[serde(field_identifier, rename_all = "camelCase")]
-enum Key {
-    Scene,
-    Scenes,
-    Nodes,
-    Meshes,
-    Accessors,
-    BufferViews,
-    Buffers,
-    ExtensionsRequired,
-    Children,
-    Mesh,
-    Matrix,
-    Translation,
-    Rotation,
-    Scale,
-    Primitives,
-    #[serde(other)]
-    Other,
-}
-
 struct Part<'d, 'a> {
     document: &'d mut Document<'a>,
     at: At,
@@ -299,26 +277,26 @@ impl<'a> Visitor<'a> for Part<'_, 'a> {
     fn visit_map<A: MapAccess<'a>>(self, mut map: A) -> Result<(), A::Error> {
         let Self { document, at } = self;
         let mut node = Placed::default();
-        while let Some(key) = map.next_key::<Key>()? {
-            let list = match (at, key) {
-                (At::Root, Key::Scenes) => At::Scenes,
-                (At::Root, Key::Nodes) => At::Nodes,
-                (At::Root, Key::Meshes) => At::Meshes,
-                (At::Root, Key::Accessors) => At::Accessors,
-                (At::Root, Key::BufferViews) => At::Views,
-                (At::Root, Key::Buffers) => At::Buffers,
-                (At::Root, Key::ExtensionsRequired) => At::Required,
-                (At::Scene, Key::Nodes) => At::SceneNodes,
-                (At::Node, Key::Children) => At::Children,
-                (At::Mesh, Key::Primitives) => At::Primitives,
+        while let Some(Text(key)) = map.next_key()? {
+            let list = match (at, &*key) {
+                (At::Root, "scenes") => At::Scenes,
+                (At::Root, "nodes") => At::Nodes,
+                (At::Root, "meshes") => At::Meshes,
+                (At::Root, "accessors") => At::Accessors,
+                (At::Root, "bufferViews") => At::Views,
+                (At::Root, "buffers") => At::Buffers,
+                (At::Root, "extensionsRequired") => At::Required,
+                (At::Scene, "nodes") => At::SceneNodes,
+                (At::Node, "children") => At::Children,
+                (At::Mesh, "primitives") => At::Primitives,
                 _ => {
-                    match (at, key) {
-                        (At::Root, Key::Scene) => document.scene = map.next_value()?,
-                        (At::Node, Key::Mesh) => node.mesh = map.next_value()?,
-                        (At::Node, Key::Matrix) => node.matrix = map.next_value()?,
-                        (At::Node, Key::Translation) => node.translation = map.next_value()?,
-                        (At::Node, Key::Rotation) => node.rotation = map.next_value()?,
-                        (At::Node, Key::Scale) => node.scale = map.next_value()?,
+                    match (at, &*key) {
+                        (At::Root, "scene") => document.scene = map.next_value()?,
+                        (At::Node, "mesh") => node.mesh = map.next_value()?,
+                        (At::Node, "matrix") => node.matrix = map.next_value()?,
+                        (At::Node, "translation") => node.translation = map.next_value()?,
+                        (At::Node, "rotation") => node.rotation = map.next_value()?,
+                        (At::Node, "scale") => node.scale = map.next_value()?,
                         _ => drop(map.next_value::<IgnoredAny>()?),
                     }
                     continue;
@@ -362,10 +340,8 @@ impl<'a> Visitor<'a> for Part<'_, 'a> {
                     Ok(())
                 }),
             };
-            match pushed {
-                Some(pushed) => pushed.map_err(A::Error::custom)?,
-                None => return Ok(()),
-            }
+            let Some(pushed) = pushed else { return Ok(()) };
+            pushed.map_err(A::Error::custom)?;
         }
     }
 }

@@ -2,9 +2,8 @@
 //! count from 1.
 //!
 //! Purpose: reads a file of such statements in place, in pieces on all threads. The crate needs a cleaned copy of it, a string
-//! for each line, a list for each face and a hash map of the vertices, and takes twice as long on one thread.
-//! Invariant: gives what [`super::dialects`] gives, to the bit, or nothing; what is wrong with a file is said there. Must not
-//! know: messages.
+//! for each line, a list for each face and a hash map of the vertices, and takes twice as long on one thread. Invariant: gives
+//! what [`super::dialects`] gives, to the bit, or nothing; what is wrong with a file is said there. Must not know: messages.
 
 use glam::{DVec2, DVec3};
 use rayon::prelude::*;

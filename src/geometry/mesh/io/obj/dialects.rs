@@ -10,7 +10,8 @@ use glam::{DVec2, DVec3};
 use tobj::LoadOptions;
 
 use super::super::held::Raw;
-use super::super::{DataError, Soup};
+pub(super) use super::super::numbers::parse as number;
+use super::super::{DataError, Soup, syntax};
 use super::{COLOURS, Corner, NONE, NORMALS, Statements, TEXTURE, WHITE};
 use crate::mesh::MeshError;
 
@@ -140,8 +141,7 @@ impl Reader {
             let position = parts.next().unwrap_or_default();
             if position.is_empty() {
                 // `//3`: the crate would not see the corner, and take a smaller face or none.
-                let message = format!("\"{}\" names no vertex", shown(word));
-                return Err(DataError::Syntax { line, message });
+                return Err(syntax(line, format!("\"{}\" names no vertex", shown(word))));
             }
             self.text.push(b' ');
             self.text.extend_from_slice(position);
@@ -162,8 +162,7 @@ impl Reader {
         self.text.push(b'\n');
         count += corners.len();
         if count < 3 {
-            let message = format!("a face needs at least 3 corners and has {count}");
-            return Err(DataError::Syntax { line, message });
+            return Err(syntax(line, format!("a face needs at least 3 corners and has {count}")));
         }
         self.found.push_face(corners);
         Ok(())
@@ -206,12 +205,10 @@ fn locate(bytes: &[u8]) -> Option<DataError> {
                 let values: Vec<Option<f64>> = words.map(number).take(8).collect();
                 let divisor = if values.len() == 4 { values[3] } else { Some(1.0) };
                 let (Some([Some(x), Some(y), Some(z)]), Some(w)) = (values.first_chunk(), divisor) else {
-                    let message = "\"v\" needs three numbers, x y z".to_owned();
-                    return Some(DataError::Syntax { line, message });
+                    return Some(syntax(line, "\"v\" needs three numbers, x y z"));
                 };
                 if w == 0.0 {
-                    let message = "the fourth coordinate is 0, a point at infinity".to_owned();
-                    return Some(DataError::Syntax { line, message });
+                    return Some(syntax(line, "the fourth coordinate is 0, a point at infinity"));
                 }
                 let p = DVec3::new(*x, *y, *z) / w;
                 if !p.is_finite() {
@@ -221,9 +218,8 @@ fn locate(bytes: &[u8]) -> Option<DataError> {
             }
             Some(b"f") => {
                 for word in words {
-                    let Some(index) = number::<i64>(position_index(word)) else {
-                        let message = format!("\"{}\" is no vertex number", shown(word));
-                        return Some(DataError::Syntax { line, message });
+                    let Some(index) = word.split(|&b| b == b'/').next().and_then(number::<i64>) else {
+                        return Some(syntax(line, format!("\"{}\" is no vertex number", shown(word))));
                     };
                     let from_start =
                         if index < 0 { i64::try_from(vertices).ok()?.wrapping_add(index) } else { index - 1 };
@@ -235,23 +231,13 @@ fn locate(bytes: &[u8]) -> Option<DataError> {
     }
     // Faces may come before their vertices, so only now is their number known.
     let bad = faces.into_iter().find(|&(_, _, i)| usize::try_from(i).map_or(true, |i| i >= vertices));
-    bad.map(|(line, index, _)| {
-        let message = format!("vertex {index} is named, but there are {vertices} (1 to {vertices})");
-        DataError::Syntax { line, message }
-    })
-}
-
-pub(super) fn number<T: std::str::FromStr>(word: &[u8]) -> Option<T> {
-    std::str::from_utf8(word).ok()?.parse().ok()
+    let named = |index| format!("vertex {index} is named, but there are {vertices} (1 to {vertices})");
+    bad.map(|(line, index, _)| syntax(line, named(index)))
 }
 
 /// The beginning of a word, for a message: a file may hold one of any length.
 fn shown(word: &[u8]) -> String {
     String::from_utf8_lossy(&word[..word.len().min(160)]).chars().take(40).collect()
-}
-
-fn position_index(word: &[u8]) -> &[u8] {
-    &word[..word.iter().position(|&b| b == b'/').unwrap_or(word.len())]
 }
 
 /// Statements with the number of their first line. A backslash at a line's end continues it.

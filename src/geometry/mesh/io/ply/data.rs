@@ -1,11 +1,10 @@
 //! PLY data.
 //!
-//! Purpose: [`read`] takes positions, corners and what is carried in the order that the header declares. Binary little-endian data
-//! whose elements all have one size each, as nearly all files have (vertices of numbers, faces of three corners), are read in
-//! place by [`Layout`], all records at once and on all threads; all others number by number ([`Rows`]). [`counts`] passes over the
-//! data and reads the lengths of lists alone.
-//! Invariant: takes no more steps than there are bytes, whatever is declared. Both ways give the same; what is wrong with a file is
-//! said by [`Rows`]. Must not know: what attributes mean.
+//! Purpose: [`read`] takes positions, corners and what is carried in the order that the header declares. Binary little-endian
+//! data whose elements all have one size each, as nearly all files have (vertices of numbers, faces of three corners), are read
+//! in place by [`Layout`], all records at once and on all threads; all others number by number ([`Rows`]). [`counts`] passes
+//! over the data and reads the lengths of lists alone. Invariant: takes no more steps than there are bytes, whatever is
+//! declared. Both ways give the same; what is wrong with a file is said by [`Rows`]. Must not know: what attributes mean.
 
 use glam::DVec3;
 use rayon::prelude::*;

@@ -247,15 +247,14 @@ impl Reader<'_> {
                     let (name, tuples) = (self.name()?, self.count("a size")?);
                     self.cursor.end_line();
                     let kind = self.byte_or_fraction();
-                    self.array(Header { name, role: Role::None, components: 4, tuples, kind, keep: false })?;
+                    self.array(name, Role::None, (4, tuples), kind, false)?;
                 }
                 _ => {
-                    let Some(header) = self.header(&keyword, tuples, keep)? else {
+                    if !self.attribute(&keyword, tuples, keep)? {
                         let text = format!("\"{}\" in line {} is not known", shown(&keyword), self.cursor.line);
                         self.left.unreadable("data of points", text);
                         return Ok(());
-                    };
-                    self.array(header)?;
+                    }
                 }
             }
             let Some(word) = self.cursor.word() else { return Ok(()) };
@@ -263,8 +262,8 @@ impl Reader<'_> {
         }
     }
 
-    /// The attributes of an array of points or cells, after its keyword; nothing if that is unknown.
-    fn header(&mut self, keyword: &[u8], tuples: usize, keep: bool) -> Result<Option<Header>, DataError> {
+    /// Reads an array of points or cells after its keyword. Whether that is known.
+    fn attribute(&mut self, keyword: &[u8], tuples: usize, keep: bool) -> Result<bool, DataError> {
         let (role, mut components) = match keyword {
             b"SCALARS" => (Role::Any, 1),
             b"COLOR_SCALARS" => (Role::Colours, 0),
@@ -274,7 +273,7 @@ impl Reader<'_> {
             b"TENSORS" => (Role::Any, 9),
             b"TENSORS6" => (Role::Any, 6),
             b"GLOBAL_IDS" | b"PEDIGREE_IDS" => (Role::None, 1),
-            _ => return Ok(None),
+            _ => return Ok(false),
         };
         let name = self.name()?;
         if components == 0 {
@@ -289,7 +288,7 @@ impl Reader<'_> {
                 self.cursor.end_line();
             }
         }
-        Ok(Some(Header { name, role, components, tuples, kind, keep }))
+        self.array(name, role, (components, tuples), kind, keep).map(|()| true)
     }
 
     fn name(&mut self) -> Result<String, DataError> {
@@ -314,13 +313,19 @@ impl Reader<'_> {
             let (components, tuples) = (self.count("a number of components")?, self.count("a number of points")?);
             let kind = self.kind()?;
             self.cursor.end_line();
-            self.array(Header { name, role: Role::Any, components, tuples, kind, keep })?;
+            self.array(name, Role::Any, (components, tuples), kind, keep)?;
         }
         Ok(())
     }
 
-    fn array(&mut self, header: Header) -> Result<(), DataError> {
-        let Header { name, role, components, tuples, kind, keep } = header;
+    fn array(
+        &mut self,
+        name: String,
+        role: Role,
+        (components, tuples): (usize, usize),
+        kind: Type,
+        keep: bool,
+    ) -> Result<(), DataError> {
         let total = components.saturating_mul(tuples);
         let what = || format!("the array {:?}", shown(name.as_bytes()));
         let is_text = self.cursor.encoding == Encoding::Text;
@@ -352,15 +357,6 @@ impl Reader<'_> {
         let most = (1u64 << (8 * bytes - 2)) - 1;
         self.cursor.take(usize::try_from(length & most).ok()?).map(|_| ())
     }
-}
-
-struct Header {
-    name: String,
-    role: Role,
-    components: usize,
-    tuples: usize,
-    kind: Type,
-    keep: bool,
 }
 
 fn encode(mesh: &TriMesh, held: &Held<'_>) -> Result<Vec<u8>, DataError> {

@@ -203,10 +203,7 @@ impl<'a> File<'a> {
                         }
                         b"DataArray" => {
                             let found = data_array(tag, line)?;
-                            match empty {
-                                true => file.put(&section, found)?,
-                                false => array = Some((found, section.len())),
-                            }
+                            if empty { file.put(&section, found)? } else { array = Some((found, section.len())) }
                         }
                         b"AppendedData" if !empty => {
                             file.append(tag, &bytes[at..])?;
