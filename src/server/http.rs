@@ -288,8 +288,5 @@ fn routes(desk: Desk) -> Router {
         let guarded = from_fn_with_state(Guard { desk: desk.clone(), route: *route }, guard);
         router = router.route(route.path, (route.handler)().route_layer(guarded));
     }
-    for (path, handler) in state::OPEN {
-        router = router.route(path, handler());
-    }
-    router.fallback(unknown).method_not_allowed_fallback(unknown).with_state(desk)
+    state::open(router).fallback(unknown).method_not_allowed_fallback(unknown).with_state(desk)
 }

@@ -204,7 +204,7 @@ pub(super) const ACUTE_LIMIT: f64 = 0.3;
 /// Largest share of the seeds for curves if there are creases. Boundaries alone may take all, as of a very narrow strip.
 pub(super) const LARGEST_SHARE: f64 = 0.6;
 /// Curves that need more seeds than this multiple of all seeds plus [`SPARE_SEEDS`] are dropped before any seed is placed, as
-/// those of a strip as narrow as a hair. With less, all curves go where most are close to each other and some are not.
+/// those of a strip as narrow as a hair. With less, a noisy surface with few points loses creases that there is room for.
 pub(super) const MOST_SEEDS: usize = 16;
 pub(super) const SPARE_SEEDS: usize = 1000;
 /// Distance of other seeds from a curve's seeds, share of their spacing: about where the cells of the curve end. A larger

@@ -3,19 +3,21 @@
 //! Invariant: `/healthz` and `/readyz` need no key, take no place of other requests, and are answered while the server drains.
 //! Must not know: how faults are found.
 
+use axum::Router;
 use axum::extract::{Request, State};
 use axum::http::StatusCode;
 use axum::http::header::{CACHE_CONTROL, CONTENT_TYPE};
 use axum::response::{IntoResponse, Response};
-use axum::routing::{MethodRouter, get};
+use axum::routing::get;
 
 use super::problem::Problem;
 use super::schema::JSON;
 use crate::service::{Desk, RequestError};
 
-/// Paths without a guard, and their handlers.
-pub(super) const OPEN: [(&str, fn() -> MethodRouter<Desk>); 2] =
-    [("/healthz", || get(healthz)), ("/readyz", || get(readyz))];
+/// Adds the paths without a guard.
+pub(super) fn open(router: Router<Desk>) -> Router<Desk> {
+    router.route("/healthz", get(healthz)).route("/readyz", get(readyz))
+}
 
 fn checked(desk: &Desk, request: &Request, answer: impl FnOnce() -> Response) -> Response {
     match desk.access.check_host(request) {

@@ -141,7 +141,7 @@ fn layout(bytes: &[u8], declared: usize) -> Layout {
     // Without declared facets any finite coordinates will do.
     let bound = if declared == 0 { f32::MAX } else { 1000.0 * most };
     let are_facets = || rest.iter().all(|record| corners(record).as_flattened().iter().all(|x| x.abs() <= bound));
-    Layout::Plain(if body % RECORD == 0 && are_facets() { held } else { declared })
+    Layout::Plain(if body.is_multiple_of(RECORD) && are_facets() { held } else { declared })
 }
 
 /// The records of a file whose records are followed by further bytes.
