@@ -367,10 +367,8 @@ impl Done {
             let text = format!("{} went away: {lost} calls lost their connection, and none was done", server.url);
             return Err(Unavailable(text).into());
         }
-        match crossed.is_empty() {
-            true => Ok(()),
-            false => Err(Crossed(format!("thresholds were crossed: {}", crossed.join("; "))).into()),
-        }
+        let wrong = || Crossed(format!("thresholds were crossed: {}", crossed.join("; "))).into();
+        crossed.is_empty().then_some(()).ok_or_else(wrong)
     }
 
     fn figure(&self, name: &str) -> Option<f64> {

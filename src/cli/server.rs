@@ -42,10 +42,10 @@ impl FromStr for Tenant {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
-        match (1..=128).contains(&text.len()) && text.bytes().all(|b| b.is_ascii_graphic()) {
-            true => Ok(Self(text.to_owned())),
-            false => Err("a tenant has 1 to 128 printable ASCII characters without spaces".to_owned()),
-        }
+        let named = (1..=128).contains(&text.len()) && text.bytes().all(|b| b.is_ascii_graphic());
+        named
+            .then(|| Self(text.to_owned()))
+            .ok_or("a tenant has 1 to 128 printable ASCII characters without spaces".into())
     }
 }
 

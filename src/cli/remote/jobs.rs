@@ -156,10 +156,8 @@ impl Session<'_> {
         };
         self.watch(id, 0, &mut show).await?;
         let ask = async |link: &Link<'_>| get(link, GetJobRequest { id: id.to_owned() }, id).await;
-        match self.repeat(ask).await? {
-            job if has_ended(&job) => Ok(job),
-            _ => Err(wrong("its events say that the job has ended, but it has not")),
-        }
+        let job = self.repeat(ask).await?;
+        if has_ended(&job) { Ok(job) } else { Err(wrong("its events say that the job has ended, but it has not")) }
     }
 }
 

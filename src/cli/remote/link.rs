@@ -273,10 +273,7 @@ pub(super) fn tls_settings(trust: &Trust, limit: Duration) -> ClientTlsConfig {
         Some(pem) => settings.ca_certificate(Certificate::from_pem(pem)),
         None => settings.with_native_roots(),
     };
-    match &trust.identity {
-        Some((cert, key)) => settings.identity(Identity::from_pem(cert, key)),
-        None => settings,
-    }
+    trust.identity.iter().fold(settings, |all, (cert, key)| all.identity(Identity::from_pem(cert, key)))
 }
 
 /// What a failure of the connection to `url` means, if TLS has to do with it.

@@ -134,10 +134,9 @@ impl Again {
 
 /// Anything but these two is not serving.
 fn state(status: i32) -> ServingStatus {
-    match ServingStatus::try_from(status) {
-        Ok(known @ (ServingStatus::Serving | ServingStatus::ServiceUnknown)) => known,
-        _ => ServingStatus::NotServing,
-    }
+    let known =
+        [ServingStatus::Serving, ServingStatus::ServiceUnknown].into_iter().find(|&known| known as i32 == status);
+    known.unwrap_or(ServingStatus::NotServing)
 }
 
 /// Waits for `work` no longer than `limit`.
