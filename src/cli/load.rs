@@ -288,7 +288,7 @@ impl LoadArgs {
         }
         for door in doors.usual.iter().take(self.tenants as usize) {
             for surface in caller.surfaces.iter() {
-                let stored = put(&caller.tally, door, &surface.digest, surface.file.clone(), self.timeout_s).await;
+                let stored = put(&caller.tally, door, surface, self.timeout_s).await;
                 let is_new = stored.map_err(|status| {
                     let said = super::say::plain(status.message());
                     Unavailable(format!("the surfaces cannot be uploaded; the server says: {said}"))

@@ -156,12 +156,9 @@ impl Told<'_> {
                 Some("boundary") => "narrower than an edge, at a boundary; more points keep it, or close the hole",
                 _ => "thinner than an edge; more points keep it",
             };
-            lines.push(format!(
-                "            at {}: {:.3} % of the area, {:.2} % of the diagonal away: {why}",
-                place.join(" "),
-                number("area_percent"),
-                number("distance_percent")
-            ));
+            let (at, area, away) = (place.join(" "), number("area_percent"), number("distance_percent"));
+            lines
+                .push(format!("            at {at}: {area:.3} % of the area, {away:.2} % of the diagonal away: {why}"));
         }
     }
 

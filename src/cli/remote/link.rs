@@ -94,7 +94,7 @@ impl Interceptor for Caller {
 pub(crate) type Door = InterceptedService<Channel, Caller>;
 
 pub(super) struct Link<'a> {
-    url: &'a ServerUrl,
+    pub(super) url: &'a ServerUrl,
     patience: Patience,
     channel: Channel,
     caller: Caller,
@@ -159,17 +159,13 @@ impl<'a> Link<'a> {
         InterceptedService::new(self.channel.clone(), self.caller.clone())
     }
 
-    pub(super) fn url(&self) -> &'a ServerUrl {
-        self.url
-    }
-
     /// To be counted up with each message that leaves.
     pub(super) fn sent(&self) -> Sent {
         Arc::clone(&self.sent)
     }
 
     /// Waits for the head of what `call` answers.
-    pub(super) async fn answers<T>(
+    pub(super) async fn asks<T>(
         &'a self,
         call: impl Future<Output = Answered<Streaming<T>>>,
     ) -> Result<Answers<'a, T>> {
