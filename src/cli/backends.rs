@@ -77,12 +77,10 @@ pub(crate) fn run(args: &DoctorArgs) -> Result<()> {
     outln!("cores       {}", std::thread::available_parallelism().map_or(1, usize::from))?;
     for adapter in adapters() {
         outln!("adapter     {} ({}, {}, {})", adapter.name, adapter.kind, adapter.backend, adapter.driver)?;
+        let (buffer, binding) = (adapter.max_buffer_bytes >> 20, adapter.max_binding_bytes >> 20);
+        let (seen, groups) = (adapter.max_storage_buffers, adapter.max_workgroups);
         outln!(
-            "            buffers to {} MiB, bindings to {} MiB, {} storage buffers a stage, {} workgroups a dimension",
-            adapter.max_buffer_bytes >> 20,
-            adapter.max_binding_bytes >> 20,
-            adapter.max_storage_buffers,
-            adapter.max_workgroups
+            "            buffers to {buffer} MiB, bindings to {binding} MiB, {seen} storage buffers a stage, {groups} workgroups a dimension"
         )?;
         if let Some(reason) = &adapter.unusable {
             outln!("            cannot be used: {reason}")?;

@@ -87,10 +87,8 @@ pub(super) fn command() -> clap::Command {
 /// A variable that is set to nothing says nothing, as it does where a file of Compose passes on what is not set.
 fn without_empty(command: clap::Command) -> clap::Command {
     let is_empty = |name: &OsStr| std::env::var_os(name).is_some_and(|value| value.is_empty());
-    let command = command.mut_args(|arg| match arg.get_env().is_some_and(is_empty) {
-        true => arg.env(Resettable::Reset),
-        false => arg,
-    });
+    let reset = |arg: clap::Arg| if arg.get_env().is_some_and(is_empty) { arg.env(Resettable::Reset) } else { arg };
+    let command = command.mut_args(reset);
     command.mut_subcommands(without_empty)
 }
 
@@ -128,10 +126,7 @@ pub(super) fn parse(line: &[OsString]) -> Result<Given> {
 
 fn options(found: &ArgMatches) -> Option<&ArgMatches> {
     SERVER.iter().find_map(|path| {
-        path.iter().try_fold(found, |found, name| match found.subcommand() {
-            Some((subcommand, found)) if subcommand == *name => Some(found),
-            _ => None,
-        })
+        path.iter().try_fold(found, |found, name| Some(found.subcommand().filter(|(given, _)| given == name)?.1))
     })
 }
 

@@ -301,10 +301,8 @@ pub(crate) fn check_numbered(input: &Surface, option: &str) -> Result<()> {
     if input.is_standard() {
         return Err(Usage(format!("{option}: needs a file; the standard input can be read only once")).into());
     }
-    match FileVertices::are_numbered(input.format(INPUT_FORMAT)?) {
-        true => Ok(()),
-        false => Err(Usage(format!("{option}: {input}: {NO_NUMBERS}")).into()),
-    }
+    let numbered = FileVertices::are_numbered(input.format(INPUT_FORMAT)?);
+    if numbered { Ok(()) } else { Err(Usage(format!("{option}: {input}: {NO_NUMBERS}")).into()) }
 }
 
 /// Reads one number a line from `path`, for the vertices of the file `input`, which was read as `mesh`. Empty

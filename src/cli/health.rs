@@ -48,10 +48,8 @@ pub(crate) fn run(args: &HealthArgs) -> Result<()> {
     if let Some(address) = &args.admin {
         let told = runtime.block_on(ask(address, limit))?;
         say::try_line(format_args!("{}", if args.server.json { told.json() } else { told.to_string() }))?;
-        return match told.is_ready() {
-            true => Ok(()),
-            false => Err(Unavailable(format!("the server of {address} is {told}")).into()),
-        };
+        let wrong = || Unavailable(format!("the server of {address} is {told}")).into();
+        return told.is_ready().then_some(()).ok_or_else(wrong);
     }
     let server = args.server.at.server()?;
     let last = runtime.block_on(async {
@@ -108,14 +106,9 @@ impl Readiness {
 
 impl fmt::Display for Readiness {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self.is_ready() {
-            true => f.write_str("ready")?,
-            false => write!(f, "not ready: {}", self.names("reasons"))?,
-        }
-        match self.names("degraded").as_str() {
-            "" => Ok(()),
-            names => write!(f, "; degraded: {names}"),
-        }
+        let (reasons, degraded) = (self.names("reasons"), self.names("degraded"));
+        if self.is_ready() { f.write_str("ready") } else { write!(f, "not ready: {reasons}") }?;
+        if degraded.is_empty() { Ok(()) } else { write!(f, "; degraded: {degraded}") }
     }
 }
 

@@ -38,10 +38,8 @@ fn print(told: &GetServerInfoResponse) -> Result<()> {
     outln!("version     {} (revision {revision}; {})", told.version, told.features.join(", "))?;
     outln!("uptime      {:.0} s", seconds(told.uptime).unwrap_or(0.0))?;
     if let Some(readiness) = &told.readiness {
-        match readiness.ready {
-            true => outln!("ready       yes")?,
-            false => outln!("ready       no: {}", readiness.reasons.join(", "))?,
-        }
+        let ready = if readiness.ready { "yes".to_owned() } else { format!("no: {}", readiness.reasons.join(", ")) };
+        outln!("ready       {ready}")?;
         if !readiness.degraded.is_empty() {
             outln!("degraded    {}", readiness.degraded.join(", "))?;
         }
@@ -49,10 +47,8 @@ fn print(told: &GetServerInfoResponse) -> Result<()> {
     for BackendState { name, is_default, adapter, threads, unavailable } in &told.backends {
         let usual = if *is_default { ", the default" } else { "" };
         let adapter = if adapter.is_empty() { String::new() } else { format!("{adapter}, ") };
-        match unavailable.is_empty() {
-            true => outln!("{name:<12}{adapter}{threads} threads{usual}")?,
-            false => outln!("{name:<12}none: {unavailable}")?,
-        }
+        let usable = format!("{adapter}{threads} threads{usual}");
+        outln!("{name:<12}{}", if unavailable.is_empty() { usable } else { format!("none: {unavailable}") })?;
     }
     if let Some(device) = &told.device {
         let (most, binding) = (device.max_buffer_bytes >> 20, device.max_binding_bytes >> 20);

@@ -106,15 +106,11 @@ pub(crate) fn run(args: &KeysArgs) -> Result<()> {
                 let name = &key.name;
                 errln!("tessera: this is the key of {name}, shown this once; keep it where only its user can read it");
             }
+            Ok(())
         }
-        KeysCommand::List => {
-            return show(args, file.read().map_err(told)?.keys());
-        }
-        KeysCommand::Revoke { name } => {
-            return show(args, &file.change(|keys| keys.revoke(name)).map_err(told)?);
-        }
+        KeysCommand::List => show(args, file.read().map_err(told)?.keys()),
+        KeysCommand::Revoke { name } => show(args, &file.change(|keys| keys.revoke(name)).map_err(told)?),
     }
-    Ok(())
 }
 
 fn show(args: &KeysArgs, keys: &[Key]) -> Result<()> {

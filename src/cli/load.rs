@@ -288,7 +288,7 @@ impl LoadArgs {
         }
         for door in doors.usual.iter().take(self.tenants as usize) {
             for surface in caller.surfaces.iter() {
-                let stored = put(&caller.tally, door, &surface.digest, surface.file.clone(), self.timeout_s).await;
+                let stored = put(&caller.tally, door, surface, self.timeout_s).await;
                 let is_new = stored.map_err(|status| {
                     let said = super::say::plain(status.message());
                     Unavailable(format!("the surfaces cannot be uploaded; the server says: {said}"))
@@ -367,10 +367,8 @@ impl Done {
             let text = format!("{} went away: {lost} calls lost their connection, and none was done", server.url);
             return Err(Unavailable(text).into());
         }
-        match crossed.is_empty() {
-            true => Ok(()),
-            false => Err(Crossed(format!("thresholds were crossed: {}", crossed.join("; "))).into()),
-        }
+        let wrong = || Crossed(format!("thresholds were crossed: {}", crossed.join("; "))).into();
+        crossed.is_empty().then_some(()).ok_or_else(wrong)
     }
 
     fn figure(&self, name: &str) -> Option<f64> {

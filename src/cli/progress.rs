@@ -69,7 +69,6 @@ impl Progress {
         lock(&self.shared).stage(name, done, total);
     }
 
-    /// A counter of the `total` steps of a stage.
     pub(crate) fn counter(&self, name: &'static str, total: u64) -> impl FnMut() + Send + 'static {
         let shared = Arc::clone(&self.shared);
         let mut done = 0;

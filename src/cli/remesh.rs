@@ -233,13 +233,8 @@ fn told(args: &RemeshArgs, task: &Task, done: &Remeshed, progress: &Progress) ->
 fn summary(task: &Task, done: &Remeshed) -> String {
     let at = |pointer: &str| done.report.pointer(pointer).unwrap_or(&Value::Null);
     let count = |pointer: &str| at(pointer).as_u64().unwrap_or(0);
-    let mut line = format!(
-        "{} -> {}: {} vertices, {} facets",
-        task.input,
-        task.output,
-        count("/result/vertices"),
-        count("/result/facets")
-    );
+    let [vertices, facets] = ["/result/vertices", "/result/facets"].map(count);
+    let mut line = format!("{} -> {}: {vertices} vertices, {facets} facets", task.input, task.output);
     if let Some(angle) = at("/result/theta_min_deg").as_f64() {
         line += &format!(", angle min {angle:.2}°");
     }

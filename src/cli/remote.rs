@@ -93,7 +93,7 @@ pub(crate) fn remesh(
         let link = Link::open(server, patience).await?;
         let mut client = surfaces(link.channel());
         let requests = tokio_stream::iter(counted(requests, progress, link.sent()));
-        let mut answers = link.answers(client.remesh(requests)).await?;
+        let mut answers = link.asks(client.remesh(requests)).await?;
         let mut expected = Expected::of_remesh(mesh, options, &announced);
         let mut arrays = Arrays::default();
         loop {
@@ -167,7 +167,7 @@ pub(crate) fn rvd(
         let link = Link::open(server, patience).await?;
         let mut client = surfaces(link.channel());
         let requests = tokio_stream::iter(counted(requests, progress, link.sent()));
-        let mut answers = link.answers(client.compute_rvd(requests)).await?;
+        let mut answers = link.asks(client.compute_rvd(requests)).await?;
         let mut expected = Expected::of_rvd(count, wants.centroids);
         let mut pieces = Pieces::of(mesh.facets().len(), count);
         let mut arrays = Arrays::default();
@@ -214,13 +214,9 @@ fn block_on<R>(work: impl Future<Output = Result<R>>) -> Result<R> {
     })
 }
 
-fn counted<T: Send + 'static>(
-    messages: Vec<T>,
-    progress: &Progress,
-    sent: Sent,
-) -> impl Iterator<Item = T> + Send + 'static {
-    let mut told = progress.counter("upload", messages.len() as u64);
-    messages.into_iter().inspect(move |_| {
+fn counted<T: Send + 'static>(all: Vec<T>, bar: &Progress, sent: Sent) -> impl Iterator<Item = T> + Send + 'static {
+    let mut told = bar.counter("upload", all.len() as u64);
+    all.into_iter().inspect(move |_| {
         sent.fetch_add(1, Ordering::Relaxed);
         told();
     })

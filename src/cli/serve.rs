@@ -47,10 +47,7 @@ async fn stores(config: &ServeConfig) -> Result<Stores> {
         Some(url) => Stores::in_bucket(folder.clone(), url, room).await,
     };
     let stores = stores.map_err(|error| unusable(config, &error))?;
-    match &config.bucket {
-        None => tracing::info!(folder = %folder.display(), "jobs and blobs are kept"),
-        Some(bucket) => tracing::info!(folder = %folder.display(), bucket, "jobs and blobs are kept"),
-    }
+    tracing::info!(folder = %folder.display(), bucket = config.bucket.as_deref(), "jobs and blobs are kept");
     Ok(stores)
 }
 

@@ -42,10 +42,9 @@ impl FromStr for Tenant {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
-        match (1..=128).contains(&text.len()) && text.bytes().all(|b| b.is_ascii_graphic()) {
-            true => Ok(Self(text.to_owned())),
-            false => Err("a tenant has 1 to 128 printable ASCII characters without spaces".to_owned()),
-        }
+        let named = (1..=128).contains(&text.len()) && text.bytes().all(|b| b.is_ascii_graphic());
+        let wrong = "a tenant has 1 to 128 printable ASCII characters without spaces";
+        if named { Ok(Self(text.to_owned())) } else { Err(wrong.to_owned()) }
     }
 }
 
@@ -109,9 +108,8 @@ pub(crate) struct ServerArgs {
 /// Reads a key. What a file holds that is none is not repeated.
 pub(crate) fn key(file: Option<&Path>) -> Result<Option<Secret>> {
     let Some(path) = file else { return Ok(None) };
-    let text = std::fs::read(path).map_err(|cause| NoInput { path: path.to_owned(), cause })?;
-    let secret = std::str::from_utf8(&text).ok().and_then(|text| Secret::parse(text.trim()));
-    let Some(secret) = secret else {
+    let text = bytes(path)?;
+    let Some(secret) = std::str::from_utf8(&text).ok().and_then(|text| Secret::parse(text.trim())) else {
         let text = format!("{} holds no key; a key is one line, as `tessera keys add` prints it", path.display());
         return Err(Usage(text).into());
     };
@@ -274,12 +272,9 @@ impl FromStr for ServerUrl {
             ));
         }
         let uri: Uri = format!("{scheme}{place}").parse().map_err(|e| format!("{e}; an example is {EXAMPLE}"))?;
-        match (uri.host(), uri.port_u16()) {
-            (None | Some(""), _) | (Some(_), None | Some(0)) => {
-                Err(format!("the port is missing or no number from 1 to 65535; an example is {EXAMPLE}"))
-            }
-            (Some(_), Some(_)) => Ok(Self(format!("{scheme}{place}"))),
-        }
+        let whole = uri.host().is_some_and(|host| !host.is_empty()) && uri.port_u16().is_some_and(|port| port > 0);
+        let wrong = || format!("the port is missing or no number from 1 to 65535; an example is {EXAMPLE}");
+        whole.then(|| Self(format!("{scheme}{place}"))).ok_or_else(wrong)
     }
 }
 

@@ -36,8 +36,6 @@ pub(crate) fn run(args: &ShapeArgs) -> anyhow::Result<()> {
 }
 
 pub(crate) fn parse_facets(text: &str) -> Result<usize, String> {
-    match whole(text) {
-        Ok(facets) if (1..=MAX_FACETS).contains(&facets) => Ok(facets),
-        _ => Err(format!("a whole number from 1 to {MAX_FACETS} is needed, as 10000 or 1e4")),
-    }
+    let facets = whole(text).ok().filter(|facets| (1..=MAX_FACETS).contains(facets));
+    facets.ok_or_else(|| format!("a whole number from 1 to {MAX_FACETS} is needed, as 10000 or 1e4"))
 }

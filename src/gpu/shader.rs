@@ -162,10 +162,8 @@ impl Composer {
 
     fn value(&self, source: &Lines<'_>, at: usize, text: &str) -> Result<i64, ComposeError> {
         let mut parser = Expression { scope: &self.scope, rest: text.trim() };
-        match parser.comparison() {
-            Some(value) if parser.rest.is_empty() => Ok(value),
-            _ => source.error(at, format!("cannot evaluate `{}`", text.trim())),
-        }
+        let value = parser.comparison().filter(|_| parser.rest.is_empty());
+        value.map_or_else(|| source.error(at, format!("cannot evaluate `{}`", text.trim())), Ok)
     }
 }
 

@@ -173,17 +173,11 @@ impl Canvas {
         let (width, height) = samples(self.view.size());
         let view = &self.view;
         let placed: Vec<Triangle> = faces.par_iter().filter_map(|face| Triangle::place(face, view)).collect();
-        let mut of_band = vec![Vec::new(); height.div_ceil(BAND)];
-        for (i, triangle) in placed.iter().enumerate() {
-            let rows = triangle.rows(height);
-            if !rows.is_empty() {
-                of_band[rows.start / BAND..=(rows.end - 1) / BAND].iter_mut().for_each(|band| band.push(i as u32));
-            }
-        }
+        let of_band = raster::by_band(placed.iter().map(|triangle| triangle.rows(height)), height);
         let bands = self.depth.par_chunks_mut(BAND * width).zip(self.colour.par_chunks_mut(BAND * width));
         bands.zip(of_band).enumerate().for_each(|(band, ((depth, colour), here))| {
             let mut target = raster::Band { width, first_row: band * BAND, depth, colour };
-            here.into_iter().for_each(|i| placed[i as usize].fill(&mut target));
+            here.into_iter().for_each(|i| placed[i].fill(&mut target));
         });
     }
 

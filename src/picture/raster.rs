@@ -242,10 +242,8 @@ impl Stroke {
         for row in rows.start.max(first_row)..rows.end {
             let y = row as f32 + 0.5;
             // The part of the axis that is within reach of this row.
-            let [t0, t1] = match flat.y.abs() > 1e-3 {
-                true => [y - radius, y + radius].map(|edge| ((edge - self.from.y) / flat.y).clamp(0.0, 1.0)),
-                false => [0.0, 1.0],
-            };
+            let at = |edge: f32| ((edge - self.from.y) / flat.y).clamp(0.0, 1.0);
+            let [t0, t1] = if flat.y.abs() > 1e-3 { [y - radius, y + radius].map(at) } else { [0.0, 1.0] };
             let [x0, x1] = [t0, t1].map(|t| self.from.x + t * flat.x);
             for column in reach(x0.min(x1) - radius, x0.max(x1) + radius, field.width) {
                 let sample = Vec2::new(column as f32 + 0.5, y);
@@ -287,6 +285,15 @@ impl Field<'_> {
     }
 }
 
+/// Which of these lie in each band of rows.
+pub(super) fn by_band(rows: impl Iterator<Item = Range<usize>>, height: usize) -> Vec<Vec<usize>> {
+    let mut of_band = vec![Vec::new(); height.div_ceil(BAND)];
+    for (i, rows) in rows.enumerate().filter(|(_, rows)| !rows.is_empty()) {
+        of_band[rows.start / BAND..=(rows.end - 1) / BAND].iter_mut().for_each(|band| band.push(i));
+    }
+    of_band
+}
+
 /// Marks `all` strokes in the fourth byte of `colour`; `size` in samples.
 pub(super) fn draw_strokes(all: &[Stroke], pens: &Pens, size: (usize, usize), depth: &[f32], colour: &mut [[u8; 4]]) {
     let (width, height) = size;
@@ -296,13 +303,7 @@ pub(super) fn draw_strokes(all: &[Stroke], pens: &Pens, size: (usize, usize), de
         let half = 0.5 * SUPER as f64 * width;
         if half.is_finite() { half.clamp(0.0, 300.0) as f32 } else { 0.0 }
     };
-    let mut of_band = vec![Vec::new(); height.div_ceil(BAND)];
-    for (i, stroke) in all.iter().enumerate() {
-        let rows = stroke.rows(radius(stroke.ink), height);
-        if !rows.is_empty() {
-            of_band[rows.start / BAND..=(rows.end - 1) / BAND].iter_mut().for_each(|band| band.push(i));
-        }
-    }
+    let of_band = by_band(all.iter().map(|stroke| stroke.rows(radius(stroke.ink), height)), height);
     let field = Field { depth, width, height };
     colour.par_chunks_mut(BAND * width).zip(of_band).enumerate().for_each(|(band, (colour, here))| {
         for stroke in here.into_iter().map(|i| all[i]) {

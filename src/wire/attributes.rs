@@ -73,10 +73,8 @@ fn check_one(i: usize, header: &AttributeHeader, mesh: MeshCounts) -> Result<Att
     let path = |field: &str| format!("attributes[{i}].{field}");
     let unknown = |field: &str, value: i32| unknown_enum(path(field), value);
     let AttributeHeader { kind, name, r#type, values, by_corner } = header.clone();
-    let kind = match AttributeKind::try_from(kind) {
-        Ok(AttributeKind::Unspecified) | Err(_) => return Err(unknown("kind", kind)),
-        Ok(kind) => kind,
-    };
+    let known = AttributeKind::try_from(kind).ok().filter(|known| *known != AttributeKind::Unspecified);
+    let kind = known.ok_or_else(|| unknown("kind", kind))?;
     let number_bytes = match AttributeType::try_from(r#type) {
         Ok(AttributeType::F32) => 4,
         Ok(AttributeType::F64 | AttributeType::Unspecified) => 8,

@@ -314,10 +314,8 @@ fn positive(path: &str, given: Option<f64>) -> Read<()> {
 
 /// Checks that `least <= value <= most`.
 pub fn within(path: &str, value: u64, least: u64, most: u64) -> Read<()> {
-    match (least..=most).contains(&value) {
-        true => Ok(()),
-        false => Err(WireError::field(path, format!("is {value}; give {least} to {most}"))),
-    }
+    let wrong = || WireError::field(path, format!("is {value}; give {least} to {most}"));
+    (least..=most).contains(&value).then_some(()).ok_or_else(wrong)
 }
 
 /// The name of a source, as callers write it.

@@ -2,9 +2,10 @@
 //!
 //! Invariant: formats, checks and errors are those of the library. Must not know: what is done with a surface.
 
+use std::io::ErrorKind;
 use std::path::PathBuf;
 
-use pyo3::exceptions::PyOSError;
+use pyo3::exceptions::{PyFileNotFoundError, PyOSError, PyPermissionError};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use tessera::TriMesh;
@@ -19,7 +20,11 @@ use crate::remesh::carried;
 /// An error of the system, or of what a file holds.
 fn wrong(error: &FileError) -> PyErr {
     match error {
-        FileError::Io { .. } => PyOSError::new_err(error.to_string()),
+        FileError::Io { cause, .. } => match cause.kind() {
+            ErrorKind::NotFound => PyFileNotFoundError::new_err(error.to_string()),
+            ErrorKind::PermissionDenied => PyPermissionError::new_err(error.to_string()),
+            _ => PyOSError::new_err(error.to_string()),
+        },
         FileError::UnknownFormat { .. } | FileError::Data { .. } => input(error),
     }
 }

@@ -128,6 +128,8 @@ def test_a_misspelt_argument_is_refused(surface):
     with pytest.raises(TypeError, match="endpoint"):
         tessera_remesh.remesh(*surface, points=100, key="tsr_x")
     with pytest.raises(InputError, match="is no surface"):
+        tessera_remesh.remesh(42, points=100)
+    with pytest.raises(FileNotFoundError, match="bunny.obj"):
         tessera_remesh.remesh("bunny.obj", points=100)
 
 

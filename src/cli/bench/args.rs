@@ -156,7 +156,6 @@ pub(super) fn report(workers: &[Worker], cases: Vec<Value>) -> Value {
     report
 }
 
-/// The head of a table of such lines.
 pub(super) fn head() -> String {
     format!("{:<22}{:>10}{:>10}{:>10}{:>10}", "ms", "min", "median", "max", "mean")
 }

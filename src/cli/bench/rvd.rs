@@ -145,22 +145,13 @@ impl Case {
     }
 
     fn print(&self, args: &RvdBenchArgs, worker: &Worker) -> Result<()> {
-        outln!(
-            "{}: {} facets, {} points; {}; {} iterations after {}",
-            self.name,
-            self.surface.facets().len(),
-            self.points,
-            worker.describe(),
-            args.run.iterations,
-            args.run.relax
-        )?;
+        let (Self { name, points, .. }, RunArgs { iterations, relax, .. }) = (self, &args.run);
+        let (facets, by) = (self.surface.facets().len(), worker.describe());
+        outln!("{name}: {facets} facets, {points} points; {by}; {iterations} iterations after {relax}")?;
         let total = self.total();
-        outln!(
-            "{:.1} pairs an iteration, {} relaunched and {} finished in f64 in all",
-            total.pairs as f64 / self.steps.len() as f64,
-            total.relaunched(),
-            total.f64_finished
-        )?;
+        let pairs = total.pairs as f64 / self.steps.len() as f64;
+        let (again, ended) = (total.relaunched(), total.f64_finished);
+        outln!("{pairs:.1} pairs an iteration, {again} relaunched and {ended} finished in f64 in all")?;
         outln!("{}", head())?;
         for (name, spread) in &self.phases() {
             outln!("{}", spread.row(name))?;

@@ -255,10 +255,9 @@ impl Published {
             ))
         })?;
         let times = published.rows.iter().flat_map(PublishedRow::times).flatten();
-        match times.into_iter().find(|ms| !(ms.is_finite() && *ms > 0.0)) {
-            Some(ms) => Err(bad(format!("{ms} is no time; milliseconds are above 0")).into()),
-            None => Ok(published),
-        }
+        let wrong = times.into_iter().find(|ms| !(ms.is_finite() && *ms > 0.0));
+        let Some(ms) = wrong else { return Ok(published) };
+        Err(bad(format!("{ms} is no time; milliseconds are above 0")).into())
     }
 
     fn row(&self, mesh: &str) -> Option<&PublishedRow> {

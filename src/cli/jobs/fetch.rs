@@ -73,13 +73,9 @@ fn check(job: &Job) -> Result<()> {
     if let Some(why) = show::why(job) {
         return Err(NoResult(format!("job {id} {why}")).into());
     }
-    match has_ended(job) {
-        true => Ok(()),
-        false => {
-            let state = show::state(job.state);
-            Err(NoResult(format!("job {id} is {state}; wait for it with: tessera jobs wait {id}")).into())
-        }
-    }
+    let state = show::state(job.state);
+    let wrong = || NoResult(format!("job {id} is {state}; wait for it with: tessera jobs wait {id}")).into();
+    has_ended(job).then_some(()).ok_or_else(wrong)
 }
 
 /// What people mean by the result.
@@ -124,16 +120,11 @@ fn check_extension(job: &Job, name: &str, path: &Path) -> Result<()> {
 async fn write_report(session: &mut Session<'_>, digest: &str, path: &Path, progress: &Progress) -> Result<()> {
     let wrong = |text: &str| Unavailable(format!("the server's answer is wrong: {text}"));
     let mut bytes = Vec::new();
-    let mut keep = |piece: &[u8]| match bytes.len() + piece.len() > REPORT_BYTES {
-        true => Err(wrong("its report does not end").into()),
-        false => {
-            bytes.extend_from_slice(piece);
-            Ok(())
-        }
+    let mut keep = |piece: &[u8]| {
+        bytes.extend_from_slice(piece);
+        if bytes.len() > REPORT_BYTES { Err(wrong("its report does not end").into()) } else { Ok(()) }
     };
     session.download(digest, &mut keep, progress).await?;
-    match serde_json::from_slice::<serde_json::Value>(&bytes) {
-        Ok(report) if report.is_object() => files::write_json(path, &plain_json(report)),
-        _ => Err(wrong("its report is no report").into()),
-    }
+    let report = serde_json::from_slice(&bytes).ok().filter(serde_json::Value::is_object);
+    files::write_json(path, &plain_json(report.ok_or_else(|| wrong("its report is no report"))?))
 }

@@ -224,10 +224,8 @@ impl Iterator for Arrivals {
         self.expected -= (1.0 - unit(&mut self.rng)).ln();
         let (rate, ramp) = (self.rate, self.ramp_s);
         let in_ramp = rate * ramp / 2.0;
-        let at = match self.expected < in_ramp {
-            true => (2.0 * self.expected * ramp / rate).sqrt(),
-            false => self.expected / rate + ramp / 2.0,
-        };
+        let all = self.expected;
+        let at = if all < in_ramp { (2.0 * all * ramp / rate).sqrt() } else { all / rate + ramp / 2.0 };
         Duration::try_from_secs_f64(at).ok()
     }
 }

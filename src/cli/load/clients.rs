@@ -59,17 +59,11 @@ pub(super) struct Ran {
 /// Makes the calls; with `keep`, leaves their jobs and blobs at the server.
 pub(super) async fn run(caller: Arc<Caller>, doors: Doors, args: Arc<LoadArgs>, view: View) -> Ran {
     let stop = caller.stop.clone();
-    let (rubbish, cleaner) = match args.keep {
-        true => (None, None),
-        false => {
-            let (sender, receiver) = mpsc::channel(1024);
-            (Some(sender), Some(tokio::spawn(clean(Arc::clone(&caller), receiver))))
-        }
-    };
-    let sweeps: Vec<Door> = match !args.keep && args.mix.parts().any(|(kind, _)| kind.is_job()) {
-        true => doors.usual.clone(),
-        false => Vec::new(),
-    };
+    let (sender, receiver) = mpsc::channel(1024);
+    let cleaner = (!args.keep).then(|| tokio::spawn(clean(Arc::clone(&caller), receiver)));
+    let rubbish = cleaner.as_ref().map(|_| sender);
+    let swept = !args.keep && args.mix.parts().any(|(kind, _)| kind.is_job());
+    let sweeps = if swept { doors.usual.clone() } else { Vec::new() };
     let measure = Mutex::new(Measure::new(args.window()));
     let (open, start) = (AtomicU64::new(0), Instant::now());
     let run = Arc::new(Run { caller: Arc::clone(&caller), doors, args, measure, open, start, stop, rubbish });

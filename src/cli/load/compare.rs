@@ -219,10 +219,8 @@ pub(super) fn metrics_url(text: &str) -> Result<Uri, String> {
         return Err(wrong("begins with http://"));
     }
     let uri: Uri = text.parse().map_err(|_| wrong("needs a host"))?;
-    match uri.authority() {
-        Some(place) if !place.as_str().contains('@') => Ok(uri),
-        _ => Err(wrong("needs a host")),
-    }
+    let named = uri.authority().is_some_and(|place| !place.as_str().contains('@'));
+    if named { Ok(uri) } else { Err(wrong("needs a host")) }
 }
 
 pub(super) type Key = (String, String);
@@ -302,10 +300,7 @@ pub(super) async fn read(url: &Uri) -> Result<Samples> {
     const LIMIT: Duration = Duration::from_secs(10);
     const MOST_BYTES: usize = 16 << 20;
     let place = format!("{}:{}", url.host().unwrap_or_default(), url.port_u16().unwrap_or(80));
-    let path = match url.path_and_query().map(|path| path.as_str()) {
-        None | Some("/") => "/metrics",
-        Some(path) => path,
-    };
+    let path = url.path_and_query().map(|path| path.as_str()).filter(|path| *path != "/").unwrap_or("/metrics");
     let why = match get(&place, path, LIMIT, MOST_BYTES).await {
         Ok((StatusCode::OK, body)) => return Ok(Samples::of(&String::from_utf8_lossy(&body))),
         Ok((status, _)) => format!("it answers with status {}", status.as_u16()),

@@ -63,18 +63,13 @@ impl Done {
     fn rates(&self) -> Vec<String> {
         let (measure, amounts) = (&self.measure, &self.measure.amounts);
         let mib = |bytes: u64| measure.rate(bytes) / f64::from(1 << 20);
-        let mut lines = vec![format!(
-            "rate       {:.2} calls a second; {} facets and {} seeds a second",
-            measure.rate(amounts.done),
-            thousands(measure.rate(amounts.facets)),
-            thousands(measure.rate(amounts.seeds)),
-        )];
+        let [facets, seeds] = [amounts.facets, amounts.seeds].map(|count| thousands(measure.rate(count)));
+        let calls = measure.rate(amounts.done);
+        let rates = format!("rate       {calls:.2} calls a second; {facets} facets and {seeds} seeds a second");
+        let mut lines = vec![rates];
         if amounts.sent_bytes + amounts.came_bytes > 0 {
-            lines.push(format!(
-                "transfer   {:.2} MiB a second sent, {:.2} MiB received",
-                mib(amounts.sent_bytes),
-                mib(amounts.came_bytes)
-            ));
+            let (sent, came) = (mib(amounts.sent_bytes), mib(amounts.came_bytes));
+            lines.push(format!("transfer   {sent:.2} MiB a second sent, {came:.2} MiB received"));
         }
         lines
     }

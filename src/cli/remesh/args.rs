@@ -161,10 +161,8 @@ pub(crate) const DENSITIES: Words<DensitySource> = &[
 ];
 
 fn positive(text: &str) -> Result<f64, String> {
-    match text.parse::<f64>() {
-        Ok(number) if number.is_finite() && number > 0.0 => Ok(number),
-        _ => Err("a finite number above 0 is needed".to_owned()),
-    }
+    let number = text.parse().ok().filter(|number: &f64| number.is_finite() && *number > 0.0);
+    number.ok_or_else(|| "a finite number above 0 is needed".to_owned())
 }
 
 fn angle(text: &str) -> Result<f64, String> {

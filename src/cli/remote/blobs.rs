@@ -108,7 +108,7 @@ async fn go_on(link: &Link<'_>, source: &Source, kept: &mut u64, progress: &Prog
     let status = match link.first(blobs(link.channel()).query_write_status(request)).await? {
         Ok(answer) => answer.into_inner(),
         Err(status) if status.code() == Code::NotFound => QueryWriteStatusResponse::default(),
-        Err(status) => return Err(faults::of_call(link.url(), &status)),
+        Err(status) => return Err(faults::of_call(link.url, &status)),
     };
     if status.complete {
         return Ok(());
@@ -132,10 +132,10 @@ async fn go_on(link: &Link<'_>, source: &Source, kept: &mut u64, progress: &Prog
         Ok(WriteResponse { complete: true, .. }) => Err(wrong("it is about another blob").into()),
         Ok(_) => Err(wrong(format!("all {size_bytes} bytes were sent, but the blob is not complete")).into()),
         // Another upload of the same bytes went on, or the bytes of a cut one are not what they were.
-        Err(status) if status.code() == Code::OutOfRange => match faults::of_call(link.url(), &status) {
+        Err(status) if status.code() == Code::OutOfRange => match faults::of_call(link.url, &status) {
             Fault::Lost(error) | Fault::Final(error) => Err(Fault::Lost(error)),
         },
-        Err(status) => Err(faults::of_call(link.url(), &status)),
+        Err(status) => Err(faults::of_call(link.url, &status)),
     }
 }
 
@@ -197,7 +197,7 @@ async fn read_on(
                 let (came, size) = (blob.bytes(), blob.size().unwrap_or_default());
                 return Err(wrong(format!("it ended after {came} of {size} bytes of the blob")).into());
             }
-            Err(status) => return Err(faults::of_call(link.url(), &status)),
+            Err(status) => return Err(faults::of_call(link.url, &status)),
         }
     }
     Ok(())

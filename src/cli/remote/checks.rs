@@ -170,10 +170,9 @@ pub(super) fn remesh(mesh: &TriMesh, curve_edges: &[[u32; 2]], done: &RemeshDone
         let RemeshDone { vertices: v, facets: f, .. } = done;
         return Err(wrong(format!("{vertices} vertices and {facets} facets were sent, but it says {v} and {f}")));
     }
-    match curve_edges.iter().find(|[a, b]| a == b || u64::from(*a.max(b)) >= vertices) {
-        Some([a, b]) => Err(wrong(format!("there is no edge from vertex {a} to {b}; there are {vertices} vertices"))),
-        None => Ok(()),
-    }
+    let no_edge = curve_edges.iter().find(|[a, b]| a == b || u64::from(*a.max(b)) >= vertices);
+    let Some([a, b]) = no_edge else { return Ok(()) };
+    Err(wrong(format!("there is no edge from vertex {a} to {b}; there are {vertices} vertices")))
 }
 
 pub(super) fn report(value: serde_json::Value) -> Result<serde_json::Value> {

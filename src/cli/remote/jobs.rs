@@ -120,7 +120,6 @@ impl Session<'_> {
         Ok(())
     }
 
-    /// What a job would need.
     pub(crate) async fn estimate(&mut self, request: EstimateJobRequest) -> Result<EstimateJobResponse> {
         Ok(self.once(async |link| one(link, jobs(link.channel()).estimate_job(request)).await).await?)
     }
@@ -156,17 +155,15 @@ impl Session<'_> {
         };
         self.watch(id, 0, &mut show).await?;
         let ask = async |link: &Link<'_>| get(link, GetJobRequest { id: id.to_owned() }, id).await;
-        match self.repeat(ask).await? {
-            job if has_ended(&job) => Ok(job),
-            _ => Err(wrong("its events say that the job has ended, but it has not")),
-        }
+        let job = self.repeat(ask).await?;
+        if has_ended(&job) { Ok(job) } else { Err(wrong("its events say that the job has ended, but it has not")) }
     }
 }
 
 /// Waits for the answer of a call that only a job in the right state allows.
 async fn in_state<T>(link: &Link<'_>, call: impl Future<Output = Answered<T>>) -> Result<T, Fault> {
     let answer = link.first(call).await?;
-    answer.map(Response::into_inner).map_err(|status| faults::of_state(link.url(), &status))
+    answer.map(Response::into_inner).map_err(|status| faults::of_state(link.url, &status))
 }
 
 async fn get(link: &Link<'_>, request: GetJobRequest, id: &str) -> Result<Job, Fault> {
@@ -183,7 +180,7 @@ async fn watch_on(link: &Link<'_>, id: &str, after: &mut u64, sink: Events<'_>) 
         let event = match message {
             Ok(Some(message)) => message.event.ok_or_else(|| wrong("there is no event in it"))?,
             Ok(None) => return Ok(false),
-            Err(status) => return Err(faults::of_call(link.url(), &status)),
+            Err(status) => return Err(faults::of_call(link.url, &status)),
         };
         if event.number <= *after {
             return Err(wrong(format!("event {} comes after event {after}", event.number)).into());

@@ -94,7 +94,7 @@ impl Interceptor for Caller {
 pub(crate) type Door = InterceptedService<Channel, Caller>;
 
 pub(super) struct Link<'a> {
-    url: &'a ServerUrl,
+    pub(super) url: &'a ServerUrl,
     patience: Patience,
     channel: Channel,
     caller: Caller,
@@ -159,17 +159,13 @@ impl<'a> Link<'a> {
         InterceptedService::new(self.channel.clone(), self.caller.clone())
     }
 
-    pub(super) fn url(&self) -> &'a ServerUrl {
-        self.url
-    }
-
     /// To be counted up with each message that leaves.
     pub(super) fn sent(&self) -> Sent {
         Arc::clone(&self.sent)
     }
 
     /// Waits for the head of what `call` answers.
-    pub(super) async fn answers<T>(
+    pub(super) async fn asks<T>(
         &'a self,
         call: impl Future<Output = Answered<Streaming<T>>>,
     ) -> Result<Answers<'a, T>> {
@@ -273,10 +269,7 @@ pub(super) fn tls_settings(trust: &Trust, limit: Duration) -> ClientTlsConfig {
         Some(pem) => settings.ca_certificate(Certificate::from_pem(pem)),
         None => settings.with_native_roots(),
     };
-    match &trust.identity {
-        Some((cert, key)) => settings.identity(Identity::from_pem(cert, key)),
-        None => settings,
-    }
+    trust.identity.iter().fold(settings, |all, (cert, key)| all.identity(Identity::from_pem(cert, key)))
 }
 
 /// What a failure of the connection to `url` means, if TLS has to do with it.

@@ -42,12 +42,10 @@ pub(crate) fn session<R>(args: &ServerArgs, work: impl AsyncFnOnce(&mut Session<
 
 impl<'a> Session<'a> {
     pub(super) async fn once<T>(&mut self, ask: impl AsyncFnOnce(&Link<'a>) -> Result<T, Fault>) -> Result<T, Fault> {
+        let fault = if self.again.is_again() { Fault::Lost } else { Fault::Final };
         let link = match self.link.take() {
             Some(link) => link,
-            None => Link::open(self.server, self.patience).await.map_err(|error| match self.again.is_again() {
-                true => Fault::Lost(error),
-                false => Fault::Final(error),
-            })?,
+            None => Link::open(self.server, self.patience).await.map_err(fault)?,
         };
         let answer = ask(&link).await;
         if !matches!(answer, Err(Fault::Lost(_))) {
@@ -81,7 +79,7 @@ impl<'a> Session<'a> {
 /// Waits for the answer of a call that has only one.
 pub(super) async fn one<T>(link: &Link<'_>, call: impl Future<Output = Answered<T>>) -> Result<T, Fault> {
     let answer = link.first(call).await?;
-    answer.map(Response::into_inner).map_err(|status| faults::of_call(link.url(), &status))
+    answer.map(Response::into_inner).map_err(|status| faults::of_call(link.url, &status))
 }
 
 /// The first pause; each is twice the one before.
@@ -117,13 +115,9 @@ impl Again {
         let now = Instant::now();
         let end = *self.since.get_or_insert(now) + self.limit;
         if now >= end {
-            return match self.tries {
-                0 => Err(cause),
-                tries => {
-                    let seconds = self.limit.as_secs_f32();
-                    Err(cause.context(format!("gave up after {tries} more tries in {seconds:.0} s")))
-                }
-            };
+            let (tries, seconds) = (self.tries, self.limit.as_secs_f32());
+            let gave_up = format!("gave up after {tries} more tries in {seconds:.0} s");
+            return Err(if tries == 0 { cause } else { cause.context(gave_up) });
         }
         tokio::time::sleep_until(end.min(now + self.pause)).await;
         self.pause = LONGEST.min(2 * self.pause);
@@ -134,13 +128,11 @@ impl Again {
 
 /// Anything but these two is not serving.
 fn state(status: i32) -> ServingStatus {
-    match ServingStatus::try_from(status) {
-        Ok(known @ (ServingStatus::Serving | ServingStatus::ServiceUnknown)) => known,
-        _ => ServingStatus::NotServing,
-    }
+    let known =
+        [ServingStatus::Serving, ServingStatus::ServiceUnknown].into_iter().find(|&known| known as i32 == status);
+    known.unwrap_or(ServingStatus::NotServing)
 }
 
-/// Waits for `work` no longer than `limit`.
 async fn within<T>(server: &Server, limit: Duration, work: impl Future<Output = T>) -> Result<T> {
     tokio::time::timeout(limit, work).await.map_err(|_| {
         let (url, seconds) = (&server.url, limit.as_secs_f64());
@@ -160,7 +152,7 @@ pub(crate) async fn health(server: &Server, service: &str, limit: Duration) -> R
     match within(server, limit, client.check(HealthCheckRequest { service: service.to_owned() })).await? {
         Ok(answer) => Ok(state(answer.into_inner().status)),
         Err(status) if status.code() == Code::NotFound => Ok(ServingStatus::ServiceUnknown),
-        Err(status) => Err(faults::of_status(link.url(), &status)),
+        Err(status) => Err(faults::of_status(link.url, &status)),
     }
 }
 
@@ -174,13 +166,13 @@ pub(crate) async fn watch_health(
     let link = link(server, limit).await?;
     let mut client = HealthClient::new(link.channel());
     let watched = within(server, limit, client.watch(HealthCheckRequest { service: service.to_owned() })).await?;
-    let mut states = watched.map_err(|status| faults::of_status(link.url(), &status))?.into_inner();
+    let mut states = watched.map_err(|status| faults::of_status(link.url, &status))?.into_inner();
     loop {
         match states.message().await {
             Ok(Some(next)) if tell(state(next.status))? => {}
             Ok(Some(_)) => return Ok(()),
             Ok(None) => return Err(Unavailable(format!("{} ended the watch; is it shutting down?", server.url)).into()),
-            Err(status) => return Err(faults::of_status(link.url(), &status)),
+            Err(status) => return Err(faults::of_status(link.url, &status)),
         }
     }
 }
@@ -193,7 +185,7 @@ pub(crate) async fn info(server: &Server, limit: Duration) -> Result<GetServerIn
         Err(status) if status.code() == Code::Unimplemented => {
             Err(Usage(format!("{} does not tell about itself; it is an older server", server.url)).into())
         }
-        Err(status) => Err(faults::of_status(link.url(), &status)),
+        Err(status) => Err(faults::of_status(link.url, &status)),
     }
 }
 

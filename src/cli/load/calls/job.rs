@@ -16,6 +16,7 @@ use super::{Answers, Asked, At, End, Ends, Pace, Why, counted, unary};
 use crate::load::UploadArg;
 use crate::load::amounts::Kind;
 use crate::load::compare::Tally;
+use crate::load::meshes::Surface;
 use crate::remote::{Door, blobs, has_ended, jobs};
 use wire::pieces::{Incoming, PIECE_BYTES, piece};
 use wire::proto::{
@@ -187,21 +188,15 @@ async fn write(tally: &Tally, door: &Door, ends: &Ends, digest: &str, bytes: Byt
 }
 
 /// Uploads a file that many jobs use, unless it is there. Whether it was not.
-pub(in crate::load) async fn put(
-    tally: &Tally,
-    door: &Door,
-    digest: &str,
-    bytes: Bytes,
-    limit: Duration,
-) -> Result<bool, Status> {
+pub(in crate::load) async fn put(tally: &Tally, door: &Door, file: &Surface, limit: Duration) -> Result<bool, Status> {
     let ends = within(limit);
-    let request = FindMissingRequest { digests: vec![digest.to_owned()] };
+    let request = FindMissingRequest { digests: vec![file.digest.clone()] };
     let call = tally.begin("tessera.v1.BlobService/FindMissing");
     let missing = unary(call, &ends, blobs(door.clone()).find_missing(request)).await.map_err(status)?;
     if missing.digests.is_empty() {
         return Ok(false);
     }
-    write(tally, door, &ends, digest, bytes).await.map_err(status)?;
+    write(tally, door, &ends, &file.digest, file.file.clone()).await.map_err(status)?;
     Ok(true)
 }
 

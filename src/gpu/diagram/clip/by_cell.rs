@@ -114,14 +114,8 @@ impl Clip {
     }
 
     /// Facets with pieces that cells entered and that are not proved, after a pass that ended with `state`.
-    pub(crate) fn unproved(
-        &self,
-        memory: &Memory,
-        neighbours: &Neighbours,
-        state: State,
-        token: &Token,
-    ) -> Result<Vec<u32>> {
-        let params = Params { emit_count: state.length, ..self.params(memory, neighbours) };
+    pub(crate) fn unproved(&self, memory: &Memory, rows: &Neighbours, state: State, token: &Token) -> Result<Vec<u32>> {
+        let params = Params { emit_count: state.length, ..self.params(memory, rows) };
         let (device, there) = (&self.cx.device, memory.there()?);
         let buffers = &there.buffers;
         memory.write_params(params)?;

@@ -136,10 +136,8 @@ impl<'a> Document<'a> {
             true => DataError::Truncated("its JSON is not whole".to_owned()),
             false => syntax(error.line().max(1), plain(&error.to_string(), 200)),
         })?;
-        match document.packing {
-            Some(by) => Err(DataError::Header(format!("it is packed with {by}, which is not read; export it without"))),
-            None => Ok(document),
-        }
+        let Some(by) = document.packing else { return Ok(document) };
+        Err(DataError::Header(format!("it is packed with {by}, which is not read; export it without")))
     }
 
     pub(super) fn bytes(&self) -> usize {

@@ -219,10 +219,8 @@ impl<'a> Words<'a> {
     /// A number, or `None` at the end of the line or before a comment.
     #[expect(clippy::option_option, reason = "nothing at all is a word that is no number")]
     fn value(&mut self) -> Option<Option<f64>> {
-        match self.next().filter(|word| word[0] != b'#') {
-            Some(word) => super::dialects::number(word).map(Some),
-            None => Some(None),
-        }
+        let word = self.next().filter(|word| word[0] != b'#');
+        word.map_or(Some(None), |word| super::dialects::number(word).map(Some))
     }
 
     /// How many words are left in the line before a comment; nothing if a backslash is in one.
