@@ -275,12 +275,12 @@ impl Colours {
         if !light {
             return;
         }
-        let is_whole = |colour: &[f64; 4]| colour[..3].iter().all(|x| x.fract() == 0.0);
-        if self.values.iter().all(is_whole) {
-            self.depth = ColourDepth::Eight;
-        }
         for colour in &mut self.values {
             colour[..if opacity { 4 } else { 3 }].iter_mut().for_each(|x| *x /= 255.0);
+        }
+        let is_byte = |x: &f64| (0.0..=1.0).contains(x) && (255.0 * x).round() / 255.0 == *x;
+        if self.values.iter().flatten().all(is_byte) {
+            self.depth = ColourDepth::Eight;
         }
     }
 }
