@@ -15,6 +15,7 @@
 //! 10 for 4, the last with 64-bit atomics (a fifth of it). Must not know: iterations, jobs, files.
 
 mod clip;
+pub(crate) mod forecast;
 pub mod layout;
 mod memory;
 mod neighbours;

@@ -95,7 +95,7 @@ impl SessionForecast {
     /// Bytes that it takes on a device: those of the plan that allocates. 0 if this build has no GPU backend.
     pub fn device_bytes(&self) -> u64 {
         #[cfg(feature = "device")]
-        return diagram::plan::session_bytes(self);
+        return diagram::forecast::session_bytes(self);
         #[cfg(not(feature = "device"))]
         return 0;
     }
