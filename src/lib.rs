@@ -45,8 +45,8 @@
 //!
 //! # Crates
 //!
-//! This crate is the face of the house: it passes on what callers need, and has no code of its own. `src/` has a crate for each
-//! room. Cargo holds their order, and each crate's `lib.rs` says what it is for and what it must not know.
+//! This crate passes on what callers need, and has no code of its own. `src/` has the crates below. Cargo holds their order, and
+//! each crate's `lib.rs` says what it is for and what it must not know.
 //!
 //! | crate | what it is for | may use |
 //! | --- | --- | --- |
@@ -55,6 +55,7 @@
 //! | `picture` | pictures of surfaces, and plots | `geometry` |
 //! | `wire` | messages of the interface, and the library's types made of them | `geometry` |
 //! | `telemetry` | logs, traces, and which trace a piece of work belongs to | nothing here |
+//! | `transport` | connections of a server, TLS, limits | `telemetry` |
 //! | `jobs` | blobs, the store of jobs, the queue, the engine | `geometry`, `gpu`, `telemetry` |
 //! | `server` | gRPC, HTTP, the page, keys, metrics, configuration | all above but `picture` |
 //! | `cli` | commands, load tester, benchmarks | all above |

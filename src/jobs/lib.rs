@@ -10,7 +10,7 @@
 //! command line.
 
 #![warn(unreachable_pub)]
-// Fields, variants and errors that their names or messages explain; the callers are crates of this house.
+// Fields, variants and errors that their names or messages explain; the callers are crates of this workspace.
 #![allow(missing_docs)]
 
 pub mod admission;

@@ -15,7 +15,7 @@
 //! Must not know: how a diagram is computed, the command line.
 
 #![warn(unreachable_pub)]
-// Fields and variants that their names explain; the callers are crates of this house.
+// Fields and variants that their names explain; the callers are crates of this workspace.
 #![allow(missing_docs)]
 
 pub mod admin;

@@ -8,7 +8,7 @@
 //! the message. Must not know: handlers, streams, queues, status codes, the server's half of the transport, the command line.
 
 #![warn(unreachable_pub)]
-// Fields and variants that their names explain; the callers are crates of this house.
+// Fields and variants that their names explain; the callers are crates of this workspace.
 #![allow(missing_docs)]
 pub mod assemble;
 pub mod attributes;
