@@ -3,14 +3,14 @@
 //! Purpose: [`BlobStore`] keeps blobs between requests. [`ObjectBlobs`] implements it on a folder, in memory, or on any
 //! store that speaks S3. Invariant: a blob is visible only when all of its bytes are stored and their digest is right. The
 //! bytes of blobs and uploads together stay within the quota. A pinned blob is never evicted. A refused call leaves no byte
-//! behind. Bytes are stored once, and visible only to the tenants that uploaded them or got them as a result. [`books`]
+//! behind. Bytes are stored once, and visible only to the tenants that uploaded them or got them as a result. [`index`]
 //! says what may be stored and removed; the rest of the room moves bytes. Must not know: what the bytes mean, jobs, or the
 //! wire.
 
-pub mod books;
 mod chunk;
 mod digest;
 mod error;
+pub mod index;
 mod objects;
 mod owners;
 mod reader;

@@ -89,7 +89,7 @@ impl Stores {
     /// In a folder, which is made if need be. Errors: `InUse` if another process has it, or why it cannot be used.
     pub async fn in_folder(folder: PathBuf, blobs: BlobOptions) -> Result<Self, JobApiError> {
         let jobs = journal(folder.clone()).await?;
-        let blobs = ObjectBlobs::local_with(jobs.books(), folder.join("blobs"), blobs).await?;
+        let blobs = ObjectBlobs::local_with(jobs.index(), folder.join("blobs"), blobs).await?;
         Ok(Self { jobs, blobs: Arc::new(blobs) })
     }
 
@@ -100,7 +100,7 @@ impl Stores {
         #[cfg(feature = "s3")]
         {
             let jobs = journal(folder).await?;
-            let blobs = ObjectBlobs::s3(jobs.books(), url, [], blobs).await?;
+            let blobs = ObjectBlobs::s3(jobs.index(), url, [], blobs).await?;
             Ok(Self { jobs, blobs: Arc::new(blobs) })
         }
         #[cfg(not(feature = "s3"))]
@@ -113,7 +113,7 @@ impl Stores {
     /// In memory, gone with the process.
     pub fn ephemeral(blobs: BlobOptions) -> Self {
         let jobs = MemoryStore::default();
-        let blobs = ObjectBlobs::in_memory_with(jobs.books(), blobs);
+        let blobs = ObjectBlobs::in_memory_with(jobs.index(), blobs);
         Self { jobs: Arc::new(jobs), blobs: Arc::new(blobs) }
     }
 }

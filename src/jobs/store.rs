@@ -4,7 +4,7 @@
 //! Invariant: an answer that is not an error says what is kept: in a journal it is on the disk. An operation that gets an error
 //! has changed nothing, except [`StoreError::Broken`] and [`StoreError::Closed`], after which it is unknown until the store
 //! is opened again. A state changes only from the version that its changer has seen. Nothing here needs the caller to be
-//! the only process. Only the store's own clock decides on times, leases and deadlines. The store has the books of blobs
+//! the only process. Only the store's own clock decides on times, leases and deadlines. The store has the index of blobs
 //! too: a job's pins are set and end in the same step as the change of the job.
 //! Must not know: messages, how jobs are done, in which order they should be, where the bytes of blobs lie.
 
@@ -22,7 +22,7 @@ use std::pin::Pin;
 use std::sync::Arc;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
-use crate::blob::books::Books;
+use crate::blob::index::BlobIndex;
 use crate::blob::{Digest, Owner};
 use crate::record::event::{Events, Progress};
 use crate::record::state::{State, TransitionError};
@@ -41,8 +41,8 @@ pub type Answer<'a, T> = Pin<Box<dyn Future<Output = Result<T, StoreError>> + Se
 /// does the job, under [`result_pin`]; the store ends that pin when the result expires, with a deleted job, and after an
 /// attempt that did not succeed.
 pub trait JobStore: Send + Sync {
-    /// The books of the blobs that jobs name. The store of blobs keeps its bytes by them.
-    fn books(&self) -> Arc<dyn Books>;
+    /// The index of the blobs that jobs name. The store of blobs keeps bytes by it.
+    fn index(&self) -> Arc<dyn BlobIndex>;
 
     /// Keeps a new job, queued, and pins its input. A request that came before with the same tenant and number gives its job
     /// again. Errors: `AlreadyExists` if that request had another body; `NameTaken`; `InputMissing`.

@@ -364,7 +364,7 @@ async fn ask(store: &ObjectBlobs, model: &Model, operation: &Operation, chunk: O
     }
 }
 
-/// The books, and every file.
+/// The index, and every file.
 async fn compare(store: &ObjectBlobs, model: &Model, folder: Option<&Path>) -> Result<(), TestCaseError> {
     let usage = store.usage().await.unwrap();
     prop_assert_eq!(usage.blobs, model.blobs.len());

@@ -20,7 +20,7 @@ pub struct Idle {
 }
 
 impl Idle {
-    /// `blobs` has the books of `store`.
+    /// `blobs` has the index of `store`.
     pub fn new(store: MemoryStore, blobs: Arc<dyn BlobStore>) -> Self {
         Self { store, blobs, storage: watch::Sender::new(None), names: AtomicU64::new(0) }
     }

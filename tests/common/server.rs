@@ -11,7 +11,7 @@ use std::time::{Duration, Instant};
 
 use glam::{DVec3, dvec3};
 use idle_jobs::Idle;
-use jobs::blob::books::Books;
+use jobs::blob::index::BlobIndex;
 use jobs::blob::{BlobError, BlobOptions, ObjectBlobs};
 use jobs::store::{JobStore, MemoryStore};
 use jobs::{Backends, Ceilings, Engine, EngineOptions, JobError};
@@ -188,10 +188,10 @@ pub struct Server {
 }
 
 /// A process that another test starts holds all files of this one until it is another program.
-async fn opened(books: &Arc<dyn Books>, folder: &Path, options: BlobOptions) -> ObjectBlobs {
+async fn opened(index: &Arc<dyn BlobIndex>, folder: &Path, options: BlobOptions) -> ObjectBlobs {
     let begin = Instant::now();
     loop {
-        match ObjectBlobs::local_with(Arc::clone(books), folder, options).await {
+        match ObjectBlobs::local_with(Arc::clone(index), folder, options).await {
             Err(BlobError::InUse { .. }) if begin.elapsed() < PATIENCE => {
                 tokio::time::sleep(Duration::from_millis(10)).await;
             }
@@ -227,8 +227,8 @@ impl Server {
         let (stop, stopped) = oneshot::channel();
         let store = MemoryStore::default();
         let blobs = match setup.folder {
-            None => ObjectBlobs::in_memory_with(store.books(), setup.blobs),
-            Some(folder) => opened(&store.books(), &folder, setup.blobs).await,
+            None => ObjectBlobs::in_memory_with(store.index(), setup.blobs),
+            Some(folder) => opened(&store.index(), &folder, setup.blobs).await,
         };
         let idle = Arc::new(Idle::new(store, Arc::new(blobs)));
         let jobs = Some(Jobs { blobs: idle.blobs.clone(), api: idle.clone() });

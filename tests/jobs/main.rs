@@ -8,9 +8,9 @@
 #[path = "../common/process.rs"]
 mod process;
 
-mod books;
 mod disk;
 mod figures;
+mod index;
 mod journal;
 mod model;
 mod random;
@@ -19,7 +19,7 @@ mod states;
 
 use std::future::Future;
 
-use jobs::blob::books::Stored;
+use jobs::blob::index::Stored;
 use jobs::blob::{BlobInfo, Digest};
 use jobs::record::Spec;
 use jobs::store::{JobStore, Retention};
@@ -30,10 +30,10 @@ pub fn input() -> Digest {
     [7; 32].into()
 }
 
-/// A store whose books have these blobs, with their sizes.
+/// A store whose index has these blobs, with their sizes.
 pub fn knowing<S: JobStore>(store: S, blobs: &[(Digest, u64)]) -> S {
     let blobs = blobs.iter().map(|(digest, size)| (BlobInfo { digest: *digest, size_bytes: *size }, 1)).collect();
-    wait(store.books().enter(Stored { blobs, ..Stored::default() })).unwrap();
+    wait(store.index().enter(Stored { blobs, ..Stored::default() })).unwrap();
     store
 }
 

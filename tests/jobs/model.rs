@@ -310,7 +310,7 @@ pub async fn on_store(store: &dyn JobStore, step: Step) -> Option<(Gives, Option
                 // Whoever does the job pins its result, sooner or later.
                 let body = job.spec.message().labels["body"].parse().unwrap();
                 let digests: Vec<_> = result(body).blobs.into_values().collect();
-                store.books().pin(None, &result_pin(job.id), &digests).await.unwrap();
+                store.index().pin(None, &result_pin(job.id), &digests).await.unwrap();
             }
             claimed.map(|claimed| Gives::Claimed(claimed.map(|job| job.id)))
         }

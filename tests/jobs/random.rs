@@ -338,7 +338,7 @@ impl<M: Medium> Trial<M> {
     fn compare(&mut self) {
         assert_eq!(self.found(), self.model.jobs);
         let store = Arc::clone(self.store());
-        let pinned = wait(store.books().usage()).unwrap().pinned_bytes;
+        let pinned = wait(store.index().usage()).unwrap().pinned_bytes;
         assert_eq!(pinned, self.model.pinned(), "{pinned:b}");
         for state in State::ALL {
             let query = Query { states: vec![state], ..Query::default() };

@@ -24,10 +24,10 @@ use object_store::path::Path;
 use object_store::{GetOptions, ObjectStore};
 use tokio::task::spawn_blocking;
 
-use super::books::{Books, LocalBooks, Stored};
 use super::chunk::{Chunk, UploadId, UploadStatus};
 use super::digest::{BLOBS, path_of};
 use super::error::{found, io, join, object};
+use super::index::{BlobIndex, LocalIndex, Stored};
 use super::reader::bytes_of;
 use super::staging::{Folder, Memory, Multipart, Staging};
 use super::store::{BlobInfo, BlobOptions, BlobRead, BlobStore, Usage};
@@ -52,15 +52,15 @@ impl fmt::Debug for ObjectBlobs {
 }
 
 impl ObjectBlobs {
-    /// Blobs in a folder, which is made if need be, with books of its own. Uploads outlive the process. Errors: `InUse`,
+    /// Blobs in a folder, which is made if need be, with index of its own. Uploads outlive the process. Errors: `InUse`,
     /// `StorageFull`, `Unavailable`.
     pub async fn local(folder: impl Into<PathBuf>, options: BlobOptions) -> Result<Self, BlobError> {
-        Self::local_with(Arc::new(LocalBooks::default()), folder, options).await
+        Self::local_with(Arc::new(LocalIndex::default()), folder, options).await
     }
 
-    /// As [`Self::local`], with these books. Owners are written beside the blobs, and entered when the folder is opened.
+    /// As [`Self::local`], with these index. Owners are written beside the blobs, and entered when the folder is opened.
     pub async fn local_with(
-        books: Arc<dyn Books>,
+        index: Arc<dyn BlobIndex>,
         folder: impl Into<PathBuf>,
         options: BlobOptions,
     ) -> Result<Self, BlobError> {
@@ -68,22 +68,22 @@ impl ObjectBlobs {
         let opened = spawn_blocking(move || open_folder(&root, &options));
         let (files, staging, lock) = opened.await.map_err(join)??;
         let kind = Kind::Folder { files: Arc::clone(&files), _lock: lock };
-        Self::open(files, Box::new(staging), kind, options, books).await
+        Self::open(files, Box::new(staging), kind, options, index).await
     }
 
-    /// Blobs that are gone with the process, with books of their own.
+    /// Blobs that are gone with the process, with index of their own.
     pub fn in_memory(options: BlobOptions) -> Self {
-        Self::in_memory_with(Arc::new(LocalBooks::default()), options)
+        Self::in_memory_with(Arc::new(LocalIndex::default()), options)
     }
 
-    /// As [`Self::in_memory`], with these books.
-    pub fn in_memory_with(books: Arc<dyn Books>, options: BlobOptions) -> Self {
+    /// As [`Self::in_memory`], with these index.
+    pub fn in_memory_with(index: Arc<dyn BlobIndex>, options: BlobOptions) -> Self {
         let objects: Arc<dyn ObjectStore> = Arc::new(InMemory::new());
         let staging = Box::new(Memory(Arc::clone(&objects)));
-        Self(Arc::new(Inner::new(objects, staging, Kind::Memory, options, books, Uploads::default())))
+        Self(Arc::new(Inner::new(objects, staging, Kind::Memory, options, index, Uploads::default())))
     }
 
-    /// Blobs in a store that other processes may use at the same time, with books of this process.
+    /// Blobs in a store that other processes may use at the same time, with index of this process.
     ///
     /// The quota counts the blobs that this process has seen, and its pins hold against this process alone: give a quota to
     /// one process, and no limit to the others. Errors: `Unavailable`.
@@ -91,29 +91,29 @@ impl ObjectBlobs {
         store: Arc<S>,
         options: BlobOptions,
     ) -> Result<Self, BlobError> {
-        Self::shared_with(Arc::new(LocalBooks::default()), store, options).await
+        Self::shared_with(Arc::new(LocalIndex::default()), store, options).await
     }
 
     async fn shared_with<S: ObjectStore + MultipartStore>(
-        books: Arc<dyn Books>,
+        index: Arc<dyn BlobIndex>,
         store: Arc<S>,
         options: BlobOptions,
     ) -> Result<Self, BlobError> {
         let staging = Multipart::new(&store, UPLOADS);
-        Self::open(store, Box::new(staging), Kind::Shared, options, books).await
+        Self::open(store, Box::new(staging), Kind::Shared, options, index).await
     }
 
     /// Blobs in a bucket: `s3://bucket/prefix`. `settings` are those of `object_store` (`aws_endpoint`, `aws_region`,
-    /// `aws_access_key_id`, ...) and count before the variables of the same names, in capitals. The books are as in
+    /// `aws_access_key_id`, ...) and count before the variables of the same names, in capitals. The index is as in
     /// [`Self::shared`]. Errors: `Unavailable`.
     #[cfg(feature = "s3")]
     pub async fn s3(
-        books: Arc<dyn Books>,
+        index: Arc<dyn BlobIndex>,
         url: &str,
         settings: impl IntoIterator<Item = (String, String)>,
         options: BlobOptions,
     ) -> Result<Self, BlobError> {
-        Self::shared_with(books, Arc::new(super::s3::open(url, settings)?), options).await
+        Self::shared_with(index, Arc::new(super::s3::open(url, settings)?), options).await
     }
 
     async fn open(
@@ -121,7 +121,7 @@ impl ObjectBlobs {
         staging: Box<dyn Staging>,
         kind: Kind,
         options: BlobOptions,
-        books: Arc<dyn Books>,
+        index: Arc<dyn BlobIndex>,
     ) -> Result<Self, BlobError> {
         let mut stored = Stored::default();
         let mut blobs = objects.list(Some(&Path::from(BLOBS)));
@@ -138,12 +138,12 @@ impl ObjectBlobs {
         stored.uploads = staging.scan().await?;
         let uploads = Uploads::default();
         stored.uploads.iter().for_each(|(id, _)| uploads.found(*id));
-        let lost = books.enter(stored).await?;
+        let lost = index.enter(stored).await?;
         // Elsewhere another process may have written a mark whose blob this one has not seen.
         if matches!(kind, Kind::Folder { .. }) {
             marks::remove(&*objects, lost).await?;
         }
-        Ok(Self(Arc::new(Inner::new(objects, staging, kind, options, books, uploads))))
+        Ok(Self(Arc::new(Inner::new(objects, staging, kind, options, index, uploads))))
     }
 
     /// Runs a change to its end, even if its caller goes away.
@@ -217,7 +217,7 @@ impl BlobStore for ObjectBlobs {
             Some(opened) => Ok(BlobRead { info, range, bytes: self.0.clone().guarded(bytes_of(opened, whole)) }),
             None => {
                 // Another program removed it.
-                self.0.books.forget(digest).await?;
+                self.0.index.forget(digest).await?;
                 Err(BlobError::NotFound { digest })
             }
         }
@@ -273,11 +273,11 @@ impl BlobStore for ObjectBlobs {
     }
 
     async fn owned_bytes(&self, owner: Owner) -> Result<u64, BlobError> {
-        self.0.books.owned_bytes(owner).await
+        self.0.index.owned_bytes(owner).await
     }
 
     async fn unpin(&self, name: &str) -> Result<(), BlobError> {
-        self.0.books.unpin(name).await
+        self.0.index.unpin(name).await
     }
 
     async fn sweep(&self) -> Result<usize, BlobError> {
@@ -289,6 +289,6 @@ impl BlobStore for ObjectBlobs {
     }
 
     async fn usage(&self) -> Result<Usage, BlobError> {
-        Ok(Usage { limit_bytes: self.0.options.quota_bytes, ..self.0.books.usage().await? })
+        Ok(Usage { limit_bytes: self.0.options.quota_bytes, ..self.0.index.usage().await? })
     }
 }

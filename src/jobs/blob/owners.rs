@@ -111,7 +111,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_books_add_up_and_forget() {
+    fn the_index_adds_up_and_forgets() {
         let (mut owners, a, b) = (Owners::default(), Owner::of("a"), Owner::of("b"));
         let [one, two] = [b"1", b"2"].map(|bytes| Digest::of(bytes));
         assert!(

@@ -14,7 +14,7 @@ use super::{
     Answer, Clock, Created, JobStore, NewJob, Offer, Orphans, Page, Query, Recovered, Retention, StoreError, Swept,
     operations as ops,
 };
-use crate::blob::books::{Books, LocalBooks};
+use crate::blob::index::{BlobIndex, LocalIndex};
 use crate::lock;
 use crate::record::event::{Events, Log, Progress};
 use crate::record::{Change, Job, JobId, Spec, Time};
@@ -36,12 +36,12 @@ pub(crate) trait Container: Send + Sync {
 
     fn waiters(&self) -> &Waiters;
 
-    fn books(&self) -> &Arc<LocalBooks>;
+    fn index(&self) -> &Arc<LocalIndex>;
 }
 
 impl<C: Container> JobStore for C {
-    fn books(&self) -> Arc<dyn Books> {
-        Container::books(self).clone()
+    fn index(&self) -> Arc<dyn BlobIndex> {
+        Container::index(self).clone()
     }
 
     fn create(&self, job: NewJob) -> Answer<'_, Created> {
@@ -104,7 +104,7 @@ impl<C: Container> JobStore for C {
 #[derive(Debug)]
 pub struct MemoryStore {
     contents: Mutex<Contents>,
-    books: Arc<LocalBooks>,
+    index: Arc<LocalIndex>,
     waiters: Waiters,
     clock: Clock,
 }
@@ -155,9 +155,9 @@ impl TablesMut for Trees {
 impl MemoryStore {
     /// A store without jobs, with this clock.
     pub fn with_clock(clock: Clock) -> Self {
-        let books = Arc::<LocalBooks>::default();
-        let contents = Contents { tables: Trees::default(), live: Live::new(Arc::clone(&books)) };
-        Self { contents: Mutex::new(contents), books, waiters: Waiters::default(), clock }
+        let index = Arc::<LocalIndex>::default();
+        let contents = Contents { tables: Trees::default(), live: Live::new(Arc::clone(&index)) };
+        Self { contents: Mutex::new(contents), index, waiters: Waiters::default(), clock }
     }
 }
 
@@ -199,7 +199,7 @@ impl Container for MemoryStore {
         &self.waiters
     }
 
-    fn books(&self) -> &Arc<LocalBooks> {
-        &self.books
+    fn index(&self) -> &Arc<LocalIndex> {
+        &self.index
     }
 }

@@ -9,7 +9,7 @@
 use std::sync::Arc;
 
 use super::StoreError;
-use crate::blob::books::LocalBooks;
+use crate::blob::index::LocalIndex;
 use crate::blob::{Digest, Owner};
 use crate::record::JobId;
 use crate::record::state::State;
@@ -26,20 +26,20 @@ pub fn result_pin(id: JobId) -> String {
 
 #[derive(Debug, Default)]
 pub(super) struct Pins {
-    books: Arc<LocalBooks>,
+    index: Arc<LocalIndex>,
     /// Names whose pins end once the changes so far are kept.
     over: Vec<String>,
 }
 
 impl Pins {
-    pub(super) fn new(books: Arc<LocalBooks>) -> Self {
-        Self { books, over: Vec::new() }
+    pub(super) fn new(index: Arc<LocalIndex>) -> Self {
+        Self { index, over: Vec::new() }
     }
 
     /// Pins the input of a new job in its tenant's name. Errors: `InputMissing`; nothing is pinned then.
     pub(super) fn create(&mut self, id: JobId, tenant: &str, input: &[Digest]) -> Result<(), StoreError> {
         let name = input_pin(id);
-        let missing = self.books.hold(Owner::of(tenant), &name, input).err();
+        let missing = self.index.hold(Owner::of(tenant), &name, input).err();
         if let Some(digest) = missing {
             return Err(StoreError::InputMissing { digest });
         }
@@ -66,7 +66,7 @@ impl Pins {
     pub(super) fn recover(&self, id: JobId, state: State, owner: Owner, digests: &[Digest]) {
         let name = if state == State::Succeeded { result_pin(id) } else { input_pin(id) };
         for digest in digests {
-            if self.books.hold(owner, &name, &[*digest]).is_err() {
+            if self.index.hold(owner, &name, &[*digest]).is_err() {
                 tracing::warn!(name, %digest, "a blob that a job needs is gone");
             }
         }
@@ -74,6 +74,6 @@ impl Pins {
 
     /// The changes so far are kept.
     pub(super) fn settle(&mut self) {
-        self.over.drain(..).for_each(|name| self.books.release(&name));
+        self.over.drain(..).for_each(|name| self.index.release(&name));
     }
 }

@@ -26,7 +26,7 @@ use tokio::sync::{mpsc, oneshot};
 use super::container::Container;
 use super::tables::{Live, Order, Table, Tables, TablesMut, Visit, Waiters};
 use super::{Answer, Clock, StoreError};
-use crate::blob::books::LocalBooks;
+use crate::blob::index::LocalIndex;
 use crate::lock;
 use crate::record::event::Log;
 use crate::record::{JobId, Time};
@@ -75,7 +75,7 @@ struct Shared {
     progress: Mutex<HashMap<JobId, Log>>,
     waiters: Waiters,
     clock: Clock,
-    books: Arc<LocalBooks>,
+    index: Arc<LocalIndex>,
     /// Held after the database, so dropped after it.
     _directory: Option<Directory>,
 }
@@ -105,11 +105,11 @@ impl RedbStore {
         clock: Clock,
         directory: Option<Directory>,
     ) -> Result<Self, StoreError> {
-        let (progress, waiters, books) = (Mutex::default(), Waiters::default(), Arc::default());
-        let shared = Arc::new(Shared { database, path, progress, waiters, clock, books, _directory: directory });
+        let (progress, waiters, index) = (Mutex::default(), Waiters::default(), Arc::default());
+        let shared = Arc::new(Shared { database, path, progress, waiters, clock, index, _directory: directory });
         shared.make_tables()?;
         let (commands, waiting) = mpsc::channel(WAITING);
-        let writer = Writer { shared: Arc::clone(&shared), live: Live::new(Arc::clone(&shared.books)), broken: None };
+        let writer = Writer { shared: Arc::clone(&shared), live: Live::new(Arc::clone(&shared.index)), broken: None };
         let spawned = std::thread::Builder::new().name("journal".to_owned()).spawn(move || writer.run(waiting));
         let writer = spawned.map_err(|cause| shared.io("start the thread that writes", &cause))?;
         Ok(Self { shared, commands: Some(commands), writer: Some(writer) })
@@ -165,8 +165,8 @@ impl Container for RedbStore {
         &self.shared.waiters
     }
 
-    fn books(&self) -> &Arc<LocalBooks> {
-        &self.shared.books
+    fn index(&self) -> &Arc<LocalIndex> {
+        &self.shared.index
     }
 }
 

@@ -26,7 +26,7 @@ use tokio::sync::watch;
 
 use super::pins::Pins;
 use super::{JobStore, StoreError};
-use crate::blob::books::LocalBooks;
+use crate::blob::index::LocalIndex;
 use crate::lock;
 use crate::record::JobId;
 use crate::record::event::Log;
@@ -92,8 +92,8 @@ pub(crate) struct Live {
 }
 
 impl Live {
-    pub(crate) fn new(books: Arc<LocalBooks>) -> Self {
-        Self { pins: Pins::new(books), ..Self::default() }
+    pub(crate) fn new(index: Arc<LocalIndex>) -> Self {
+        Self { pins: Pins::new(index), ..Self::default() }
     }
 }
 

@@ -1,8 +1,8 @@
 //! The changes of a store: uploads, evictions, removals.
 //!
-//! Purpose: keeps the books, the uploads under way, the staged bytes and the objects in step. Invariant: a slot of an
+//! Purpose: keeps the index, the uploads under way, the staged bytes and the objects in step. Invariant: a slot of an
 //! upload is locked before a digest, never the other way. The bytes of a blob are shown and removed under the
-//! lock of its digest, so that a late removal never takes a blob that has come back. A blob is in the books only while its
+//! lock of its digest, so that a late removal never takes a blob that has come back. A blob is in the index only while its
 //! bytes are stored. Must not know: which store it is.
 
 use std::fs::File;
@@ -16,10 +16,10 @@ use tokio::sync::{MutexGuard, OwnedMutexGuard};
 use tokio::task::spawn_blocking;
 
 use super::LOCKS;
-use crate::blob::books::{Books, Room, Terms, Used};
 use crate::blob::chunk::{Chunk, UploadId, UploadStatus};
 use crate::blob::digest::path_of;
 use crate::blob::error::found;
+use crate::blob::index::{BlobIndex, Room, Terms, Used};
 use crate::blob::reader::bytes_of;
 use crate::blob::staging::{Part, Staging};
 use crate::blob::upload::{Slot, Uploads};
@@ -42,7 +42,7 @@ pub(super) enum Kind {
 pub(super) struct Inner {
     pub(super) objects: Arc<dyn ObjectStore>,
     pub(super) staging: Box<dyn Staging>,
-    pub(super) books: Arc<dyn Books>,
+    pub(super) index: Arc<dyn BlobIndex>,
     pub(super) uploads: Uploads,
     locks: Vec<tokio::sync::Mutex<()>>,
     pub(super) options: BlobOptions,
@@ -60,11 +60,11 @@ impl Inner {
         staging: Box<dyn Staging>,
         kind: Kind,
         options: BlobOptions,
-        books: Arc<dyn Books>,
+        index: Arc<dyn BlobIndex>,
         uploads: Uploads,
     ) -> Self {
         let locks = (0..LOCKS).map(|_| tokio::sync::Mutex::new(())).collect();
-        Self { objects, staging, books, uploads, locks, options, kind }
+        Self { objects, staging, index, uploads, locks, options, kind }
     }
 
     /// Waits for the lock under which the bytes of a blob are shown and removed.
@@ -73,24 +73,24 @@ impl Inner {
     }
 
     pub(super) async fn stored(&self, digest: Digest) -> Result<Option<BlobInfo>, BlobError> {
-        let known = self.books.get(digest).await?;
+        let known = self.index.get(digest).await?;
         if known.is_some() || !matches!(self.kind, Kind::Shared) {
             return Ok(known);
         }
-        // What is being shown or removed here is in the books, or out of them, afterwards.
+        // What is being shown or removed here is in the index, or out of it, afterwards.
         let _turn = self.lock_bytes(&digest).await;
         self.stored_in_turn(digest).await
     }
 
     /// As [`Self::stored`]; the caller holds the lock of its bytes.
     pub(super) async fn stored_in_turn(&self, digest: Digest) -> Result<Option<BlobInfo>, BlobError> {
-        let known = self.books.get(digest).await?;
+        let known = self.index.get(digest).await?;
         if known.is_some() || !matches!(self.kind, Kind::Shared) {
             return Ok(known);
         }
         let Some(meta) = found("look for a blob", self.objects.head(&path_of(&digest)).await)? else { return Ok(None) };
         let blob = BlobInfo { digest, size_bytes: meta.size };
-        Ok(self.books.found(blob, stamp_of(&meta)).await?.then_some(blob))
+        Ok(self.index.found(blob, stamp_of(&meta)).await?.then_some(blob))
     }
 
     /// A blob that is used now, if it is stored.
@@ -98,7 +98,7 @@ impl Inner {
         if self.stored(digest).await?.is_none() {
             return Ok(None);
         }
-        let Some(used) = self.books.touch(&[digest]).await?.pop().flatten() else { return Ok(None) };
+        let Some(used) = self.index.touch(&[digest]).await?.pop().flatten() else { return Ok(None) };
         self.stamp(vec![(digest, used.stamp)]).await;
         Ok(Some(used.info))
     }
@@ -131,7 +131,7 @@ impl Inner {
             let asked = stream::iter(digests.to_vec()).map(|digest| self.stored(digest)).buffer_unordered(AT_ONCE);
             asked.try_collect::<Vec<_>>().await?;
         }
-        let used = self.books.touch(digests).await?;
+        let used = self.index.touch(digests).await?;
         let missing = digests.iter().zip(&used).filter(|(_, used)| used.is_none()).map(|(digest, _)| *digest).collect();
         self.stamp_all(used.into_iter().flatten()).await;
         Ok(missing)
@@ -143,7 +143,7 @@ impl Inner {
                 return Err(BlobError::NotFound { digest: *digest });
             }
         }
-        let used = self.books.pin(owner, name, digests).await?;
+        let used = self.index.pin(owner, name, digests).await?;
         self.stamp_all(used.into_iter()).await;
         Ok(())
     }
@@ -178,7 +178,7 @@ impl Inner {
         if self.staging.load(id).await?.is_none() {
             return Ok(false);
         }
-        self.books.adopt(id, self.options.uploads).await?;
+        self.index.adopt(id, self.options.uploads).await?;
         // The next turn reads it again.
         drop(self.uploads.add(id));
         Ok(true)
@@ -186,7 +186,7 @@ impl Inner {
 
     /// The upload is no more, and its room is free.
     async fn drop_upload(&self, id: UploadId, slot: &mut Slot) -> Result<(), BlobError> {
-        self.books.end_upload(id).await?;
+        self.index.end_upload(id).await?;
         self.uploads.remove(&id, slot);
         Ok(())
     }
@@ -245,7 +245,7 @@ impl Inner {
         }
     }
 
-    /// Begins an upload that has a new slot. `None` if the books have it already. After an error it is no more.
+    /// Begins an upload that has a new slot. `None` if the index has it already. After an error it is no more.
     async fn begin_new(
         &self,
         id: UploadId,
@@ -253,7 +253,7 @@ impl Inner {
         own_quota_bytes: Option<u64>,
     ) -> Result<Option<UploadStatus>, BlobError> {
         let BlobOptions { quota_bytes, uploads: places, .. } = self.options;
-        let room = match self.books.admit(id, Terms { quota_bytes, places, own_quota_bytes }).await {
+        let room = match self.index.admit(id, Terms { quota_bytes, places, own_quota_bytes }).await {
             Ok(Some(room)) => room,
             Ok(None) => return Ok(None),
             Err(error) => {
@@ -281,7 +281,7 @@ impl Inner {
         if id.owner.is_none() {
             return Ok(false);
         }
-        let Some(stalest) = self.books.stalest_upload(id, time).await? else { return Ok(false) };
+        let Some(stalest) = self.index.stalest_upload(id, time).await? else { return Ok(false) };
         match self.abandon(stalest, time).await {
             // It ended just now.
             Err(BlobError::UploadNotFound { .. }) => Ok(true),
@@ -296,7 +296,7 @@ impl Inner {
             let unmarking = stream::iter(given_up).map(|digest| self.unmark(digest, owner)).buffer_unordered(AT_ONCE);
             unmarking.collect::<Vec<_>>().await.into_iter().collect::<Result<(), _>>()?;
         }
-        // All of them, even if one fails: they are out of the books.
+        // All of them, even if one fails: they are out of the index.
         let removals = stream::iter(victims).map(|victim| self.remove(victim)).buffer_unordered(AT_ONCE);
         removals.collect::<Vec<_>>().await.into_iter().collect::<Result<(), _>>()?;
         if let Some(part) = self.staging.load(id).await? {
@@ -305,7 +305,7 @@ impl Inner {
         self.staging.create(id).await
     }
 
-    /// Removes the bytes of a blob that is out of the books, in a task of its own.
+    /// Removes the bytes of a blob that is out of the index, in a task of its own.
     pub(super) fn remove_later(inner: &Arc<Self>, blob: BlobInfo) {
         let inner = Arc::clone(inner);
         tokio::spawn(async move {
@@ -315,16 +315,16 @@ impl Inner {
         });
     }
 
-    /// Removes the bytes of a blob that is out of the books. If that fails it is back in them, as the first to go.
+    /// Removes the bytes of a blob that is out of the index. If that fails it is back in it, as the first to go.
     async fn remove(&self, blob: BlobInfo) -> Result<(), BlobError> {
         let digest = blob.digest;
         let _turn = self.lock_bytes(&digest).await;
-        if self.books.get(digest).await?.is_some() {
+        if self.index.get(digest).await?.is_some() {
             // It has come back, with other owners.
             return self.unmark_others(digest).await;
         }
         let removed = found("remove a blob", self.objects.delete(&path_of(&digest)).await);
-        self.books.removed(blob, removed.is_ok()).await?;
+        self.index.removed(blob, removed.is_ok()).await?;
         removed?;
         self.unmark_others(digest).await
     }
@@ -358,7 +358,7 @@ impl Inner {
             return Err(error);
         }
         let kept_bytes = part.tally().bytes();
-        self.books.touch_upload(id).await?;
+        self.index.touch_upload(id).await?;
         Ok(UploadStatus { kept_bytes, complete: false })
     }
 
@@ -368,7 +368,7 @@ impl Inner {
         let Some(mut slot) = self.turn(id).await? else {
             let info = self.whole(id).await?;
             if let Some(name) = pin {
-                self.books.pin(None, name, &[digest]).await.map_err(|_| gone)?;
+                self.index.pin(None, name, &[digest]).await.map_err(|_| gone)?;
             }
             return Ok(info);
         };
@@ -396,9 +396,9 @@ impl Inner {
             if let Some(owner) = id.owner {
                 self.mark(&digest, owner).await?;
             }
-            if self.books.get(digest).await?.is_some_and(|info| info.size_bytes != id.size_bytes) {
+            if self.index.get(digest).await?.is_some_and(|info| info.size_bytes != id.size_bytes) {
                 // Another program changed what is stored: the right bytes take its place.
-                self.books.forget(digest).await?;
+                self.index.forget(digest).await?;
             }
             // Also where others have the blob: it takes as long as where they do not.
             if let Err(error) = part.publish(&path_of(&digest)).await {
@@ -406,7 +406,7 @@ impl Inner {
                 return Err(error);
             }
         }
-        let published = match self.books.publish(id, pin).await {
+        let published = match self.index.publish(id, pin).await {
             Ok(published) => published,
             Err(error) => {
                 *slot = Slot::Kept;
@@ -437,7 +437,7 @@ impl Inner {
         if matches!(*slot, Slot::Gone) {
             return Err(gone);
         }
-        if self.books.idle_time(id).await?.is_some_and(|time| time < idle) {
+        if self.index.idle_time(id).await?.is_some_and(|time| time < idle) {
             return Ok(false);
         }
         *slot = Slot::Kept;
@@ -448,7 +448,7 @@ impl Inner {
 
     pub(super) async fn sweep(&self) -> Result<usize, BlobError> {
         let mut swept = 0;
-        for id in self.books.idle_uploads(self.options.keep_uploads).await? {
+        for id in self.index.idle_uploads(self.options.keep_uploads).await? {
             match self.abandon(id, self.options.keep_uploads).await {
                 Ok(gone) => swept += usize::from(gone),
                 Err(BlobError::UploadNotFound { .. }) => {}
@@ -484,13 +484,13 @@ impl Inner {
     /// Removes a blob whose bytes are wrong, pinned or not.
     pub(super) async fn reject(&self, digest: Digest) -> Result<(), BlobError> {
         tracing::error!(%digest, "a blob is damaged; it is removed, and can be uploaded again");
-        let Some(blob) = self.books.forget(digest).await? else { return Ok(()) };
+        let Some(blob) = self.index.forget(digest).await? else { return Ok(()) };
         self.remove(blob).await
     }
 
     pub(super) async fn delete(&self, digest: Digest) -> Result<(), BlobError> {
         self.stored(digest).await?;
-        let blob = self.books.delete(digest).await?;
+        let blob = self.index.delete(digest).await?;
         self.remove(blob).await
     }
 }

@@ -1,6 +1,6 @@
 //! Marks of owners beside the blobs.
 //!
-//! Purpose: an empty object `owners/AB/DIGEST-OWNER` for each owner of a blob, so that the books outlive the process.
+//! Purpose: an empty object `owners/AB/DIGEST-OWNER` for each owner of a blob, so that owners outlive the process.
 //! Invariant: a mark is written before the call that makes its owner returns, and removed before the call that disowns it
 //! returns. Marks of a blob go with its bytes; one that stayed after a crash is removed at the next start.
 //! Must not know: the names of owners, pins.
@@ -55,7 +55,7 @@ pub(super) async fn remove(objects: &dyn ObjectStore, marks: Vec<(Digest, Owner)
 }
 
 impl Inner {
-    /// Writes a mark. The caller changes the books.
+    /// Writes a mark. The caller changes the index.
     pub(super) async fn mark(&self, digest: &Digest, owner: Owner) -> Result<(), BlobError> {
         let put = self.objects.put(&path_of(digest, owner), PutPayload::new()).await;
         put.map(drop).map_err(object("mark the owner of a blob"))
@@ -75,7 +75,7 @@ impl Inner {
         while let Some(mark) = marks.try_next().await.map_err(object("look for the owners of a blob"))? {
             let is_of_blob = mark.location.filename().is_some_and(|name| name.starts_with(&begin));
             if let Some((_, owner)) = read(&mark.location).filter(|_| is_of_blob)
-                && !self.books.has(owner, digest).await?
+                && !self.index.has(owner, digest).await?
             {
                 others.push((digest, owner));
             }
@@ -86,7 +86,7 @@ impl Inner {
 
     /// Whether a blob is stored and this owner has it. Another process may have made it one.
     pub(super) async fn is_owned(&self, owner: Owner, digest: Digest) -> Result<bool, BlobError> {
-        if self.books.has(owner, digest).await? {
+        if self.index.has(owner, digest).await? {
             return Ok(true);
         }
         if !matches!(self.kind, Kind::Shared) {
@@ -101,9 +101,9 @@ impl Inner {
         Ok(true)
     }
 
-    /// Puts an owner whose mark is written into the books.
+    /// Puts an owner whose mark is written into the index.
     pub(super) async fn give(&self, digest: Digest, owner: Owner) -> Result<(), BlobError> {
-        match self.books.give(owner, digest).await? {
+        match self.index.give(owner, digest).await? {
             Some(other) => self.unmark(digest, other).await,
             None => Ok(()),
         }
@@ -128,7 +128,7 @@ impl Inner {
     /// whether others have the blob.
     pub(super) async fn disown(&self, owner: Owner, digest: Digest) -> Result<Option<super::BlobInfo>, BlobError> {
         self.is_owned(owner, digest).await?;
-        let orphan = self.books.disown(owner, digest).await?;
+        let orphan = self.index.disown(owner, digest).await?;
         self.unmark(digest, owner).await?;
         Ok(orphan)
     }

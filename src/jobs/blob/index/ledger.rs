@@ -41,13 +41,13 @@ pub(super) struct Ledger {
     /// How many pins in an owner's name hold a blob.
     pinned_for: HashMap<(Owner, Digest), usize>,
     owners: Owners,
-    /// Blobs that are out of the books while their bytes are still being removed.
+    /// Blobs that are out of the index while their bytes are still being removed.
     leaving: HashSet<Digest>,
     last_stamp: u64,
 }
 
 impl Ledger {
-    /// As [`super::Books::enter`].
+    /// As [`super::BlobIndex::enter`].
     pub(super) fn enter(&mut self, stored: Stored) -> Vec<(Digest, Owner)> {
         for (blob, stamp) in stored.blobs {
             self.found(blob, stamp);
@@ -77,7 +77,7 @@ impl Ledger {
         self.blob_bytes += size_bytes;
     }
 
-    /// A blob whose bytes were seen. Gives whether it is in the books now: one that is being removed is not.
+    /// A blob whose bytes were seen. Gives whether it is in the index now: one that is being removed is not.
     pub(super) fn seen(&mut self, blob: BlobInfo, stamp: u64) -> bool {
         if self.leaving.contains(&blob.digest) {
             return false;
@@ -109,7 +109,7 @@ impl Ledger {
         Some(Used { info: BlobInfo { digest: *digest, size_bytes: entry.size_bytes }, stamp })
     }
 
-    /// As [`super::Books::admit`].
+    /// As [`super::BlobIndex::admit`].
     pub(super) fn admit(&mut self, id: UploadId, terms: &Terms) -> Result<Option<Room>, BlobError> {
         if self.promises.has(&id) {
             return Ok(None);
@@ -183,7 +183,7 @@ impl Ledger {
         Ok(victims)
     }
 
-    /// As [`super::Books::publish`].
+    /// As [`super::BlobIndex::publish`].
     pub(super) fn publish(&mut self, id: UploadId, pin: Option<&str>) -> Published {
         let digest = id.digest;
         self.promises.end(&id);
@@ -196,7 +196,7 @@ impl Ledger {
         Published { stamp, replaced: id.owner.and_then(|owner| self.give(&digest, owner)) }
     }
 
-    /// Removes a blob from the books, pinned or not: its bytes are gone, or soon will be.
+    /// Removes a blob from the index, pinned or not: its bytes are gone, or soon will be.
     pub(super) fn forget(&mut self, digest: &Digest) -> Option<BlobInfo> {
         let entry = self.entries.remove(digest)?;
         self.owners.forget(digest);
@@ -289,7 +289,7 @@ impl Ledger {
         self.owners.add(*digest, size_bytes, owner)
     }
 
-    /// Takes a blob from its owner. Returns it if it has no owner left and no pin: it is out of the books then.
+    /// Takes a blob from its owner. Returns it if it has no owner left and no pin: it is out of the index then.
     /// Errors: `NotFound`, `Pinned`.
     pub(super) fn disown(&mut self, digest: &Digest, owner: Owner) -> Result<Option<BlobInfo>, BlobError> {
         if !self.has(digest, owner) {

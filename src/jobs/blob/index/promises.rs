@@ -1,4 +1,4 @@
-//! Uploads in the books.
+//! Uploads in the index.
 //!
 //! Purpose: [`Promises`] counts the places and bytes of uploads under way, by owner, and knows when each was continued
 //! last. Pure bookkeeping. Invariant: an upload is counted once. Must not know: blobs, quotas, where bytes lie.
@@ -76,7 +76,7 @@ impl Promises {
         self.touched.iter().filter(|(_, touched)| idle_since(**touched) >= time).map(|(id, _)| *id).collect()
     }
 
-    /// As [`super::Books::stalest_upload`].
+    /// As [`super::BlobIndex::stalest_upload`].
     pub(super) fn stalest(&self, id: &UploadId, time: Duration) -> Option<UploadId> {
         let idle = self
             .touched

@@ -1,8 +1,8 @@
-//! The books of blobs: which are stored, whose they are, what pins them, and how much room is left.
+//! The index of blobs: which are stored, whose they are, what pins them, and how much room is left.
 //!
-//! Purpose: [`Books`], which a store of blobs asks before and after it moves bytes. [`LocalBooks`] serves one process.
+//! Purpose: [`BlobIndex`], which a store of blobs asks before and after it moves bytes. [`LocalIndex`] serves one process.
 //! Invariant: each call is one step: other calls see all of it or nothing. An error changes nothing. After
-//! [`Books::admit`], blobs and uploads together are within the quota. A pinned blob is never among those that go.
+//! [`BlobIndex::admit`], blobs and uploads together are within the quota. A pinned blob is never among those that go.
 //! Must not know: where bytes lie, how they get there, jobs.
 
 mod ledger;
@@ -14,7 +14,7 @@ use std::time::{Duration, SystemTime};
 
 use async_trait::async_trait;
 
-pub use local::LocalBooks;
+pub use local::LocalIndex;
 
 use super::chunk::UploadId;
 use super::{BlobError, BlobInfo, Digest, Owner, Usage};
@@ -44,7 +44,7 @@ pub struct Terms {
 /// What goes, so that an upload has room.
 #[derive(Debug, Default)]
 pub struct Room {
-    /// Blobs that are out of the books. The caller removes their bytes, then calls [`Books::removed`].
+    /// Blobs that are out of the index. The caller removes their bytes, then calls [`BlobIndex::removed`].
     pub victims: Vec<BlobInfo>,
     /// Blobs that the upload's owner no longer has. Others have them, or need them.
     pub given_up: Vec<Digest>,
@@ -66,12 +66,12 @@ pub struct Published {
 
 /// See the module's head. Every call may fail with `Unavailable`.
 #[async_trait]
-pub trait Books: Send + Sync + Debug {
+pub trait BlobIndex: Send + Sync + Debug {
     /// Enters what a storage has. No quota is checked. Gives the owners that count for nothing: their blob is not stored,
     /// or has too many.
     async fn enter(&self, stored: Stored) -> Result<Vec<(Digest, Owner)>, BlobError>;
 
-    /// Keeps a place and room for a new upload. `None` if the upload is in the books already. To make room, the owner loses
+    /// Keeps a place and room for a new upload. `None` if the upload is in the index already. To make room, the owner loses
     /// the oldest of its blobs that none of its pins holds, and the least recently used blobs go. An owner may promise a
     /// quarter of the quota in several uploads, and all owners three quarters: the rest is for results. Errors: `TooLarge`,
     /// `QuotaExceeded`, `OwnQuotaExceeded`, `TooManyUploads`.
@@ -86,7 +86,7 @@ pub trait Books: Send + Sync + Debug {
     /// The upload has become nothing: its place and room are free.
     async fn end_upload(&self, upload: UploadId) -> Result<(), BlobError>;
 
-    /// How long an upload was not continued. `None` if it is not in the books.
+    /// How long an upload was not continued. `None` if it is not in the index.
     async fn idle_time(&self, upload: UploadId) -> Result<Option<Duration>, BlobError>;
 
     /// Uploads that were not continued for `time`.
@@ -104,7 +104,7 @@ pub trait Books: Send + Sync + Debug {
     /// The blobs are used now. `None` for those that are not stored.
     async fn touch(&self, digests: &[Digest]) -> Result<Vec<Option<Used>>, BlobError>;
 
-    /// Enters a blob whose bytes were found in the storage. Gives whether it is in the books now: one whose bytes are being
+    /// Enters a blob whose bytes were found in the storage. Gives whether it is in the index now: one whose bytes are being
     /// removed is not.
     async fn found(&self, blob: BlobInfo, stamp: u64) -> Result<bool, BlobError>;
 
@@ -114,7 +114,7 @@ pub trait Books: Send + Sync + Debug {
     /// Takes a blob out on request. Errors: `NotFound`, `Pinned`.
     async fn delete(&self, digest: Digest) -> Result<BlobInfo, BlobError>;
 
-    /// The bytes of a blob that is out of the books are gone. If not, the blob is back, as the first to go.
+    /// The bytes of a blob that is out of the index are gone. If not, the blob is back, as the first to go.
     async fn removed(&self, blob: BlobInfo, gone: bool) -> Result<(), BlobError>;
 
     /// Pins all of `digests` under a name, or none; in the name of an owner, if one is given. They are used now.
@@ -130,7 +130,7 @@ pub trait Books: Send + Sync + Debug {
     /// Adds an owner to a blob that is stored. Gives the owner that it replaces, if there were too many.
     async fn give(&self, owner: Owner, digest: Digest) -> Result<Option<Owner>, BlobError>;
 
-    /// Takes a blob from its owner. Gives it if it has no owner left and no pin: it is out of the books then. Errors:
+    /// Takes a blob from its owner. Gives it if it has no owner left and no pin: it is out of the index then. Errors:
     /// `NotFound`; `Pinned` if it is pinned in the owner's name.
     async fn disown(&self, owner: Owner, digest: Digest) -> Result<Option<BlobInfo>, BlobError>;
 

@@ -1,6 +1,6 @@
-//! The books of one process.
+//! The index of one process.
 //!
-//! Purpose: [`LocalBooks`] is [`Books`] in memory. What of them must outlive the process is written beside the blobs by
+//! Purpose: [`LocalIndex`] is [`BlobIndex`] in memory. What of them must outlive the process is written beside the blobs by
 //! the store of blobs, or follows from jobs. Invariant: the lock is held for one call. Must not know: where bytes lie.
 
 use std::sync::Mutex;
@@ -9,28 +9,28 @@ use std::time::Duration;
 use async_trait::async_trait;
 
 use super::ledger::Ledger;
-use super::{Books, Published, Room, Stored, Terms, Used};
+use super::{BlobIndex, Published, Room, Stored, Terms, Used};
 use crate::blob::chunk::UploadId;
 use crate::blob::{BlobError, BlobInfo, Digest, Owner, Usage};
 use crate::lock;
 
 #[derive(Debug, Default)]
-pub struct LocalBooks(Mutex<Ledger>);
+pub struct LocalIndex(Mutex<Ledger>);
 
-impl LocalBooks {
-    /// As [`Books::pin`], at once. Is no use. Errors: the first that is not stored; nothing is pinned then.
+impl LocalIndex {
+    /// As [`BlobIndex::pin`], at once. Is no use. Errors: the first that is not stored; nothing is pinned then.
     pub(crate) fn hold(&self, owner: Owner, name: &str, digests: &[Digest]) -> Result<(), Digest> {
         lock(&self.0).pin(Some(owner), name, digests)
     }
 
-    /// As [`Books::unpin`], at once.
+    /// As [`BlobIndex::unpin`], at once.
     pub(crate) fn release(&self, name: &str) {
         lock(&self.0).unpin(name);
     }
 }
 
 #[async_trait]
-impl Books for LocalBooks {
+impl BlobIndex for LocalIndex {
     async fn enter(&self, stored: Stored) -> Result<Vec<(Digest, Owner)>, BlobError> {
         Ok(lock(&self.0).enter(stored))
     }
