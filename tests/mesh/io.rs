@@ -247,8 +247,10 @@ fn binary_stl_dialects() {
         other[80..84].copy_from_slice(&(declared as u32).to_le_bytes());
         assert_eq!(read(&other), whole, "{declared} of {count} declared");
     }
-    for behind in [1, 49, 92, 100, 5000] {
-        assert_eq!(read(&[&file[..], &vec![0xff; behind]].concat()), whole, "{behind} bytes behind the last");
+    for (behind, byte) in
+        [1, 49, 92, 100, 5000].into_iter().flat_map(|behind| [0, b' ', 0xff].map(|byte| (behind, byte)))
+    {
+        assert_eq!(read(&[&file[..], &vec![byte; behind]].concat()), whole, "{behind} bytes {byte} behind the last");
     }
     // Bytes of a program behind each facet, as many as the facet says.
     for most in [1, 4, 300] {

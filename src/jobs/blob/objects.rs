@@ -52,7 +52,7 @@ impl fmt::Debug for ObjectBlobs {
 }
 
 impl ObjectBlobs {
-    /// Blobs in a folder, which is made if need be, with index of its own. Uploads outlive the process. Errors: `InUse`,
+    /// Blobs in a folder, which is made if need be, with an index of its own. Uploads outlive the process. Errors: `InUse`,
     /// `StorageFull`, `Unavailable`.
     pub async fn local(folder: impl Into<PathBuf>, options: BlobOptions) -> Result<Self, BlobError> {
         Self::local_with(Arc::new(LocalIndex::default()), folder, options).await

@@ -121,7 +121,8 @@ enum Layout {
 }
 
 /// A count in the header may be of an earlier state of the file, and bytes of other programs may follow each record or the
-/// last one. The rest counts as facets if it is a whole number of records whose coordinates are near those before.
+/// last one. The rest counts as facets if it is a whole number of records whose coordinates are near those before, less the
+/// points at its end: they are padding.
 fn layout(bytes: &[u8], declared: usize) -> Layout {
     let body = bytes.len().saturating_sub(HEADER);
     let held = body / RECORD;
@@ -141,7 +142,11 @@ fn layout(bytes: &[u8], declared: usize) -> Layout {
     // Without declared facets any finite coordinates will do.
     let bound = if declared == 0 { f32::MAX } else { 1000.0 * most };
     let are_facets = || rest.iter().all(|record| corners(record).as_flattened().iter().all(|x| x.abs() <= bound));
-    Layout::Plain(if body.is_multiple_of(RECORD) && are_facets() { held } else { declared })
+    if !body.is_multiple_of(RECORD) || !are_facets() {
+        return Layout::Plain(declared);
+    }
+    let is_point = |record: &&[u8; RECORD]| matches!(corners(record), [a, b, c] if a == b && b == c);
+    Layout::Plain(held - rest.iter().rev().take_while(is_point).count())
 }
 
 /// The records of a file whose records are followed by further bytes.
