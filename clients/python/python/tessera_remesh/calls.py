@@ -82,10 +82,12 @@ def remesh_options(surface: Surface, given: dict[str, Any]) -> tuple[dict[str, A
     for name in ("points", "max_points", "lloyd", "newton", "seed"):
         given[name] = count(name, given[name], len(surface.vertices))
     _one_size(given["points"], given["edge_length"], given["sizes"])
+    named = None if given["attributes"] is False else surface.creases
     attributes = _carried(given.pop("attributes"), surface)
     given.update(_density(given.pop("density")))
     given["sizes"], given["seeds"] = meshes._floats(given["sizes"]), meshes._floats(given["seeds"])
-    given["creases"] = _edges(given["creases"])
+    lists = [edges for edges in (named, _edges(given["creases"])) if edges is not None]
+    given["creases"] = np.concatenate(lists) if len(lists) > 1 else next(iter(lists), None)
     return given, attributes
 
 
