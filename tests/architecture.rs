@@ -45,7 +45,8 @@ const HOUSES: &[House] = &[
         ],
         &[
             ("flate2", &["mesh/io/packed", "mesh/io/vtk"]),
-            ("quick_xml", &["mesh/io/vtk"]),
+            ("quick_xml", &["mesh/io/threemf", "mesh/io/vtk"]),
+            ("zip", &["mesh/io/threemf"]),
             ("base64", &["mesh/io/gltf", "mesh/io/vtk"]),
             ("tobj", &["mesh/io"]),
             ("kiddo", &["knn"]),

@@ -27,6 +27,16 @@ pub(super) fn read(header: &Header<'_>, carried: &mut Carried) -> Result<Soup, D
         let is_strips = element.name == STRIPS;
         let first_row = ends.len();
         let roles: Vec<Role> = element.properties.iter().map(|p| rows.carried.role(element, p)).collect();
+        // Two bytes a number, at the least, or four a face.
+        let (most, count) = (rows.cursor.rest.len(), element.count);
+        match element.name.as_str() {
+            "vertex" => rows.positions.reserve_exact(count.min(most / 3 + 1)),
+            "face" => {
+                ends.reserve_exact(count.min(most / 4 + 1));
+                rows.corners.reserve_exact(count.saturating_mul(3).min(most / 2 + 1));
+            }
+            _ => {}
+        }
         for index in 0..element.count {
             let first = rows.corners.len();
             rows.row(element, &roles).map_err(|error| match error {

@@ -176,18 +176,26 @@ impl Reader<'_> {
             if self.counted {
                 return Ok((self.ends(count, size)?, Vec::new()));
             }
-            let numbers = self.cursor.integers(size, Kind::I32, "cells")?;
-            let (mut ends, mut points, mut rest) = (Vec::new(), Vec::with_capacity(numbers.len()), numbers.as_slice());
+            let mut numbers = self.cursor.integers(size, Kind::I32, "cells")?;
+            // Points move to the front, over the lengths.
+            let (mut ends, mut passed, mut end) = (Vec::with_capacity(count.min(size)), 0, 0);
             for index in 0..count {
-                let list = rest.split_first().and_then(|(&n, rest)| rest.split_at_checked(usize::try_from(n).ok()?));
+                let length = numbers.get(passed).and_then(|&length| usize::try_from(length).ok());
+                let list = length.map(|length| passed + 1..(passed + 1).saturating_add(length));
                 let message = || format!("it does not fit the {size} numbers that are declared for all cells");
-                let (list, after) =
-                    list.ok_or_else(|| DataError::Element { element: "cell", index, message: message() })?;
-                points.extend_from_slice(list);
-                ends.push(points.len() as i64);
-                rest = after;
+                let list = list.filter(|list| list.end <= numbers.len()).ok_or_else(|| DataError::Element {
+                    element: "cell",
+                    index,
+                    message: message(),
+                })?;
+                passed = list.end;
+                let length = list.len();
+                numbers.copy_within(list, end);
+                end += length;
+                ends.push(end as i64);
             }
-            return Ok((ends, points));
+            numbers.truncate(end);
+            return Ok((ends, numbers));
         }
         let counted = self.counted;
         let mut part = |name: &[u8], count: usize, is_kept: bool| -> Result<Vec<i64>, DataError> {
