@@ -11,6 +11,7 @@ use serde::Serialize;
 use crate::cvt::density::DensityFigures;
 pub use crate::cvt::figures::{DeviceFigures, FinalFigures, IterationFigures};
 pub use crate::mesh::comparison::{LostPart, LostParts, LostReason};
+pub use crate::mesh::crossings::Crossings;
 pub use crate::mesh::duplicates::InputKind;
 pub use crate::mesh::input::InputFigures;
 use crate::mesh::measure::{Quality, Topology};
@@ -252,6 +253,8 @@ pub struct ResultFigures {
     pub quality: Option<Quality>,
     /// What it lacks of the input; absent if not measured.
     pub lost: Option<LostParts>,
+    /// Facets that cross others; absent if not measured.
+    pub crossings: Option<Crossings>,
     /// What the repair had to do.
     pub repair: RepairFigures,
 }

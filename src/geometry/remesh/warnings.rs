@@ -144,6 +144,16 @@ fn of_shape(report: &Report, all: &mut Vec<Warning>) {
         let text = format!("the topology changed: {}; {why}", report.topology_changes.join(", "));
         all.push(Warning::new("topology_changed", None, text));
     }
+    if let Some(crossings) = report.result.crossings.as_ref().filter(|crossings| crossings.count > 0) {
+        let [x, y, z] = crossings.places.first().copied().unwrap_or_default();
+        let text = format!(
+            "{} facets of the result cross others, the first at {x:.4} {y:.4} {z:.4}: parts are nearer to each other than an \
+             edge there, or cross in the input; more points keep them apart",
+            crossings.count
+        );
+        let places = crossings.places.clone();
+        all.push(Warning { places, ..Warning::new("crossing_facets", Some(crossings.count), text) });
+    }
     let refine = &report.refine;
     let why = match refine.ended {
         Some(RefineEnd::Budget) => "all points are used; a larger `max_points` brings the result nearer",
