@@ -230,8 +230,9 @@ fn measure(
     laps.end(|t| &mut t.measure);
     laps.timings.total = elapsed_ms(laps.begin);
     let reason = match options.refine {
-        Some(_) => None,
-        None => optimize::count_reason((vertices, result.topology.components), asked, &options.seeds, &input.topology),
+        // A tolerance decides how many points there are, and not how many vertices share one.
+        Some(_) if vertices <= asked => None,
+        _ => optimize::count_reason((vertices, result.topology.components), asked, &options.seeds, &input.topology),
     };
     let vertex_count = CountFigures { asked, seeds: seeds.len(), reason };
     let report = Report {

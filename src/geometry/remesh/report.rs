@@ -153,7 +153,8 @@ pub struct CountFigures {
     pub asked: usize,
     /// How many seeds there are: fewer where cells have several components.
     pub seeds: usize,
-    /// Why there are more or fewer vertices than that, by over 1.5 %; absent if there are not, or with a tolerance.
+    /// Why there are more or fewer vertices than that, by over 1.5 %; absent if there are not. With a
+    /// tolerance, for more alone.
     pub reason: Option<CountReason>,
 }
 

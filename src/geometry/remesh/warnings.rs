@@ -64,7 +64,11 @@ fn of_count(report: &Report, all: &mut Vec<Warning>) {
             CountReason::NoThickness => "parts of the input have no thickness",
         };
         let (asked, vertices) = (count.asked, report.result.vertices);
-        let text = format!("{asked} vertices were asked for, and the result has {vertices}: {why}");
+        let asked = match report.refine.ended {
+            Some(_) => format!("there are {asked} points"),
+            None => format!("{asked} vertices were asked for"),
+        };
+        let text = format!("{asked}, and the result has {vertices} vertices: {why}");
         all.push(Warning::new("vertex_count", Some(vertices), text));
     }
     let features = report.features;
