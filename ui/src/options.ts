@@ -1,21 +1,75 @@
 // The options of a remesh.
 //
-// Purpose: reads the form into the names of the service, and shows at a field what is wrong with it. Invariant: an empty field
-// is not sent, so that the service's default holds; the defaults and formats on the page are those of the service's document.
-// Must not know: how a job is made.
+// Purpose: reads the form into the names of the service, fills it from a job, and shows at a field what is wrong with it.
+// Invariant: an empty field is not sent, so that the service's default holds; the defaults and formats on the page are those of
+// the service's document; options of a job that have no field are kept and named. Must not know: how a job is made.
 
-import { Problem, type Schemas } from "./api.ts";
-import { make } from "./dom.ts";
+import { Problem, type Schemas, type Spec } from "./api.ts";
+import { make, the } from "./dom.ts";
 
 export class Options {
+  private schemas: Schemas = {};
+  /** Options of the job that was opened, without a field. */
+  private others: Readonly<Record<string, unknown>> = {};
+
   constructor(private readonly form: HTMLFormElement) {
     form.addEventListener("input", (event) => {
       if (event.target instanceof Element) this.clear(event.target);
     });
+    the("others-drop", HTMLButtonElement).addEventListener("click", () => {
+      this.keep({});
+      form.dispatchEvent(new Event("input"));
+    });
+  }
+
+  /** Sets one field. */
+  set(name: string, value: number): void {
+    const field = this.fields().find((one) => one.name === name);
+    if (field) field.value = String(value);
+  }
+
+  /** Fills the form as a job has it. */
+  fill(spec: Spec): void {
+    this.clearAll();
+    const { density, ...remesh } = spec.remesh ?? {};
+    const { source, ...ofDensity } = density ?? {};
+    const set: Record<string, unknown> = {
+      ...remesh, ...ofDensity, density: source, backend: spec.backend, to: spec.result?.file, attributes: spec.mesh?.file?.attributes,
+    };
+    for (const field of this.fields()) {
+      const value = this.plain(field.name, set[field.name]);
+      const standard = field instanceof HTMLSelectElement ? (field.options[0]?.value ?? "") : "";
+      const isKnown = !(field instanceof HTMLSelectElement) || [...field.options].some((option) => option.value === value);
+      field.value = value !== undefined && isKnown ? String(value) : standard;
+      const isFilled = field.value !== standard && field.closest("details");
+      if (isFilled) isFilled.open = true;
+      if (isKnown) delete set[field.name];
+    }
+    const rest = Object.entries(set).map(([name, value]) => [name, this.plain(name, value)] as const);
+    const isStandard = (name: string, value: unknown): boolean => value === undefined || typeof value === "object" || value === this.schemas[name]?.default;
+    this.keep(Object.fromEntries(rest.filter(([name, value]) => !isStandard(name, value) && !(name === "attributes" && value === true))));
+  }
+
+  private keep(others: Readonly<Record<string, unknown>>): void {
+    this.others = others;
+    // A length says how many points there are.
+    the("points", HTMLInputElement).required = !("edge_length" in others);
+    const names = Object.entries(others).map(([name, value]) => `${name.replaceAll("_", " ")} ${String(value)}`);
+    the("others", HTMLElement).hidden = names.length === 0;
+    the("others-names", HTMLElement).textContent = `Also from this job: ${names.join(", ")}.`;
+  }
+
+  /** A value as the form has it: that of an enum is DENSITY_SOURCE_LFS in a specification and lfs here. A whole number may be text. */
+  private plain(name: string, value: unknown): unknown {
+    if (typeof value !== "string") return value;
+    const word = value.toLowerCase();
+    const known = this.schemas[name]?.enum?.filter((one) => word.endsWith(`_${one}`)).sort((a, b) => b.length - a.length)[0];
+    return known ?? (/^\d+$/.test(value) ? Number(value) : word);
   }
 
   /** Shows the service's defaults in empty fields, and all formats that it writes. */
   learn(schemas: Schemas): void {
+    this.schemas = schemas;
     for (const field of this.fields()) {
       const schema = schemas[field.name];
       const standard = schema?.default;
@@ -42,7 +96,7 @@ export class Options {
   }
 
   read(): Record<string, unknown> {
-    const options: Record<string, unknown> = {};
+    const options: Record<string, unknown> = { ...this.others };
     for (const field of this.fields()) {
       if (field.value === "" || field.name === "") continue;
       options[field.name] = field instanceof HTMLInputElement && field.type === "number" ? field.valueAsNumber : field.value;

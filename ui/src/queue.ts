@@ -90,6 +90,6 @@ export class Queue {
 }
 
 /** How many points a job asks for, if it says so. */
-export function pointsOf(job: Job): number | null {
+function pointsOf(job: Job): number | null {
   return job.spec.remesh?.points ?? null;
 }

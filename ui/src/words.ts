@@ -66,14 +66,31 @@ export interface Told {
   readonly advice: string;
 }
 
-function sentence(text: string): string {
+export function sentence(text: string): string {
   const begun = text.charAt(0).toUpperCase() + text.slice(1);
   return /[.!?]$/.test(begun) ? begun : `${begun}.`;
 }
 
+/** A message of the service, without the names of its fields. */
+export function plain(message: string): string {
+  return message
+    .replaceAll("`", "")
+    .replace(/^(spec\.)?mesh(\.file)?:?\s+the blob /, "the file ")
+    .replace(/^(spec\.)?mesh(\.file)?:?\s+/, "the file: ")
+    .replace(/\bspec\.(\w+\.)*(\w+)/g, "$2")
+    .replace(/\b[a-z]+(_[a-z]+)+\b/g, (name) => name.replaceAll("_", " "));
+}
+
+/** What the service found wrong. */
+function found({ message, fields, status }: Problem): string {
+  if (status >= 500 && status !== 503) return "The server could not do this.";
+  if (fields.length === 0) return sentence(plain(message));
+  return fields.map(({ field, description }) => sentence(plain(`${field} ${description}`))).join(" ");
+}
+
 /** A failed attempt. */
 export function problem(title: string, error: unknown): Told {
-  if (error instanceof Problem) return { title, detail: sentence(error.message), advice: advice(error) };
+  if (error instanceof Problem) return { title, detail: found(error), advice: advice(error) };
   if (error instanceof WorkError) return { title, detail: sentence(error.message), advice: "Try another file, or one with fewer facets." };
   const detail = error instanceof Error ? error.message : String(error);
   return { title, detail: sentence(detail), advice: "Reload the page." };
@@ -104,7 +121,7 @@ export function ending(job: Job): Told | null {
       const isLarge = job.failure?.kind === "too_large";
       return {
         title: "The job failed",
-        detail: sentence(job.failure?.message ?? "the server gives no reason"),
+        detail: sentence(plain(job.failure?.message ?? "the server gives no reason")),
         advice: isInput ? "Correct the mesh or the options, then press Remesh." : isLarge ? "Ask for fewer points." : "Press Remesh to try again.",
       };
     }
