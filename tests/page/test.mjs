@@ -105,6 +105,8 @@ async function message(page, pattern) {
   assert.match(words, pattern);
   assert.doesNotMatch(words, /[{}]|spec\.|urn:|problem\+json|invalid_argument/, "words of the interface");
   assert.notEqual(await text(page, "#message-advice"), "");
+  const { y } = await page.locator("#message").boundingBox();
+  assert.ok(y >= 0 && y < page.viewportSize().height, "it is seen wherever the page is scrolled to");
   await page.click("#message-close");
   await page.waitForSelector("#message", { state: "hidden" });
 }
@@ -224,7 +226,6 @@ const tests = {
       await page.check("#edges");
       await changed(page, "#result-canvas", distance, "edges are drawn");
 
-      await page.uncheck("#edges");
       await page.click("label[for=colours-quality]");
       await page.click("label[for=layout-slider]");
       if (PICTURES) await page.waitForTimeout(500);
@@ -343,6 +344,8 @@ const tests = {
         { points: 270, density: "lfs", gradation: 0.2, thin: "even", placement: "surface", projection: "surface", measure: "topology", attributes: false, backend: "serial" },
         { points: 280, max_deviation: 5, max_points: 400, to: "obj" },
         { edge_length: 0.4, density: "uniform" },
+        { points: 290, sizes: (await json(`${at}v1/blobs`, { method: "POST", body: ".3\n.4\n.5\n.3\n.4\n.5\n" })).digest,
+          creases: (await json(`${at}v1/blobs`, { method: "POST", body: "0 2\n2 1\n" })).digest, gradation: 0.5 },
       ];
       for (const options of jobs) {
         const { id, spec } = await post(`${at}v1/jobs`, { mesh: digest, format: "obj", ...options, labels: { file: "octahedron.obj" } });
@@ -352,7 +355,7 @@ const tests = {
         for (const [name, value] of Object.entries(options)) {
           const field = page.locator(`[name=${name}]`);
           if (await field.count()) assert.equal(await field.inputValue(), value === "uniform" ? "" : String(value), name);
-          else assert.match(await text(page, "#others"), new RegExp(`${name.replaceAll("_", " ")} ${value}`));
+          else assert.match(await text(page, "#others"), new RegExp(name.replaceAll("_", " ") + (/^[0-9a-f]{64}$/.test(value) ? "" : ` ${value}`)));
         }
         await page.click("#go");
         await page.waitForFunction((id) => /^#job=/.test(location.hash) && !location.hash.endsWith(id), id, SLOW);
@@ -364,6 +367,17 @@ const tests = {
         await ended(page);
       }
       assert.ok(await page.isVisible("#others"));
+      // Files that options name are fetched first.
+      const folder = mkdtempSync(join(tmpdir(), "page-"));
+      try {
+        writeFileSync(join(folder, "octahedron.obj"), octahedron);
+        await page.click("[data-copy=command]");
+        const words = (await page.textContent("#as-text")).replace("tessera remesh", `'${SERVER}' remesh`);
+        execFileSync("sh", ["-c", words], { cwd: folder, stdio: "pipe" });
+        assert.ok(readFileSync(join(folder, "octahedron-remesh.obj")).equals((await downloaded(page)).bytes));
+      } finally {
+        rmSync(folder, { recursive: true });
+      }
       await page.click("#others-drop");
       assert.ok(await page.isHidden("#others"));
     });

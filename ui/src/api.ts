@@ -28,6 +28,8 @@ export interface Spec {
   readonly backend?: string;
   readonly result?: { readonly file?: string };
   readonly labels?: Readonly<Record<string, string>>;
+  readonly arrays?: Readonly<Record<string, { readonly digest: string; readonly form: string }>>;
+  readonly [other: string]: unknown;
 }
 
 export interface Iteration {

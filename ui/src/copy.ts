@@ -3,6 +3,9 @@
 // Purpose: writes the options of the form as a command, a request by curl and a call in Python. Invariant: each text does what
 // the page does, and a file name is never more than a file name. Must not know: the form, the service.
 
+/** Options that name a stored file. */
+export const FILES: readonly string[] = ["sizes", "creases"];
+
 export interface Call {
   /** Name of the input file. */
   readonly name: string;
@@ -14,9 +17,12 @@ export interface Call {
   readonly needsKey: boolean;
 }
 
-export const LANGUAGES = ["command", "curl", "python"] as const;
+export type Language = "command" | "curl" | "python";
 
-export type Language = (typeof LANGUAGES)[number];
+const KEY = '--header "Authorization: Bearer $TESSERA_KEY"';
+
+/** Goes on in the next line, in a shell. */
+const NEXT_LINE = " \\\n  ";
 
 export function written(language: Language, call: Call): string {
   const { to, ...options } = call.options;
@@ -29,30 +35,40 @@ export function written(language: Language, call: Call): string {
   return writers[language]();
 }
 
-function command({ name, format }: Call, options: Readonly<Record<string, unknown>>, output: string): string {
+function command(call: Call, options: Readonly<Record<string, unknown>>, output: string): string {
   const flags = Object.entries(options).flatMap(([key, value]) => {
+    if (FILES.includes(key)) return [`--${key} ${key}.txt`];
     if (key === "attributes") return value === false ? ["--no-attributes"] : [];
     return [`--${key.replaceAll("_", "-")} ${shell(String(value))}`];
   });
+  const { name, format } = call;
   const input = isNamed(name, format) ? [] : [`--input-format ${format}`];
-  return ["tessera remesh", shell(path(name)), ...input, ...flags, "--output", shell(path(output))].join(" ");
+  return fetched(call) + [`tessera remesh ${shell(path(name))}`, ...input, ...flags, `--output ${shell(path(output))}`].join(NEXT_LINE);
+}
+
+/** Fetches the files that options name. */
+function fetched({ options, base, needsKey }: Call): string {
+  const files = FILES.filter((key) => options[key] !== undefined);
+  return files.map((key) => `curl --fail-with-body ${needsKey ? `${KEY} ` : ""}${shell(`${base}v1/blobs/${String(options[key])}`)} --output ${key}.txt\n`).join("");
 }
 
 function curl({ name, format, options, base, needsKey }: Call, output: string): string {
   const query = new URLSearchParams(Object.entries({ format, ...options }).map(([key, value]) => [key, String(value)]));
   return [
     "curl --fail-with-body",
-    ...(needsKey ? ['--header "Authorization: Bearer $TESSERA_KEY"'] : []),
+    ...(needsKey ? [KEY] : []),
     `--data-binary ${shell(`@${path(name)}`)}`,
     shell(`${base}v1/remesh?${query}`),
     `--output ${shell(path(output))}`,
-  ].join(" ");
+  ].join(NEXT_LINE);
 }
 
 function python({ name }: Call, options: Readonly<Record<string, unknown>>, output: string): string {
   const given = Object.entries({ ...options, ...(options["measure"] ? { measure: options["measure"] === "full" } : {}) });
-  const words = given.map(([key, value]) => `, ${key}=${typeof value === "boolean" ? (value ? "True" : "False") : JSON.stringify(value)}`);
-  return `import tessera_remesh\n\nresult = tessera_remesh.remesh(${JSON.stringify(path(name))}${words.join("")})\nresult.save(${JSON.stringify(path(output))})`;
+  const words = given.map(([key, value]) => `, ${key}=${FILES.includes(key) ? `numpy.loadtxt("${key}.txt"${key === "creases" ? ", dtype=int, ndmin=2" : ""})` : typeof value === "boolean" ? (value ? "True" : "False") : JSON.stringify(value)}`);
+  const hasFiles = FILES.some((key) => key in options);
+  const files = hasFiles ? "import numpy\n# sizes.txt and creases.txt: see the command\n" : "";
+  return `${files}import tessera_remesh\n\nresult = tessera_remesh.remesh(${JSON.stringify(path(name))}${words.join("")})\nresult.save(${JSON.stringify(path(output))})`;
 }
 
 /** Whether a file's name says its format. */

@@ -2,9 +2,10 @@
 //
 // Purpose: reads the form into the names of the service, fills it from a job, and shows at a field what is wrong with it.
 // Invariant: an empty field is not sent, so that the service's default holds; the defaults and formats on the page are those of
-// the service's document; options of a job that have no field are kept and named. Must not know: how a job is made.
+// the service's document; options of a job that have no field are kept, or left out, and named. Must not know: how a job is made.
 
 import { Problem, type Schemas, type Spec } from "./api.ts";
+import { FILES } from "./copy.ts";
 import { make, the } from "./dom.ts";
 
 export class Options {
@@ -36,6 +37,12 @@ export class Options {
     const set: Record<string, unknown> = {
       ...remesh, ...ofDensity, density: source, backend: spec.backend, to: spec.result?.file, attributes: spec.mesh?.file?.attributes,
     };
+    const left = Object.keys(spec).filter((name) => !["mesh", "remesh", "backend", "result", "labels", "arrays"].includes(name));
+    for (const [name, { digest, form }] of Object.entries(spec.arrays ?? {})) {
+      const option = form === "ARRAY_FORM_TEXT" ? { edge_lengths: "sizes", creases: "creases" }[name] : undefined;
+      if (option) set[option] = digest;
+      else left.push(name);
+    }
     for (const field of this.fields()) {
       const value = this.plain(field.name, set[field.name]);
       const standard = field instanceof HTMLSelectElement ? (field.options[0]?.value ?? "") : "";
@@ -47,16 +54,20 @@ export class Options {
     }
     const rest = Object.entries(set).map(([name, value]) => [name, this.plain(name, value)] as const);
     const isStandard = (name: string, value: unknown): boolean => value === undefined || typeof value === "object" || value === this.schemas[name]?.default;
-    this.keep(Object.fromEntries(rest.filter(([name, value]) => !isStandard(name, value) && !(name === "attributes" && value === true))));
+    this.keep(Object.fromEntries(rest.filter(([name, value]) => !isStandard(name, value) && !(name === "attributes" && value === true))), left);
   }
 
-  private keep(others: Readonly<Record<string, unknown>>): void {
+  private keep(others: Readonly<Record<string, unknown>>, left: readonly string[] = []): void {
     this.others = others;
     // A length says how many points there are.
-    the("points", HTMLInputElement).required = !("edge_length" in others);
-    const names = Object.entries(others).map(([name, value]) => `${name.replaceAll("_", " ")} ${String(value)}`);
-    the("others", HTMLElement).hidden = names.length === 0;
-    the("others-names", HTMLElement).textContent = `Also from this job: ${names.join(", ")}.`;
+    the("points", HTMLInputElement).required = !("edge_length" in others || "sizes" in others);
+    const words = (name: string): string => name.replaceAll("_", " ");
+    const names = Object.entries(others).map(([name, value]) => (FILES.includes(name) ? words(name) : `${words(name)} ${String(value)}`));
+    the("others", HTMLElement).hidden = names.length + left.length === 0;
+    the("others-names", HTMLElement).textContent = [
+      names.length > 0 ? `Also set: ${names.join(", ")}.` : "", left.length > 0 ? `Of this job, not set here: ${left.map(words).join(", ")}.` : "",
+    ].join(" ").trim();
+    the("others-drop", HTMLElement).hidden = names.length === 0;
   }
 
   /** A value as the form has it: that of an enum is DENSITY_SOURCE_LFS in a specification and lfs here. A whole number may be text. */

@@ -5,9 +5,7 @@
 
 type Point = readonly [number, number, number];
 
-export const SAMPLES = ["knot", "bent-box", "three-holes"] as const;
-
-export type Sample = (typeof SAMPLES)[number];
+export type Sample = "knot" | "bent-box" | "three-holes";
 
 /** Points for a useful remesh. */
 export const SAMPLE_POINTS = 3000;
