@@ -663,6 +663,11 @@ const tests = {
       await page.fill("#newton", "3000");
       await page.click("#go");
       await says(page, "#run-stage", /iteration/);
+      // Loaded again, the page shows the job at work, with its cells.
+      await page.reload();
+      await says(page, "#input-legend", /^20,000 cells, each the points nearest to its seed/);
+      await says(page, "#run-stage", /iteration/);
+      assert.equal(await page.inputValue("#newton"), "3000");
       await page.click("#cancel");
       await says(page, "#run-stage", /was cancelled/);
       assert.ok(await page.isHidden("#cancel"));

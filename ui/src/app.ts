@@ -65,7 +65,8 @@ export class App {
     for (const button of document.querySelectorAll<HTMLElement>("[data-sample]")) {
       button.addEventListener("click", () => {
         this.options.set("points", SAMPLE_POINTS);
-        void this.take(sample(button.dataset["sample"] as Sample));
+        // The button goes away with the invitation.
+        void this.take(sample(button.dataset["sample"] as Sample)).then(() => this.go.focus());
       });
     }
     for (const button of document.querySelectorAll<HTMLElement>("[data-copy]")) {
