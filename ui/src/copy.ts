@@ -21,6 +21,9 @@ export type Language = "command" | "curl" | "python";
 
 const KEY = '--header "Authorization: Bearer $TESSERA_KEY"';
 
+/** Options of the service alone, and the next best elsewhere. */
+const ELSEWHERE: Readonly<Record<string, string>> = { max_deviation_length: "max_deviation, in percent of the diagonal" };
+
 /** Goes on in the next line, in a shell. */
 const NEXT_LINE = " \\\n  ";
 
@@ -37,13 +40,21 @@ export function written(language: Language, call: Call): string {
 
 function command(call: Call, options: Readonly<Record<string, unknown>>, output: string): string {
   const flags = Object.entries(options).flatMap(([key, value]) => {
+    // The command measures everything.
+    if (key in ELSEWHERE || key === "measure") return [];
     if (FILES.includes(key)) return [`--${key} ${key}.txt`];
     if (key === "attributes") return value === false ? ["--no-attributes"] : [];
     return [`--${key.replaceAll("_", "-")} ${shell(String(value))}`];
   });
   const { name, format } = call;
   const input = isNamed(name, format) ? [] : [`--input-format ${format}`];
-  return fetched(call) + [`tessera remesh ${shell(path(name))}`, ...input, ...flags, `--output ${shell(path(output))}`].join(NEXT_LINE);
+  return remarks(options) + fetched(call) + [`tessera remesh ${shell(path(name))}`, ...input, ...flags, `--output ${shell(path(output))}`].join(NEXT_LINE);
+}
+
+/** What a call cannot say. */
+function remarks(options: Readonly<Record<string, unknown>>): string {
+  const keys = Object.keys(options).filter((key) => key in ELSEWHERE);
+  return keys.map((key) => `# Not here: ${key} ${String(options[key])}. Give ${ELSEWHERE[key]}.\n`).join("");
 }
 
 /** Fetches the files that options name. */
@@ -65,10 +76,14 @@ function curl({ name, format, options, base, needsKey }: Call, output: string): 
 
 function python({ name }: Call, options: Readonly<Record<string, unknown>>, output: string): string {
   const given = Object.entries({ ...options, ...(options["measure"] ? { measure: options["measure"] === "full" } : {}) });
-  const words = given.map(([key, value]) => `, ${key}=${FILES.includes(key) ? `numpy.loadtxt("${key}.txt"${key === "creases" ? ", dtype=int, ndmin=2" : ""})` : typeof value === "boolean" ? (value ? "True" : "False") : JSON.stringify(value)}`);
+  const literal = (key: string, value: unknown): string => {
+    if (FILES.includes(key)) return `numpy.loadtxt("${key}.txt"${key === "creases" ? ", dtype=int, ndmin=2" : ""})`;
+    return typeof value === "boolean" ? (value ? "True" : "False") : JSON.stringify(value);
+  };
+  const words = given.filter(([key]) => !(key in ELSEWHERE)).map(([key, value]) => `, ${key}=${literal(key, value)}`);
   const hasFiles = FILES.some((key) => key in options);
-  const files = hasFiles ? "import numpy\n# sizes.txt and creases.txt: see the command\n" : "";
-  return `${files}import tessera_remesh\n\nresult = tessera_remesh.remesh(${JSON.stringify(path(name))}${words.join("")})\nresult.save(${JSON.stringify(path(output))})`;
+  const files = hasFiles ? "# sizes.txt, creases.txt: the command fetches them.\nimport numpy\n" : "";
+  return `${remarks(options)}${files}import tessera_remesh\n\nresult = tessera_remesh.remesh(${JSON.stringify(path(name))}${words.join("")})\nresult.save(${JSON.stringify(path(output))})`;
 }
 
 /** Whether a file's name says its format. */
