@@ -243,7 +243,7 @@ const tests = {
       assert.match(await page.textContent("#chart"), /^E \/ Ehex/);
       for (const id of ["bars-q", "bars-angle"]) assert.match(await page.getAttribute(`#${id}`, "aria-description"), /^Input: .* Remesh: most facets/);
       if (PICTURES) await page.waitForTimeout(500);
-      await picture(page, "after");
+      await picture(page, "after", { fullPage: true });
 
       const figures = await page.locator("#figures tr").evaluateAll((rows) =>
         Object.fromEntries(rows.map((row) => [row.querySelector("th").textContent, [...row.querySelectorAll("td")].map((cell) => cell.textContent)])));
