@@ -384,6 +384,8 @@ const tests = {
         { points: 280, max_deviation: 5, max_points: 400, to: "obj" },
         { edge_length: 0.4, density: "uniform" },
         { points: 240, max_deviation_length: 0.1 },
+        { points_percent: 5000 },
+        { facets: 500 },
         { points: 290, sizes: (await json(`${at}v1/blobs`, { method: "POST", body: ".3\n.4\n.5\n.3\n.4\n.5\n" })).digest,
           creases: (await json(`${at}v1/blobs`, { method: "POST", body: "0 2\n2 1\n" })).digest, gradation: 0.5 },
       ];
@@ -393,6 +395,10 @@ const tests = {
         await ended(page);
         await compared(page);
         for (const [name, value] of Object.entries(options)) {
+          if (name === "points_percent") {
+            assert.equal(await page.inputValue("#points"), `${value}%`);
+            continue;
+          }
           const field = page.locator(`[name=${name}]`);
           if (await field.count()) assert.equal(await field.inputValue(), value === "uniform" ? "" : String(value), name);
           else assert.match(await text(page, "#others"), new RegExp(name.replaceAll("_", " ") + (/^[0-9a-f]{64}$/.test(value) ? "" : ` ${value}`)));
@@ -420,7 +426,8 @@ const tests = {
         ["octahedron.obj", {}, { points: "300" }],
         ["it's a $(mesh) `x` & \"y\".obj", { to: "glb", density: "curvature" }, { points: "250", seed: "9", adaptivity: "0.5", crease_angle: "20" }],
         ["-o.obj", { to: "off", boundaries: "free", density: "" }, { points: "260", lloyd: "3", newton: "2", max_deviation: "3" }],
-        ["no extension", { to: "ply" }, { points: "200", max_deviation: "" }],
+        ["no extension", { to: "ply" }, { points: "0.2k", max_deviation: "" }],
+        ["share.obj", { to: "obj" }, { points: "4000%" }],
       ];
       await page.click("summary");
       for (const [name, choices, values] of cases) {
@@ -632,10 +639,12 @@ const tests = {
       await message(page, /cannot be unpacked/);
       await drop(page, "octahedron.obj", octahedron);
       await says(page, "#input-counts", /^6 vertices/);
-      await page.fill("#points", "0");
-      await page.click("#go");
-      assert.ok(await page.isVisible("#points-error"));
-      assert.equal(await page.getAttribute("#points", "aria-invalid"), "true");
+      for (const wrong of ["0", "", "many", "1,5", "-3", "2.5", "0%", "3 points"]) {
+        await page.fill("#points", wrong);
+        await page.click("#go");
+        assert.ok(await page.isVisible("#points-error"), wrong);
+        assert.equal(await page.getAttribute("#points", "aria-invalid"), "true");
+      }
       await page.fill("#points", "200");
       assert.equal(await page.locator("#points-error").count(), 0);
       await page.click("#go");

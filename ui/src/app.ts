@@ -64,7 +64,7 @@ export class App {
     this.takeDrops();
     for (const button of document.querySelectorAll<HTMLElement>("[data-sample]")) {
       button.addEventListener("click", () => {
-        this.options.set("points", SAMPLE_POINTS);
+        this.options.points(SAMPLE_POINTS);
         // The button goes away with the invitation.
         void this.take(sample(button.dataset["sample"] as Sample)).then(() => this.go.focus());
       });

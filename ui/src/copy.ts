@@ -28,11 +28,12 @@ const ELSEWHERE: Readonly<Record<string, string>> = { max_deviation_length: "max
 const NEXT_LINE = " \\\n  ";
 
 export function written(language: Language, call: Call): string {
-  const { to, ...options } = call.options;
+  const { to, points_percent: percent, ...others } = call.options;
+  const options = percent === undefined ? others : { points: `${String(percent)}%`, ...others };
   const output = `${call.stem}-remesh.${String(to ?? call.format)}`;
   const writers: Record<Language, () => string> = {
     command: () => command(call, options, output),
-    curl: () => curl(call, output),
+    curl: () => curl(call, to === undefined ? options : { ...options, to }, output),
     python: () => python(call, options, output),
   };
   return writers[language]();
@@ -63,7 +64,7 @@ function fetched({ options, base, needsKey }: Call): string {
   return files.map((key) => `curl --fail-with-body ${needsKey ? `${KEY} ` : ""}${shell(`${base}v1/blobs/${String(options[key])}`)} --output ${key}.txt\n`).join("");
 }
 
-function curl({ name, format, options, base, needsKey }: Call, output: string): string {
+function curl({ name, format, base, needsKey }: Call, options: Readonly<Record<string, unknown>>, output: string): string {
   const query = new URLSearchParams(Object.entries({ format, ...options }).map(([key, value]) => [key, String(value)]));
   return [
     "curl --fail-with-body",

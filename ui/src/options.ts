@@ -7,15 +7,29 @@
 import { Problem, type Schemas, type Spec } from "./api.ts";
 import { FILES } from "./copy.ts";
 import { make, the } from "./dom.ts";
+import { count, whole } from "./words.ts";
+
+/** The least points for a closed surface, and the most that a server takes. */
+const POINTS = [4, 4_000_000] as const;
+
+/** Options that say how many points there are, in place of a number. */
+const SIZES: readonly string[] = ["edge_length", "facets", "sizes"];
 
 export class Options {
   private schemas: Schemas = {};
   /** Options of the job that was opened, without a field. */
   private others: Readonly<Record<string, unknown>> = {};
+  private left: readonly string[] = [];
 
   constructor(private readonly form: HTMLFormElement) {
     form.addEventListener("input", (event) => {
       if (event.target instanceof Element) this.clear(event.target);
+    });
+    const points = the("points", HTMLInputElement);
+    points.addEventListener("input", () => {
+      // A number takes the place of another size.
+      const { edge_length: _, facets: __, ...others } = this.others;
+      if (points.value !== "") this.keep(others, this.left);
     });
     the("others-drop", HTMLButtonElement).addEventListener("click", () => {
       this.keep({});
@@ -23,19 +37,20 @@ export class Options {
     });
   }
 
-  /** Sets one field. */
-  set(name: string, value: number): void {
-    const field = this.fields().find((one) => one.name === name);
-    if (field) field.value = String(value);
+  /** Sets the number of points. */
+  points(value: number): void {
+    the("points", HTMLInputElement).value = String(value);
+    this.keep({});
   }
 
   /** Fills the form as a job has it. */
   fill(spec: Spec): void {
     this.clearAll();
-    const { density, ...remesh } = spec.remesh ?? {};
+    const { density, points_percent: percent, ...remesh } = spec.remesh ?? {};
     const { source, ...ofDensity } = density ?? {};
     const set: Record<string, unknown> = {
       ...remesh, ...ofDensity, density: source, backend: spec.backend, to: spec.result?.file, attributes: spec.mesh?.file?.attributes,
+      ...(percent === undefined ? {} : { points: `${String(percent)}%` }),
     };
     const left = Object.keys(spec).filter((name) => !["mesh", "remesh", "backend", "result", "labels", "arrays"].includes(name));
     for (const [name, { digest, form }] of Object.entries(spec.arrays ?? {})) {
@@ -59,8 +74,8 @@ export class Options {
 
   private keep(others: Readonly<Record<string, unknown>>, left: readonly string[] = []): void {
     this.others = others;
-    // A length says how many points there are.
-    the("points", HTMLInputElement).required = !("edge_length" in others || "sizes" in others);
+    this.left = left;
+    the("points", HTMLInputElement).required = !SIZES.some((name) => name in others);
     const words = (name: string): string => name.replaceAll("_", " ");
     const names = Object.entries(others).map(([name, value]) => (FILES.includes(name) ? words(name) : `${words(name)} ${String(value)}`));
     the("others", HTMLElement).hidden = names.length + left.length === 0;
@@ -97,6 +112,9 @@ export class Options {
   check(): boolean {
     this.clearAll();
     let first: HTMLElement | null = null;
+    const points = the("points", HTMLInputElement);
+    const isRight = points.value.trim() === "" || Object.keys(size(points.value)).length > 0;
+    points.setCustomValidity(isRight ? "" : `Give ${POINTS.map(count).join(" to ")} points, as 10000 or 10k, or percent of the input's vertices, as 50%.`);
     for (const field of this.fields()) {
       if (field.checkValidity()) continue;
       this.say(field, field.validationMessage);
@@ -110,6 +128,10 @@ export class Options {
     const options: Record<string, unknown> = { ...this.others };
     for (const field of this.fields()) {
       if (field.value === "" || field.name === "") continue;
+      if (field.name === "points") {
+        Object.assign(options, size(field.value));
+        continue;
+      }
       options[field.name] = field instanceof HTMLInputElement && field.type === "number" ? field.valueAsNumber : field.value;
     }
     return options;
@@ -156,4 +178,12 @@ export class Options {
   private clearAll(): void {
     for (const field of this.fields()) this.clear(field);
   }
+}
+
+/** A number of points, or a share of the vertices; nothing if it is neither. */
+function size(text: string): Record<string, number> {
+  const share = /^\s*(\d+(?:\.\d+)?)\s*%\s*$/.exec(text)?.[1];
+  if (share !== undefined) return Number(share) > 0 ? { points_percent: Number(share) } : {};
+  const points = whole(text);
+  return points !== null && points >= POINTS[0] && points <= POINTS[1] ? { points } : {};
 }

@@ -6,10 +6,10 @@
 import { Problem, type Job, type State } from "./api.ts";
 import { WorkError } from "./work.ts";
 
-const whole = new Intl.NumberFormat("en");
+const grouped = new Intl.NumberFormat("en");
 
 export function count(x: number): string {
-  return whole.format(x);
+  return grouped.format(x);
 }
 
 /** With so many significant digits, and no exponent where none is needed. */
@@ -47,6 +47,14 @@ export function size(bytes: number): string {
   if (bytes < 1000) return `${bytes} B`;
   if (bytes < 1e6) return `${(bytes / 1e3).toFixed(0)} kB`;
   return bytes < 1e9 ? `${(bytes / 1e6).toFixed(1)} MB` : `${(bytes / 1e9).toFixed(2)} GB`;
+}
+
+/** A whole number as people write it: 10000, 10,000, 10k, 1.5m or 1e4. */
+export function whole(text: string): number | null {
+  const [, digits, unit] = /^\s*(\d{1,3}(?:,\d{3})+|\d+(?:\.\d*)?(?:e\d+)?)\s*([km]?)\s*$/i.exec(text) ?? [];
+  if (digits === undefined) return null;
+  const number = Number(digits.replaceAll(",", "")) * { "": 1, k: 1e3, m: 1e6 }[(unit ?? "").toLowerCase() as "" | "k" | "m"];
+  return Number.isSafeInteger(number) ? number : null;
 }
 
 export const STATES: Readonly<Record<State, string>> = {
