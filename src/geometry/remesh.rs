@@ -339,7 +339,7 @@ pub enum RemeshError {
     #[error("the surface lies back to back with itself and has no thickness; remesh one of its sides")]
     NoThickness,
     /// As [`Self::TooFewSeeds`], where an edge length says how many seeds there are.
-    #[error("an edge length of {length} is too long for this surface; give a shorter one, for example {fits:.2e}")]
+    #[error("an edge length of {length} is too long for this surface; give a shorter one, for example {fits}")]
     EdgeTooLong {
         /// As given, caller's units.
         length: f64,
@@ -391,7 +391,8 @@ impl RemeshError {
                 // N equilateral triangles around vertices have the area N √3/2 h².
                 let fits = (2.0 / 3f64.sqrt() * area / (10 * least) as f64).sqrt();
                 match edge_length {
-                    Some(length) => Self::EdgeTooLong { length, fits },
+                    // Two digits are enough.
+                    Some(length) => Self::EdgeTooLong { length, fits: format!("{fits:.1e}").parse().unwrap_or(fits) },
                     None => Self::TooFewSeeds { seeds, least },
                 }
             }

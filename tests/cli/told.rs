@@ -33,6 +33,35 @@ fn closed() -> Stdio {
     writer.into()
 }
 
+/// Counts are written as people write them.
+#[test]
+fn points_are_a_count_a_share_or_facets() {
+    let folder = sphere();
+    let counted = |size: &str| {
+        let line = format!("remesh in.ply -o out.ply --newton 0 --json {size}");
+        let (out, said, told) = run(&mut command(folder.path(), &line));
+        assert!(out.status.success(), "{size}: {told}");
+        let report: serde_json::Value = serde_json::from_str(&said).unwrap();
+        let of = |key: &str| report["result"][key].as_u64().unwrap();
+        (of("vertices"), of("facets"))
+    };
+    let vertices = io::read(&folder.path().join("in.ply")).unwrap().positions().len() as u64;
+    assert_eq!(counted("--points 0.3k").0, 300);
+    assert_eq!(counted("--points 1,000").0, 1000);
+    assert_eq!(counted("--points 25%").0, (vertices as f64 / 4.0).round() as u64);
+    assert_eq!(counted("--facets 596").1, 596);
+    for (line, words) in [
+        ("--points 0%", "--points"),
+        ("--points 1,5", "--points"),
+        ("--points 10 --facets 20", "--facets"),
+        ("--facets 0", "--facets"),
+        ("--edge-length 1 --facets 20", "--facets"),
+    ] {
+        let (out, _, told) = run(&mut command(folder.path(), &format!("remesh in.ply -o out.ply {line}")));
+        assert!(out.status.code() == Some(2) && told.contains(words), "{line}: {told}");
+    }
+}
+
 #[test]
 fn a_closed_pipe_ends_nothing() {
     let folder = sphere();

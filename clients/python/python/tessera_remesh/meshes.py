@@ -256,7 +256,7 @@ def _from_meshio(mesh: Any, meshio: Any) -> Surface | None:
     if not faces:
         kinds = ", ".join(sorted({block.type for block in mesh.cells})) or "nothing"
         raise InputError(f"the meshio mesh has no triangles and no quadrilaterals, but {kinds}")
-    points = np.asarray(mesh.points)
+    points = np.asarray(mesh.points, dtype=np.float64)
     if points.shape[1] == 2:
         points = np.column_stack([points, np.zeros(len(points))])
     attributes = Attributes()
@@ -375,7 +375,7 @@ def to_trimesh(surface: Surface) -> Any:
     surface, attributes = _by_vertex(surface)
     mesh = trimesh.Trimesh(surface.vertices, surface.faces, vertex_normals=attributes.normals, process=False)
     if attributes.texture is not None:
-        mesh.visual = trimesh.visual.TextureVisuals(uv=attributes.texture)
+        mesh.visual = trimesh.visual.TextureVisuals(uv=attributes.texture)  # type: ignore[no-untyped-call]
         if attributes.colours is not None:
             mesh.vertex_attributes["color"] = attributes.colours
     elif attributes.colours is not None:

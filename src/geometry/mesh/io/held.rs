@@ -136,6 +136,18 @@ impl<'a> Held<'a> {
     }
 }
 
+/// A surface around the origin and the place that was its middle, if it lies far from the origin beside its size: there single
+/// precision is coarse. The place is one of single precision, as readers hold it.
+pub(super) fn centred(mesh: &TriMesh) -> Option<(TriMesh, DVec3)> {
+    let (low, high) = mesh.bounds();
+    let middle = (0.5 * low + 0.5 * high).as_vec3().as_dvec3();
+    if middle.abs().max_element() <= (high - low).max_element() || !middle.is_finite() {
+        return None;
+    }
+    let positions = mesh.positions().iter().map(|&p| p - middle).collect();
+    TriMesh::new(positions, mesh.facets().to_vec()).ok().map(|moved| (moved, middle))
+}
+
 /// The share of an edge by which rounding may move a vertex unsaid.
 const MOST_ROUNDING: f64 = 0.01;
 

@@ -286,7 +286,7 @@ class AsyncClient:
     async def result(self, job: str, progress: ProgressLike = None) -> Remesh:
         """As `Client.result`."""
         with listener(progress) as listen:
-            return to_remesh(_NOBODYS, await self._run(_fetch(job, listen, self._patience)))
+            return to_remesh(_NOBODYS, None, await self._run(_fetch(job, listen, self._patience)))
 
     async def cancel(self, job: str) -> None:
         """Cancels a job."""
