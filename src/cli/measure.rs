@@ -9,6 +9,7 @@ use clap::Args;
 use serde::Serialize;
 
 use super::exit::{NotWritten, Usage};
+use super::picture::PictureArgs;
 use super::say::SayArgs;
 use super::{files, interrupt, say};
 use geometry::mesh::TriMesh;
@@ -32,6 +33,8 @@ pub(crate) struct MeasureArgs {
     /// Format of the standard input.
     #[arg(long, value_name = "FORMAT", value_parser = files::format())]
     pub(crate) input_format: Option<Format>,
+    #[command(flatten, next_help_heading = "Picture")]
+    pub(crate) picture: PictureArgs,
     #[command(flatten)]
     pub(crate) say: SayArgs,
 }
@@ -97,10 +100,12 @@ pub(crate) fn run(args: &MeasureArgs) -> Result<()> {
     {
         return Err(Usage("the standard input can be only one of the two".to_owned()).into());
     }
+    args.picture.check()?;
     let original = read(&args.original)?;
     let remesh = args.remesh.as_ref().map(|path| Ok::<_, anyhow::Error>((path, read(path)?))).transpose()?;
     let result = remesh.as_ref().map_or(&original, |(_, mesh)| mesh);
     let (quality, _) = quality_and_distances(&original, None, result, &token)?;
+    args.picture.draw(result, &[])?;
     let measured = Measured {
         original: Surface::new(&args.original, &original, &token)?,
         remesh: remesh.map(|(path, mesh)| Surface::new(path, &mesh, &token)).transpose()?,

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import _thread
+import os
+import subprocess
+import sys
 import threading
 import time
 
 import numpy as np
 import pytest
 import tessera_remesh
-from tessera_remesh import Attributes, Cancelled, InputError, Progress
+from tessera_remesh import Attributes, Cancelled, InputError, Progress, surroundings
 
 from conftest import torus
 
@@ -351,3 +354,21 @@ def test_seeds_may_be_given(surface):
 
 def test_cancelled_is_an_error_of_the_package():
     assert issubclass(Cancelled, tessera_remesh.TesseraError)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="the layer is Mesa's for Linux")
+def test_drivers_say_nothing_where_there_is_no_desktop():
+    for alone in ({}, {"XDG_RUNTIME_DIR": ""}, {"XDG_RUNTIME_DIR": "run", "WAYLAND_DISPLAY": "wayland-0"}):
+        variables = dict(alone)
+        surroundings.prepare(variables)
+        assert variables == {**alone, "NODEVICE_SELECT": "1"}
+    for other in ("XDG_RUNTIME_DIR", "WAYLAND_DISPLAY", "WAYLAND_SOCKET", "NODEVICE_SELECT", "MESA_VK_DEVICE_SELECT", "DRI_PRIME"):
+        variables = {other: "/run/user/1000"}
+        surroundings.prepare(variables)
+        assert variables == {other: "/run/user/1000"}
+
+    desktop = ("XDG_RUNTIME_DIR", "WAYLAND_DISPLAY", "DISPLAY", "NODEVICE_SELECT")
+    without = {name: value for name, value in os.environ.items() if name not in desktop}
+    code = "import tessera_remesh as t; t.remesh([(0, 0, 0), (1, 0, 0), (0, 1, 0)], [(0, 1, 2)], points=20)"
+    done = subprocess.run([sys.executable, "-c", code], env=without, capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (0, "")
