@@ -194,7 +194,7 @@ async fn health_and_reflection_have_switches() {
         (&[("tessera-tenant", "team")], Code::Ok),
         (&[("tessera-tenant", "eye")], Code::Unauthenticated),
         (&[("authorization", bad.as_str())], Code::Unauthenticated),
-        (&[("origin", "http://localhost:5173")], Code::Ok),
+        (&[("origin", "http://localhost:5173")], Code::PermissionDenied),
         (&[("origin", "https://evil.example")], Code::PermissionDenied),
         (&[("host", "evil.example")], Code::PermissionDenied),
         (&key, Code::Ok),
