@@ -161,6 +161,7 @@ fn points(mesh: &TriMesh, options: &RemeshOptions) -> usize {
             of_length(sizes.iter().sum::<f64>() / sizes.len().max(1) as f64)
         }
         (Seeds::Implied { .. }, density) => density.edge_length.map_or(0, of_length),
+        (Seeds::Share { of, .. }, _) => of.points(mesh),
     }
 }
 

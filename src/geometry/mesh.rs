@@ -20,6 +20,7 @@ pub mod features;
 pub(crate) mod input;
 pub mod io;
 pub mod measure;
+pub mod numbers;
 pub mod sample;
 pub mod shapes;
 

@@ -173,7 +173,7 @@ fn a_missed_bound_and_lost_data_are_warnings() {
     let torus = Shape::Torus.build(2000);
     let scalar = (0..torus.positions().len()).map(|i| i as f64).collect();
     let mut attributes = tessera::mesh::attributes::Attributes::new(&torus);
-    attributes.add_scalar("height", scalar).unwrap();
+    attributes.add_scalar(tessera::mesh::attributes::Scalar::new("height", scalar)).unwrap();
     let (bytes, _) = io::encode_with_attributes(io::Format::Ply, &torus, &attributes).unwrap();
     std::fs::write(folder.path().join("in.ply"), bytes).unwrap();
     let line = "remesh in.ply -o out.stl --points 60 --newton 0 --max-deviation 0.001 --max-points 80 --quiet";

@@ -5,7 +5,7 @@ use std::io::Write as _;
 
 use serde_json::Value;
 use server::http::OPENAPI;
-use tessera::mesh::attributes::Attributes;
+use tessera::mesh::attributes::{Attributes, Scalar};
 use tessera::mesh::io::{Format, decode, encode, encode_with_attributes};
 use tessera::mesh::shapes::Shape;
 
@@ -87,7 +87,7 @@ async fn warnings_come_with_the_answer() {
     let house = House::open().await;
     let mesh = Shape::Torus.build(500);
     let mut attributes = Attributes::new(&mesh);
-    attributes.add_scalar("height", vec![1.0; mesh.positions().len()]).unwrap();
+    attributes.add_scalar(Scalar::new("height", vec![1.0; mesh.positions().len()])).unwrap();
     let (file, _) = encode_with_attributes(Format::Ply, &mesh, &attributes).unwrap();
     let kept = post(&house, REMESH, &[], &file).await;
     assert_eq!((kept.status, kept.header("tessera-warning")), (200, None));

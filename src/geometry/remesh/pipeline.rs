@@ -60,9 +60,11 @@ pub fn remesh(
     observer: &mut dyn Observer,
     token: &Token,
 ) -> Result<Remesh, RemeshError> {
-    let measured = options.refine.map(|refine| {
-        let tolerance = Tolerance::Length(refine.tolerance.length(given));
-        RemeshOptions { refine: Some(Refine { tolerance, ..refine }), ..options.clone() }
+    let measured = (options.refine.is_some() || matches!(options.seeds, Seeds::Share { .. })).then(|| {
+        let mut options = options.clone();
+        options.seeds.resolve(given);
+        options.refine.iter_mut().for_each(|to| to.tolerance = Tolerance::Length(to.tolerance.length(given)));
+        options
     });
     let options = measured.as_ref().unwrap_or(options);
     let mut done = on_threads_of(backend, || match run_stages(given, options, backend, observer, token) {

@@ -19,6 +19,7 @@ use crate::places::Places;
 use crate::record::{ArrayRef, Arrays, AttributeRef, Bytes, MeshSource, Operation, Spec, steps};
 use geometry::cvt::density::Count;
 use geometry::mesh::io::{self, DataError, Format};
+use geometry::remesh::Seeds;
 use geometry::rvd::{BackendChoice, BackendKind};
 use wire::proto::ArrayForm;
 
@@ -75,7 +76,14 @@ impl Forecast {
             (MeshSource::File { blob, format, .. }, None) => self.of_file(owner, *blob, *format).await?,
         };
         let backend = self.engine.backend(task.backend).map_or(BackendKind::Parallel, |by| by.kind);
-        let points = self.points(owner, task.operation.seeds().count(), task.arrays.seeds, facets).await;
+        let points = match task.operation.seeds() {
+            // By the vertices, of which as many may be there as corners.
+            Seeds::Share { of, .. } => {
+                let vertices = usize::try_from(vertices).unwrap_or(usize::MAX);
+                (of.of_vertices(vertices) as u64).min(self.max_seeds)
+            }
+            seeds => self.points(owner, seeds.count(), task.arrays.seeds, facets).await,
+        };
         let counts = Counts::new(task.operation.kind(), backend, vertices, facets, points);
         let attributes = match &task.mesh {
             MeshSource::Arrays { attributes, .. } => attributes.iter().map(numbers_of).fold(0, u64::saturating_add),

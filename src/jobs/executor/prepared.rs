@@ -70,7 +70,7 @@ impl Prepared {
         // Before facets are divided: the same number draws the same seeds for every kind of job.
         let (seeds, random_seed) = match seeds {
             Seeds::Given(seeds) => (seeds, None),
-            Seeds::Sample { seed, .. } | Seeds::Implied { seed } => {
+            Seeds::Sample { seed, .. } | Seeds::Implied { seed } | Seeds::Share { seed, .. } => {
                 let points = sample(&plan.mesh, plan.weights.as_deref(), plan.points, seed);
                 (points.into_iter().map(|p| p.position).collect(), Some(seed))
             }

@@ -194,6 +194,12 @@ fn input(received: Received, options: &mut dyn Start, token: &Token) -> Result<(
         false => Some(attributes::collect(&mesh, attributes).map_err(|error| error.under("mesh"))?),
     };
     let (seeds, density) = options.start();
+    seeds.resolve(&mesh);
+    let most = density.max_points;
+    if let Some(points) = seeds.drawn().filter(|points| *points > most) {
+        let text = format!("come to {points} for this surface; this server takes at most {most}");
+        return Err(wire::WireError::field("options.points", text).into());
+    }
     let (seeds, density) = (std::mem::replace(seeds, Seeds::Given(Vec::new())), std::mem::take(density));
     Ok((Input { mesh, density, seeds, creases, attributes }, share))
 }
@@ -327,11 +333,12 @@ fn admission_request<H: Needs>(
 ) -> Result<AdmissionRequest, RequestError> {
     let by = shared.engine.backend(header.backend)?;
     let Checked { mesh, options, attributes, .. } = header;
-    let points = match options.seeds().count() {
+    let points = match (options.seeds(), options.seeds().count()) {
         _ if mesh.seeds > 0 => mesh.seeds,
-        Count::Points(points) => points as u64,
+        (_, Count::Points(points)) => points as u64,
+        (Seeds::Share { of, .. }, _) => of.of_vertices(usize::try_from(mesh.vertices).unwrap_or(usize::MAX)) as u64,
         // Nothing is known yet: seldom more than half as many as facets.
-        Count::Implied => (mesh.facets / 2).clamp(1, shared.limits.max_seeds.max(1)),
+        (_, Count::Implied) => (mesh.facets / 2).clamp(1, shared.limits.max_seeds.max(1)),
     };
     let counts = H::counts(Counts::new(H::KIND, by.kind, mesh.vertices, mesh.facets, points), options);
     let attributes = attributes.iter().fold(0, |sum, array| array.values.saturating_mul(3).saturating_add(sum));

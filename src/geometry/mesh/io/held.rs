@@ -54,9 +54,7 @@ impl Raw {
             let message = format!("{more} are more than the {MOST_SCALARS} that a surface carries");
             left_aside.push(AttributeError::Unreadable { attribute: "scalars".to_owned(), message });
         }
-        for Scalar { name, values } in self.scalars.into_iter().take(MOST_SCALARS) {
-            left_aside.extend(attributes.add_scalar(name, values).err());
-        }
+        left_aside.extend(self.scalars.into_iter().take(MOST_SCALARS).filter_map(|s| attributes.add_scalar(s).err()));
         (attributes, left_aside)
     }
 }
@@ -126,6 +124,11 @@ impl<'a> Held<'a> {
             false => attributes.scalars().iter().for_each(|s| held.leave_out(&format!("scalar {}", s.name))),
         }
         held
+    }
+
+    /// Numbers of all scalars at a vertex.
+    pub(super) fn components(&self) -> usize {
+        self.scalars.iter().map(|scalar| scalar.components).sum()
     }
 
     fn leave_out(&mut self, what: &str) {

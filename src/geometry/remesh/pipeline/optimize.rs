@@ -218,13 +218,13 @@ pub(super) fn exact_dual(
 
 /// The seeds that the options name, those of curves first, caller's coordinates; and the random seed they were drawn from.
 fn first_seeds(plan: &Plan<'_>, surface: &Surface, curves: &KeptCurves, seeds: &Seeds) -> (Vec<DVec3>, Option<u64>) {
-    match *seeds {
-        Seeds::Given(ref seeds) => (seeds.clone(), None),
-        Seeds::Sample { seed, .. } | Seeds::Implied { seed } if curves.seeds.is_empty() => {
+    match (seeds, seeds.random_seed()) {
+        (Seeds::Given(seeds), _) => (seeds.clone(), None),
+        (_, seed) if curves.seeds.is_empty() => {
             let drawn = spread(&plan.mesh, plan.weights.as_deref(), None, plan.points, seed);
             (drawn.iter().map(|p| p.position).collect(), Some(seed))
         }
-        Seeds::Sample { seed, .. } | Seeds::Implied { seed } => (curves.with_others(plan, surface, seed), Some(seed)),
+        (_, seed) => (curves.with_others(plan, surface, seed), Some(seed)),
     }
 }
 
