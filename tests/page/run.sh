@@ -41,4 +41,10 @@ asks_for_a_key=$(address locked "tessera speaks HTTP on")
 client env PAGE="http://$page/" LOCKED="http://$asks_for_a_key/" KEY="$key" MESH="$mesh" CHROMIUM="$chromium" \
     SERVER="$server" CALLS="$here/../../clients/python/python/tessera_remesh/calls.py" PICTURES="$pictures" \
     node "$work/test.mjs"
+
+serve strict --ephemeral --http-listen 127.0.0.1:0 --ui
+serve friendly --ephemeral --http-listen 127.0.0.1:0 --cors-origin http://friend.example
+strict=$(address strict "tessera speaks HTTP on")
+friendly=$(address friendly "tessera speaks HTTP on")
+client env PAGE="http://$strict/" FRIENDLY="http://$friendly/" CHROMIUM="$chromium" node "$work/sites.mjs"
 stop

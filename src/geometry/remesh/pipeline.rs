@@ -219,7 +219,7 @@ fn measure(
     let touches = built.repair.extra_vertices > 0 || input.topology.components > 1;
     let topology = || -> Result<_, Stopped> {
         let coincident_vertices = if touches { coincident_vertices(result, token)? } else { 0 };
-        Ok((topology_unless(result, &Adjacency::new(result), token)?, coincident_vertices))
+        Ok((topology_unless(result, &Adjacency::unless(result, token)?, token)?, coincident_vertices))
     };
     let ((topology, crossings), quality) = rayon::join(|| rayon::join(topology, crossings), quality);
     let crossings = crossings?;
