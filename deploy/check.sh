@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Checks what lies in deploy/ with the tools that will read it: promtool, kustomize, Envoy, hadolint, yamllint, cargo-deny, and
+# Checks what lies in deploy/, and the workflows, with the tools that will read it: promtool, kustomize, Envoy, hadolint, yamllint, cargo-deny, and
 # the schemas of Kubernetes, Compose and CycloneDX.
 # Usage: deploy/check.sh [PROGRAM]
 # With a program, the dashboard and the alerts are asked of a real Prometheus, and Envoy stands before two real servers.
@@ -11,6 +11,10 @@ venv=$(tests/python/venv.sh)
 
 echo "-- YAML"
 "$venv/bin/yamllint" --strict -c deploy/.yamllint.yaml deploy
+
+echo "-- workflows, and versions of a release"
+"$venv/bin/check-jsonschema" --quiet --builtin-schema vendor.github-workflows .github/workflows/*.yml
+deploy/release/check_version.py
 
 echo "-- Prometheus"
 promtool check config deploy/prometheus/prometheus.yml

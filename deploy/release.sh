@@ -20,6 +20,7 @@ done
 version=$(sed -n 's/^version = "\(.*\)"$/\1/p' Cargo.toml | head -n 1)
 host=$(rustc -vV | sed -n 's/^host: //p')
 name=tessera-$version-$host
+case $host in *windows*) suffix=.exe ;; *) suffix= ;; esac
 # Times in the archive are the commit's.
 SOURCE_DATE_EPOCH=${SOURCE_DATE_EPOCH:-$(git log -1 --format=%ct)}
 export SOURCE_DATE_EPOCH TARGET=$host
@@ -30,17 +31,15 @@ if [ -z "$program" ]; then
     # No path of this machine stays in the program.
     export RUSTFLAGS="${RUSTFLAGS:-} --remap-path-prefix=$PWD=/tessera --remap-path-prefix=${CARGO_HOME:-$HOME/.cargo}=/cargo"
     cargo build --locked --profile dist --bin tessera
-    program=${CARGO_TARGET_DIR:-target}/dist/tessera
+    program=${CARGO_TARGET_DIR:-target}/dist/tessera$suffix
 fi
 
 work=$(mktemp -d)
 trap 'rm -rf "$work"' EXIT
 deploy/release/stage.sh "$program" "$work/$name"
 mkdir -p "$out"
-tar --create --directory "$work" --sort=name --owner=0 --group=0 --numeric-owner --mode=u=rwX,go=rX \
-    --mtime="@$SOURCE_DATE_EPOCH" "$name" | gzip --best --no-name >"$out/$name.tar.gz"
 install -m 0644 "$work/$name/share/doc/tessera/tessera.cdx.json" "$out/$name.cdx.json"
-(cd "$out" && sha256sum "$name.cdx.json" "$name.tar.gz" >SHA256SUMS)
+python3 deploy/release/pack.py "$work/$name" "$out" "$name.cdx.json"
 
-glibc=$(LC_ALL=C grep -aoE 'GLIBC_[0-9]+\.[0-9]+' "$program" | sort -uV | tail -n 1)
-printf '%s  %s bytes, needs %s\n' "$out/$name.tar.gz" "$(stat -c %s "$out/$name.tar.gz")" "${glibc:-no C library}"
+glibc=$(LC_ALL=C grep -aoE 'GLIBC_[0-9]+\.[0-9]+' "$program" | sort -uV | tail -n 1) || true
+echo "needs ${glibc:-no C library of GNU}"

@@ -73,7 +73,7 @@ pub mod mesh {
     #[doc(inline)]
     pub use geometry::mesh::{FeatureError, MAX_ELEMENTS, MeshError, TriMesh};
     #[doc(inline)]
-    pub use geometry::mesh::{attributes, closest_point, io, measure, sample, shapes};
+    pub use geometry::mesh::{attributes, closest_point, io, measure, numbers, sample, shapes};
 }
 
 pub mod rvd {
@@ -106,8 +106,8 @@ pub mod remesh {
 
     #[doc(inline)]
     pub use geometry::remesh::{
-        Observer, Placement, Provenance, Refine, Remesh, RemeshError, RemeshOptions, Report, Seeds, Tolerance, Warning,
-        remesh, report,
+        Observer, Placement, Provenance, Refine, Remesh, RemeshError, RemeshOptions, Report, Seeds, Share, Tolerance,
+        Warning, remesh, report,
     };
 }
 
@@ -126,7 +126,9 @@ pub use mesh::{MeshError, TriMesh};
 #[doc(inline)]
 pub use picture;
 #[doc(inline)]
-pub use remesh::{Observer, Placement, Refine, Remesh, RemeshError, RemeshOptions, Report, Seeds, Tolerance, remesh};
+pub use remesh::{
+    Observer, Placement, Refine, Remesh, RemeshError, RemeshOptions, Report, Seeds, Share, Tolerance, remesh,
+};
 #[doc(inline)]
 pub use rvd::{Backend, BackendChoice, BackendKind, BackendOptions, Cells, Diagram, RvdError, auto_backend};
 #[doc(inline)]

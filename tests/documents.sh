@@ -1,11 +1,14 @@
 #!/bin/bash
-# Does what README.md says, as a newcomer would: pastes its blocks word for word into a shell, in a copy of this folder.
-# Usage: tests/documents.sh
+# Does what README.md and docs/first-steps.md say, as a newcomer would: pastes their blocks word for word into a shell, in a copy of
+# this folder.
+# Usage: tests/documents.sh [PROGRAM]
+# With a program, `cargo install` installs that one instead of compiling it.
 # The README's test command and its Rust program are not run here; `cargo test` does that.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 
 root=$PWD
+program=$([ $# -eq 0 ] || realpath "$1")
 work=$(mktemp -d)
 trap 'rm -rf "$work"' EXIT
 
@@ -22,6 +25,9 @@ mkdir "$work/bin"
 cat >"$work/bin/cargo" <<EOF
 #!/bin/bash
 if [ "\$1" = install ]; then
+    if [ -n "$program" ]; then
+        exec install -D -m 0755 "$program" "$work/installed/bin/tessera"
+    fi
     shift
     exec "$(command -v cargo)" install --debug "\$@"
 fi
@@ -41,13 +47,16 @@ done
 command -v curl >/dev/null || { echo "the README's blocks need curl" >&2; exit 1; }
 
 # All ```sh blocks but the test command's, one after the other in one shell. What needs a container engine is in ```bash.
-awk '
-    /<!-- test-command -->/ { skip = 1 }
-    /^```sh$/ { inside = !skip; if (inside) print "printf \"\\n-- README, line " NR "\\n\""; next }
-    /^```$/ { if (!inside) skip = 0; inside = 0 }
-    inside
-' README.md >"$work/blocks"
-(cd "$work/tessera" && timeout 1800 bash -e "$work/blocks")
-for file in genus3.obj remesh.ply report.json remote.ply job.ply by-curl.obj; do
-    [ -s "$work/tessera/$file" ] || { echo "$file is not there after the README's blocks" >&2; exit 1; }
+for page in README.md docs/first-steps.md; do
+    awk '
+        /<!-- test-command -->/ { skip = 1 }
+        /^```sh$/ { inside = !skip; if (inside) print "printf \"\\n-- " FILENAME ", line " FNR "\\n\""; next }
+        /^```$/ { if (!inside) skip = 0; inside = 0 }
+        inside
+    ' "$page" >"$work/blocks"
+    (cd "$work/tessera" && timeout 1800 bash -e "$work/blocks")
+done
+for file in genus3.obj remesh.ply remesh.png report.json remote.ply job.ply by-curl.obj by-python.ply \
+    ring.png even.png curved.png block.png near.png; do
+    [ -s "$work/tessera/$file" ] || { echo "$file is not there after the blocks" >&2; exit 1; }
 done

@@ -23,7 +23,7 @@ use needs::needs;
 use properties::Held;
 use proptest::collection::vec;
 use proptest::prelude::{Strategy, any};
-use tessera::mesh::attributes::{Attributes, ColourDepth, Colours, Normals, PerCorner};
+use tessera::mesh::attributes::{Attributes, ColourDepth, Colours, Normals, PerCorner, Scalar};
 use tessera::mesh::io::{Format, encode, encode_with_attributes};
 use tessera::mesh::shapes::Shape;
 
@@ -138,7 +138,7 @@ fn changed_files() {
     attributes.set_texture(PerCorner { values, corners }).unwrap();
     attributes.set_normals(Normals::PerVertex(mesh.positions().to_vec())).unwrap();
     attributes.set_colours(Colours { values: vec![[0.2, 0.4, 0.6, 0.8]; count], depth: ColourDepth::Eight }).unwrap();
-    attributes.add_scalar("density", vec![1.5; count]).unwrap();
+    attributes.add_scalar(Scalar::new("density", vec![1.5; count])).unwrap();
     for format in Format::ALL {
         let carrying = encode_with_attributes(format, &mesh, &attributes).unwrap().0;
         let mut packer = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::default());

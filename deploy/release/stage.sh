@@ -8,22 +8,24 @@ program=${1:?usage: stage.sh PROGRAM FOLDER}
 out=${2:?usage: stage.sh PROGRAM FOLDER}
 here=$(cd "$(dirname "$0")" && pwd)
 root=$(cd "$here/../.." && pwd)
-target=${TARGET:-x86_64-unknown-linux-gnu}
+target=${TARGET:-$(rustc -vV | sed -n 's/^host: //p')}
+name=tessera
+case $target in *windows*) name=tessera.exe ;; esac
 
 doc=$out/share/doc/tessera
 mkdir -p "$out/bin" "$doc"
-install -m 0755 "$program" "$out/bin/tessera"
+install -m 0755 "$program" "$out/bin/$name"
 install -m 0644 "$root/LICENSE" "$root/README.md" "$doc/"
 python3 "$here/notices.py" licences --target "$target" >"$doc/THIRD-PARTY.txt"
 python3 "$here/notices.py" sbom --target "$target" >"$doc/tessera.cdx.json"
 
 complete() {
     mkdir -p "$out/share/$(dirname "$2")"
-    "$out/bin/tessera" completions "$1" >"$out/share/$2"
+    "$out/bin/$name" completions "$1" >"$out/share/$2"
 }
 complete bash bash-completion/completions/tessera
 complete zsh zsh/site-functions/_tessera
 complete fish fish/vendor_completions.d/tessera.fish
 mkdir -p "$out/share/man/man1"
-"$out/bin/tessera" man --out-dir "$out/share/man/man1"
+"$out/bin/$name" man --out-dir "$out/share/man/man1"
 find "$out/share/man/man1" -name '*.1' -exec gzip --best --no-name {} +

@@ -9,12 +9,14 @@ use clap::Args;
 use serde::Serialize;
 
 use super::exit::{NotWritten, Usage};
+use super::picture::PictureArgs;
 use super::say::SayArgs;
 use super::{files, interrupt, say};
 use geometry::mesh::TriMesh;
+use geometry::mesh::crossings::{Crossings, crossings};
 use geometry::mesh::io::Format;
 use geometry::mesh::measure::{Quality, Topology, quality_and_distances, topology};
-use geometry::token::Token;
+use geometry::token::{Stopped, Token};
 
 /// Measure a mesh: its triangles, its topology, and how far it is from the mesh that it was made from.
 ///
@@ -31,6 +33,8 @@ pub(crate) struct MeasureArgs {
     /// Format of the standard input.
     #[arg(long, value_name = "FORMAT", value_parser = files::format())]
     pub(crate) input_format: Option<Format>,
+    #[command(flatten, next_help_heading = "Picture")]
+    pub(crate) picture: PictureArgs,
     #[command(flatten)]
     pub(crate) say: SayArgs,
 }
@@ -51,17 +55,19 @@ struct Surface {
     area: f64,
     #[serde(flatten)]
     topology: Topology,
+    crossings: Crossings,
 }
 
 impl Surface {
-    fn new(path: &Path, mesh: &TriMesh) -> Self {
-        Self {
+    fn new(path: &Path, mesh: &TriMesh, token: &Token) -> Result<Self, Stopped> {
+        Ok(Self {
             file: path.display().to_string(),
             vertices: mesh.positions().len(),
             facets: mesh.facets().len(),
             area: mesh.area(),
             topology: topology(mesh),
-        }
+            crossings: crossings(mesh, token)?,
+        })
     }
 
     fn tell(&self, what: &str) -> Result<(), NotWritten> {
@@ -70,6 +76,10 @@ impl Surface {
         outln!(
             "{what:<12}{file}: {vertices} vertices, {facets} facets, χ {euler}, {components} components, {boundary_loops} boundaries"
         )?;
+        if self.crossings.count > 0 {
+            let [x, y, z] = self.crossings.places.first().copied().unwrap_or_default();
+            outln!("            {} facets cross others, the first at {x:.4} {y:.4} {z:.4}", self.crossings.count)?;
+        }
         if non_manifold_edges + non_manifold_vertices > 0 {
             outln!("            {non_manifold_edges} edges and {non_manifold_vertices} vertices are not manifold")?;
         }
@@ -90,13 +100,15 @@ pub(crate) fn run(args: &MeasureArgs) -> Result<()> {
     {
         return Err(Usage("the standard input can be only one of the two".to_owned()).into());
     }
+    args.picture.check()?;
     let original = read(&args.original)?;
     let remesh = args.remesh.as_ref().map(|path| Ok::<_, anyhow::Error>((path, read(path)?))).transpose()?;
     let result = remesh.as_ref().map_or(&original, |(_, mesh)| mesh);
     let (quality, _) = quality_and_distances(&original, None, result, &token)?;
+    args.picture.draw(result, &[])?;
     let measured = Measured {
-        original: Surface::new(&args.original, &original),
-        remesh: remesh.map(|(path, mesh)| Surface::new(path, &mesh)),
+        original: Surface::new(&args.original, &original, &token)?,
+        remesh: remesh.map(|(path, mesh)| Surface::new(path, &mesh, &token)).transpose()?,
         quality,
     };
     if args.say.json {

@@ -19,7 +19,7 @@ use geometry::rvd::cells::facet_edge;
 use picture::{Canvas, Face, PLAIN, Paint, Pens, Size, View, ViewDirection};
 use picture::{distinct, draw_mesh, shading_normals, spacing};
 
-#[derive(Args, Debug)]
+#[derive(Args, Clone, Debug)]
 pub(crate) struct PictureArgs {
     /// Draw the result there, as a PNG; needs no display.
     #[arg(long, value_name = "FILE.png")]

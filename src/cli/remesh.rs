@@ -145,12 +145,19 @@ fn one(args: &RemeshArgs, task: &Task, worker: &mut Worker, progress: &mut Progr
 
 /// The warnings of a report, a line each, with options as the command names them.
 fn warnings<'a>(task: &'a Task, report: &'a Value) -> impl Iterator<Item = String> + 'a {
+    told_of(report).map(move |(warning, text)| {
+        let file = if warning["code"] == "not_held" { &task.output } else { &task.input };
+        format!("tessera: warning: {file}: {text}")
+    })
+}
+
+/// Each warning of a report with its sentence.
+pub(crate) fn told_of(report: &Value) -> impl Iterator<Item = (&Value, String)> {
     let all = report["warnings"].as_array().map(Vec::as_slice).unwrap_or_default();
-    all.iter().map(move |warning| {
+    all.iter().map(|warning| {
         let text = say::plain(warning["message"].as_str().unwrap_or_default());
         let text = text.split('`').enumerate().map(|(k, part)| if k % 2 == 1 { flag(part) } else { part.to_owned() });
-        let file = if warning["code"] == "not_held" { &task.output } else { &task.input };
-        format!("tessera: warning: {file}: {}", text.collect::<String>())
+        (warning, text.collect())
     })
 }
 
@@ -164,6 +171,7 @@ fn points(mesh: &TriMesh, options: &RemeshOptions) -> usize {
             of_length(sizes.iter().sum::<f64>() / sizes.len().max(1) as f64)
         }
         (Seeds::Implied { .. }, density) => density.edge_length.map_or(0, of_length),
+        (Seeds::Share { of, .. }, _) => of.points(mesh),
     }
 }
 

@@ -146,7 +146,7 @@ pub(crate) fn rvd(
             (options.points, options.seed) = (u32::try_from(points).ok(), Some(seed));
             (points as u64, Vec::new())
         }
-        Seeds::Implied { .. } => (0, Vec::new()),
+        Seeds::Implied { .. } | Seeds::Share { .. } => (0, Vec::new()),
     };
     options.outputs.extend(wants.cells.then_some(i32::from(proto::RvdOutput::Cells)));
     options.outputs.extend(wants.centroids.then_some(i32::from(proto::RvdOutput::Centroids)));

@@ -117,7 +117,7 @@ fn work(args: &RvdArgs) -> Result<()> {
     let (count, given) = match &seeds {
         Seeds::Given(points) => (points.len(), Arc::new(points.clone())),
         Seeds::Sample { points, .. } => (*points, Arc::default()),
-        Seeds::Implied { .. } => (0, Arc::default()),
+        Seeds::Implied { .. } | Seeds::Share { .. } => (0, Arc::default()),
     };
     progress.plan(Plan::rvd(mesh.facets().len(), count, server.is_some()));
     let mut picture = args.picture.begin(&mesh, count, args.dots)?;

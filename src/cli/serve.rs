@@ -4,6 +4,7 @@
 //! time. A server that listens works.
 
 use std::convert::Infallible;
+use std::net::SocketAddr;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
@@ -26,6 +27,7 @@ use jobs::store::StoreError;
 use jobs::{Backends, Ceilings, Engine, EngineOptions, Executor, ExecutorOptions, JobError, LossPolicy, Stores};
 use server::admin::{self, Admin};
 pub(crate) use server::config::{OnLoss, SecurityArgs, ServeArgs, ServeConfig};
+use server::hosts::Hosts;
 use server::http;
 use server::lifecycle::{self, LifeCycle, Step, TooLong};
 use server::metrics::Metrics;
@@ -51,12 +53,19 @@ async fn stores(config: &ServeConfig) -> Result<Stores> {
     Ok(stores)
 }
 
-fn access(args: &ServeArgs, config: &ServeConfig) -> Result<Access> {
-    let &SecurityArgs { require_keys, reflection, health_needs_key, ref allow_host, .. } = &args.security;
+/// Names of this server, and sites whose pages may use it.
+fn hosts(args: &ServeArgs) -> Hosts {
+    let SecurityArgs { public_host, cors_origin, .. } = &args.security;
     // The name that the listeners have may resolve to a loopback address too.
-    let listened = args.http_listen.iter().chain([&args.listen]);
+    let listened = [&args.http_listen, &args.watching.admin_listen].into_iter().flatten().chain([&args.listen]);
     let names = listened.filter_map(|place| place.rsplit_once(':')).map(|(host, _)| host.to_owned());
-    let hosts = allow_host.iter().cloned().chain(names).collect();
+    let origins = cors_origin.iter().filter_map(|site| site.to_ascii_lowercase().try_into().ok()).collect();
+    Hosts { names: public_host.iter().cloned().chain(names).collect(), origins }
+}
+
+fn access(args: &ServeArgs, config: &ServeConfig) -> Result<Access> {
+    let SecurityArgs { require_keys, reflection, health_needs_key, .. } = args.security;
+    let hosts = hosts(args);
     let options = AccessOptions { require_keys, reflection, health_needs_key, hosts };
     match &config.data_dir {
         Some(folder) => Ok(Access::in_folder(folder, options).map_err(|error| Unavailable(error.to_string()))?),
@@ -166,6 +175,9 @@ async fn serve(args: &ServeArgs, config: ServeConfig, tls: Option<Arc<Tls>>, met
         .await
         .map_err(late)?
         .map_err(|e| Unavailable(format!("cannot listen on {}: {e}; choose another --listen", args.listen)))?;
+    // All ports, before anybody hears of one.
+    let http = bind("--http-listen", &config.http).await?;
+    let operators = bind("--admin-listen", &config.admin).await?;
     let address = listener.local_addr().context("asking for the port")?;
     tracing::info!(
         %address, backend = by.kind.name(), adapter = by.adapter, threads = by.threads,
@@ -175,8 +187,8 @@ async fn serve(args: &ServeArgs, config: ServeConfig, tls: Option<Arc<Tls>>, met
     let readiness = Readiness::new();
     readiness.set(Reason::Starting, true);
     // Ends with this, after the server: its state is visible while it drains.
-    let _admin = open_admin(&config, &engine, &metrics, &readiness).await?;
-    let door = open_door(&config).await?;
+    let _admin = operators.map(|port| open_admin(port, hosts(args), &engine, &metrics, &readiness)).transpose()?;
+    let door = http.map(|port| open_door(&config, port)).transpose()?;
     let about = About {
         machine_bytes: memory::machine_memory_bytes(),
         job_limit_bytes: ceilings.memory_bytes,
@@ -202,37 +214,35 @@ async fn serve(args: &ServeArgs, config: ServeConfig, tls: Option<Arc<Tls>>, met
     served.context("serving")
 }
 
-async fn open_door(config: &ServeConfig) -> Result<Option<Door>> {
-    if config.http.is_empty() {
+/// Binds one of these addresses, if there are any.
+async fn bind(option: &str, addresses: &[SocketAddr]) -> Result<Option<TcpListener>> {
+    if addresses.is_empty() {
         return Ok(None);
     }
-    let listener = TcpListener::bind(config.http.as_slice())
-        .await
-        .map_err(|e| Unavailable(format!("cannot listen for HTTP: {e}; choose another --http-listen")))?;
+    let all = || addresses.iter().map(SocketAddr::to_string).collect::<Vec<_>>().join(", ");
+    let refused = |error| Unavailable(format!("cannot listen on {}: {error}; choose another {option}", all()));
+    Ok(Some(TcpListener::bind(addresses).await.map_err(refused)?))
+}
+
+fn open_door(config: &ServeConfig, listener: TcpListener) -> Result<Door> {
     let address = listener.local_addr().context("asking for the HTTP port")?;
-    tracing::info!(%address, "HTTP");
+    tracing::info!(%address, page = config.ui, "HTTP");
     outln!("tessera speaks HTTP on {address}")?;
     #[cfg(feature = "ui")]
     if config.ui {
-        tracing::info!(%address, "page for browsers");
-        return Ok(Some(http::door_with_page(listener)));
+        return Ok(http::door_with_page(listener));
     }
-    Ok(Some(http::door(listener)))
+    Ok(http::door(listener))
 }
 
-async fn open_admin(
-    config: &ServeConfig,
+fn open_admin(
+    listener: TcpListener,
+    hosts: Hosts,
     engine: &Engine,
     metrics: &Metrics,
     readiness: &Readiness,
 ) -> Result<JoinSet<Infallible>> {
     let mut serving = JoinSet::new();
-    if config.admin.is_empty() {
-        return Ok(serving);
-    }
-    let listener = TcpListener::bind(config.admin.as_slice())
-        .await
-        .map_err(|e| Unavailable(format!("cannot listen for operators: {e}; choose another --admin-listen")))?;
     let address = listener.local_addr().context("asking for the admin port")?;
     tracing::info!(%address, "metrics, health and readiness");
     outln!("tessera tells operators on {address}")?;
@@ -241,7 +251,7 @@ async fn open_admin(
         counted.device_used(engine.device_facts().and_then(|facts| facts.allocated_bytes));
     });
     let (metrics, readiness, revision) = (metrics.clone(), readiness.clone(), About::REVISION);
-    serving.spawn(admin::serve(listener, Admin { metrics, readiness, revision, look }));
+    serving.spawn(admin::serve(listener, Admin { metrics, readiness, revision, hosts, look }));
     Ok(serving)
 }
 

@@ -12,6 +12,7 @@ pub(crate) mod bvh;
 pub mod closest_point;
 pub mod coincident;
 pub(crate) mod comparison;
+pub mod crossings;
 pub mod csr;
 pub(crate) mod duplicates;
 pub mod edges;
@@ -20,6 +21,7 @@ pub mod features;
 pub(crate) mod input;
 pub mod io;
 pub mod measure;
+pub mod numbers;
 pub mod sample;
 pub mod shapes;
 

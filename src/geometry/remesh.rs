@@ -23,11 +23,12 @@ use glam::DVec3;
 use crate::cvt::density::{Count, DensityError, DensityOptions};
 use crate::cvt::{Iteration, Projection};
 use crate::mesh::TriMesh;
+use crate::mesh::adjacency::{Adjacency, EdgeKind};
 use crate::mesh::attributes::{AttributeError, Attributes};
 use crate::mesh::features::FeatureError;
-use crate::mesh::measure::Topology;
+use crate::mesh::measure::{Topology, topology_unless};
 use crate::rvd::RvdError;
-use crate::token::Stopped;
+use crate::token::{Stopped, Token};
 
 pub use attributes::Provenance;
 pub use pipeline::remesh;
@@ -53,6 +54,50 @@ pub enum Seeds {
         /// Random seed.
         seed: u64,
     },
+    /// As many as go with the surface, drawn as `Sample`. For a remesh.
+    Share {
+        /// How many, by the surface.
+        of: Share,
+        /// Random seed.
+        seed: u64,
+    },
+}
+
+/// A number of points by the surface that is remeshed.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Share {
+    /// Percent of its vertices, above 0.
+    Percent(f64),
+    /// As many as make about so many facets.
+    Facets(usize),
+}
+
+impl Share {
+    /// The number of points, at least 1. Of `F` facets with edges of length `h`, on a surface of Euler characteristic `χ` with
+    /// boundaries of length `L`, there are `(F + L/h) / 2 + χ` vertices, by Euler's formula.
+    pub fn points(self, mesh: &TriMesh) -> usize {
+        let Self::Facets(facets) = self else { return self.of_vertices(mesh.positions().len()) };
+        let adjacency = Adjacency::new(mesh);
+        let topology = topology_unless(mesh, &adjacency, &Token::default()).unwrap_or_default();
+        let length = |half_edge: usize| {
+            let corners = mesh.corners(half_edge / 3);
+            corners[half_edge % 3].distance(corners[(half_edge + 1) % 3])
+        };
+        let half_edges = 0..3 * mesh.facets().len();
+        let boundary: f64 = half_edges.filter(|&h| adjacency.kind(h) == EdgeKind::Boundary).map(length).sum();
+        // Of equilateral triangles.
+        let edge = (4.0 / 3f64.sqrt() * mesh.area() / facets.max(1) as f64).sqrt();
+        let on_boundary = if edge > 0.0 { boundary / edge } else { 0.0 };
+        (0.5 * (facets as f64 + on_boundary) + topology.euler as f64).round().max(1.0) as usize
+    }
+
+    /// About as many, for a surface with so many vertices.
+    pub fn of_vertices(self, vertices: usize) -> usize {
+        match self {
+            Self::Percent(percent) => (percent / 100.0 * vertices as f64).round().max(1.0) as usize,
+            Self::Facets(facets) => facets / 2 + 1,
+        }
+    }
 }
 
 impl Seeds {
@@ -64,7 +109,27 @@ impl Seeds {
         match self {
             Self::Sample { points, .. } => Count::Points(*points),
             Self::Given(seeds) => Count::Points(seeds.len()),
-            Self::Implied { .. } => Count::Implied,
+            Self::Implied { .. } | Self::Share { .. } => Count::Implied,
+        }
+    }
+
+    /// How many are drawn, if that is said as a number.
+    pub fn drawn(&self) -> Option<usize> {
+        if let Self::Sample { points, .. } = self { Some(*points) } else { None }
+    }
+
+    /// The random seed of drawn ones; the default for given ones.
+    pub fn random_seed(&self) -> u64 {
+        match self {
+            Self::Sample { seed, .. } | Self::Implied { seed } | Self::Share { seed, .. } => *seed,
+            Self::Given(_) => Self::RANDOM_SEED,
+        }
+    }
+
+    /// A share as the number of points that it is for `mesh`; others as they are.
+    pub fn resolve(&mut self, mesh: &TriMesh) {
+        if let &mut Self::Share { of, seed } = self {
+            *self = Self::Sample { points: of.points(mesh), seed };
         }
     }
 }
@@ -274,7 +339,7 @@ pub enum RemeshError {
     #[error("the surface lies back to back with itself and has no thickness; remesh one of its sides")]
     NoThickness,
     /// As [`Self::TooFewSeeds`], where an edge length says how many seeds there are.
-    #[error("an edge length of {length} is too long for this surface; give a shorter one, for example {fits:.2e}")]
+    #[error("an edge length of {length} is too long for this surface; give a shorter one, for example {fits}")]
     EdgeTooLong {
         /// As given, caller's units.
         length: f64,
@@ -326,7 +391,8 @@ impl RemeshError {
                 // N equilateral triangles around vertices have the area N √3/2 h².
                 let fits = (2.0 / 3f64.sqrt() * area / (10 * least) as f64).sqrt();
                 match edge_length {
-                    Some(length) => Self::EdgeTooLong { length, fits },
+                    // Two digits are enough.
+                    Some(length) => Self::EdgeTooLong { length, fits: format!("{fits:.1e}").parse().unwrap_or(fits) },
                     None => Self::TooFewSeeds { seeds, least },
                 }
             }

@@ -19,6 +19,7 @@ use std::time::{Duration, Instant};
 use tokio::sync::{oneshot, watch};
 
 use super::{BackendInfo, Backends, JobError};
+use crate::beside::{Beside, Mark};
 use crate::observe::activity::{Observer, QueuedActivity};
 use crate::record::JobId;
 use geometry::rvd::{BackendChoice, DeviceFacts};
@@ -122,10 +123,10 @@ impl Engine {
         self.shared.slots.memory
     }
 
-    /// Reserves a place for a job that is yet to be uploaded, so that it is refused now or not at all. Errors: `QueueFull`,
+    /// Reserves a place for a job of a tenant that is yet to be uploaded, so that it is refused now or not at all. Errors: `QueueFull`,
     /// `Draining`.
-    pub fn reserve(&self) -> Result<Reservation, JobError> {
-        let number = self.shared.queue.reserve()?;
+    pub fn reserve(&self, tenant: &str) -> Result<Reservation, JobError> {
+        let number = self.shared.queue.reserve(tenant)?;
         Ok(Reservation { shared: Arc::clone(&self.shared), number })
     }
 
@@ -137,6 +138,16 @@ impl Engine {
     /// The same for a job that is to take no longer than `limit`.
     pub fn token_within(&self, limit: Option<Duration>) -> Token {
         self.shared.watchdog.token(limit)
+    }
+
+    /// Work that is no job of a store is counted here from now on. The first count stays.
+    pub(crate) fn count_beside(&self, beside: Beside) {
+        let _ = self.shared.beside.set(beside);
+    }
+
+    /// Marks work that is no job of a store, done on another thread than a worker's.
+    pub fn mark(&self) -> Option<Mark> {
+        self.shared.beside.get().map(Beside::begin)
     }
 
     /// Watches work that is done for a job on another thread than a worker's, until what it returns is dropped.
@@ -192,12 +203,17 @@ impl Engine {
         token: Token,
         admission: Admission,
         retry: Retry,
-        work: impl FnMut(&Backends, &WorkContext) -> Result<R, JobError> + Send + 'static,
+        mut work: impl FnMut(&Backends, &WorkContext) -> Result<R, JobError> + Send + 'static,
         reply: Option<Reply<R>>,
     ) -> Result<usize, JobError> {
-        let (has_continuations, origin) = match &admission {
-            Admission::New(ask) | Admission::Reserved(ask) => (ask.has_continuations, ask.origin),
-            Admission::Session | Admission::Continuation => (true, None),
+        let (has_continuations, origin, is_kept) = match &admission {
+            Admission::New(ask) | Admission::Reserved(ask) => (ask.has_continuations, ask.origin, ask.kept.is_some()),
+            Admission::Session | Admission::Continuation => (true, None, false),
+        };
+        let engine = self.clone();
+        let work = move |backends: &Backends, context: &WorkContext| {
+            let _mark = if is_kept { None } else { engine.mark() };
+            work(backends, context)
         };
         let activity = ActivityState::Queued(QueuedActivity::new(&self.shared.observer, origin));
         let queued = Instant::now();
@@ -228,6 +244,11 @@ impl Engine {
     /// Takes the waiting jobs of the store out of the line.
     pub(crate) fn release_kept(&self) {
         self.shared.queue.release_kept();
+    }
+
+    /// Cancels the jobs of the store, whether they wait or are at work.
+    pub(crate) fn cancel_kept(&self) {
+        self.shared.queue.cancel_kept();
     }
 
     /// Drops `value` on a host thread: freeing much takes time.

@@ -4,7 +4,7 @@
 //! them and stores their results; and it takes them up again after a restart.
 //! Invariant: an acknowledged job is in the store, which pins its input. A result is pinned from before it is visible. A
 //! job is done by the executor that claimed it: what becomes of one that was cancelled or expired meanwhile is thrown away.
-//! Must not know: messages, clients, which store.
+//! A job fails for crashes only if it was at work alone. Must not know: messages, clients, which store.
 
 pub mod api;
 pub mod diagram;
@@ -18,7 +18,7 @@ pub mod streams;
 
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, Weak};
+use std::sync::{Arc, Mutex, Weak};
 use std::time::Duration;
 
 use async_trait::async_trait;
@@ -31,6 +31,7 @@ use crate::blob::{BlobError, BlobOptions, BlobStore, ObjectBlobs, Owner};
 use crate::engine::{AdmissionRequest, Engine};
 use crate::executor::api::{Estimate, JobApi, JobApiError};
 use crate::observe::preview::{PreviewReceiver, Previews};
+use crate::places::may_take;
 use crate::record::Bytes;
 use crate::record::event::{Events, Progress};
 use crate::record::{Change, FailureKind, Job, JobId, Spec};
@@ -38,7 +39,7 @@ use crate::store::{
     Created, JobStore, MAX_CRASHES, MemoryStore, NewJob, Orphans, Page, Query, RedbOptions, RedbStore, Retention,
     StoreError,
 };
-use crate::{JobError, admission};
+use crate::{JobError, admission, lock};
 use storage::Storage;
 use wire::counts::Bounds;
 
@@ -52,6 +53,8 @@ const SWEEP_UPLOADS: u32 = 600;
 const SWEEP_BATCH: usize = 1000;
 /// How long a claim is good without another word.
 const LEASE: Duration = Duration::from_secs(60);
+/// Between two looks whether a job that is tried alone has ended.
+const ALONE_CHECK: Duration = Duration::from_millis(50);
 /// Progress that waits to be recorded.
 const PROGRESS: usize = 4096;
 
@@ -137,11 +140,19 @@ struct Inner {
     name: String,
     runtime: Handle,
     draining: AtomicBool,
+    held: Mutex<Held>,
     storage: Storage,
     progress: mpsc::Sender<ProgressCommand>,
     previews: Previews,
     /// Whether the store has failed for good.
     broken: watch::Sender<bool>,
+}
+
+/// Jobs that wait until those that may have brought the process down have been tried, each alone.
+#[derive(Default)]
+struct Held {
+    is_trying: bool,
+    jobs: Vec<Job>,
 }
 
 /// What the task that records progress is to do, in order.
@@ -169,11 +180,13 @@ impl Executor {
             name: format!("process {}", std::process::id()),
             runtime: Handle::current(),
             draining: AtomicBool::default(),
+            held: Mutex::default(),
             storage: Storage::default(),
             progress,
             previews: Previews::default(),
             broken: watch::Sender::new(false),
         });
+        inner.engine.count_beside(inner.stores.jobs.beside());
         inner.recover().await?;
         tokio::spawn(record_progress(Arc::clone(&inner.stores.jobs), commands));
         tokio::spawn(sweep(Arc::downgrade(&inner)));
@@ -234,13 +247,63 @@ impl Inner {
         for (owner, digests) in &recovered.pinned {
             self.stores.blobs.claim(*owner, digests).await?;
         }
+        let mut suspects = Vec::new();
         for id in &recovered.queued {
-            self.enqueue(&jobs.get(*id).await?).await?;
+            let job = jobs.get(*id).await?;
+            match job.status.crashes >= self.options.max_crashes {
+                true => suspects.push(job),
+                false => lock(&self.held).jobs.push(job),
+            }
+        }
+        if suspects.is_empty() {
+            self.let_go().await;
+        } else {
+            tracing::warn!(jobs = suspects.len(), "the process went down with these jobs: each is tried alone");
+            lock(&self.held).is_trying = true;
+            tokio::spawn(Arc::clone(self).try_each_alone(suspects));
         }
         if !recovered.queued.is_empty() {
             tracing::info!(jobs = recovered.queued.len(), "taken up again");
         }
         Ok(())
+    }
+
+    /// Does each of these jobs while no other job of the store is at work, then lets all others go.
+    async fn try_each_alone(self: Arc<Self>, suspects: Vec<Job>) {
+        for job in suspects {
+            if self.is_draining() {
+                return;
+            }
+            self.enqueue_or_log(&job).await;
+            while self.engine.kept(None) > 0 {
+                tokio::time::sleep(ALONE_CHECK).await;
+            }
+        }
+        self.let_go().await;
+    }
+
+    /// Queues the jobs that were held.
+    async fn let_go(self: &Arc<Self>) {
+        loop {
+            let jobs = {
+                let mut held = lock(&self.held);
+                held.is_trying = !held.jobs.is_empty();
+                std::mem::take(&mut held.jobs)
+            };
+            if jobs.is_empty() || self.is_draining() {
+                return;
+            }
+            for job in jobs {
+                self.enqueue_or_log(&job).await;
+            }
+        }
+    }
+
+    /// Kept is kept: if a job cannot be queued now, the next start does.
+    async fn enqueue_or_log(self: &Arc<Self>, job: &Job) {
+        if let Err(error) = self.enqueue(job).await {
+            tracing::warn!(id = %job.id, %error, "a job waits for the next start");
+        }
     }
 
     async fn unpin(&self, name: &str) {
@@ -324,12 +387,12 @@ impl Inner {
             return Err(JobError::Draining);
         }
         let full = |waiting| Err(JobError::QueueFull { waiting, retry_after: Duration::from_secs(5) });
-        match (self.engine.kept(None), self.engine.kept(Some(tenant))) {
-            (waiting, _) if waiting >= self.options.waiting_jobs => full(waiting),
-            // One tenant leaves places to others.
-            (_, own) if own >= self.options.waiting_jobs.div_ceil(2) => full(own),
-            _ => Ok(()),
-        }
+        let (held, held_own) = {
+            let jobs = &lock(&self.held).jobs;
+            (jobs.len(), jobs.iter().filter(|job| job.spec.tenant == tenant).count())
+        };
+        let (waiting, own) = (self.engine.kept(None) + held, self.engine.kept(Some(tenant)) + held_own);
+        if may_take(own, waiting, self.options.waiting_jobs) { Ok(()) } else { full(waiting) }
     }
 
     /// Checks all that can be checked before a job is kept; gives the memory that it needs.
@@ -358,11 +421,12 @@ impl JobApi for Executor {
         this.check_input(&spec).await?;
         let needs = this.admit(&spec).await?;
         let created = this.stores.jobs.create(NewJob { random: getrandom_u128()?, spec, needs }).await?;
-        // Kept is kept: if it cannot be queued now, the next start does.
-        if !created.existed
-            && let Err(error) = this.enqueue(&created.job).await
-        {
-            tracing::warn!(id = %created.job.id, %error, "a job waits for the next start");
+        let is_held = || {
+            let mut held = lock(&this.held);
+            held.is_trying.then(|| held.jobs.push(created.job.clone())).is_some()
+        };
+        if !created.existed && !is_held() {
+            this.enqueue_or_log(&created.job).await;
         }
         Ok(created)
     }
@@ -440,6 +504,10 @@ impl JobApi for Executor {
         self.inner.draining.store(true, Ordering::Release);
         // The store has those that wait.
         self.inner.engine.release_kept();
+        if *self.inner.broken.borrow() {
+            // No end of theirs can be kept.
+            self.inner.engine.cancel_kept();
+        }
         while self.inner.engine.kept(None) > 0 {
             tokio::time::sleep(Duration::from_millis(10)).await;
         }

@@ -14,11 +14,13 @@
 #![allow(missing_docs)]
 
 pub mod admission;
+pub mod beside;
 pub mod blob;
 pub mod engine;
 pub mod executor;
 pub mod memory;
 pub mod observe;
+pub mod places;
 pub mod record;
 pub mod store;
 

@@ -20,8 +20,9 @@ use std::fmt;
 use std::path::PathBuf;
 use std::pin::Pin;
 use std::sync::Arc;
-use std::time::{Duration, SystemTime, UNIX_EPOCH};
+use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
+use crate::beside::Beside;
 use crate::blob::index::BlobIndex;
 use crate::blob::{Digest, Owner};
 use crate::record::event::{Events, Progress};
@@ -91,13 +92,16 @@ pub trait JobStore: Send + Sync {
     /// enough expire, and jobs without a result that were kept long enough are deleted. An error may leave a part of it done.
     fn expire(&self, keep: Retention, most: usize) -> Answer<'_, Swept>;
 
-    /// Puts orphaned jobs back into the queue, each with its crash counted; one with `max_crashes` of them fails. With
-    /// [`Orphans::All`], a store whose pins do not outlive the process sets them again. An error may leave a part of it done;
+    /// Puts orphaned jobs back into the queue, each with its crash counted; one with `max_crashes` of them fails if nothing
+    /// else was at work at its last. With [`Orphans::All`], a store whose pins do not outlive the process sets them again. An error may leave a part of it done;
     /// doing it again is harmless.
     fn recover(&self, orphans: Orphans, max_crashes: u32) -> Answer<'_, Recovered>;
+
+    /// Marks work that is none of the store's jobs, for the next [`Self::recover`].
+    fn beside(&self) -> Beside;
 }
 
-/// Times that a job may bring the process down: the second time it fails.
+/// Times that a job may be at work when the process goes down: the second time it fails, if it was at work alone.
 pub const MAX_CRASHES: u32 = 2;
 
 /// A job that is to be created. Its name has the store's time.
@@ -146,10 +150,12 @@ impl Clock {
     }
 }
 
+// The time of day when this was made, and the time that has passed since: a clock that somebody sets ends no deadline.
 impl Default for Clock {
     fn default() -> Self {
-        Self::new(|| {
-            let since = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
+        let (wall, begin) = (SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default(), Instant::now());
+        Self::new(move || {
+            let since = wall.saturating_add(begin.elapsed());
             Time(u64::try_from(since.as_millis()).unwrap_or(u64::MAX))
         })
     }

@@ -2,7 +2,7 @@
 //!
 //! Purpose: [`serve`] answers `/metrics`, `/healthz`, `/readyz` and `/version` until it is dropped.
 //! Invariant: whatever is sent to it, it holds few connections, each for a short time, and takes nothing but a request's
-//! head. It answers while the server drains. Must not know: gRPC, jobs, how faults are found.
+//! head. It answers while the server drains, and no page of another site. Must not know: gRPC, jobs, how faults are found.
 
 use std::collections::VecDeque;
 use std::convert::Infallible;
@@ -10,9 +10,10 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use axum::Router;
-use axum::extract::State;
-use axum::http::header::{ACCEPT, CACHE_CONTROL, CONTENT_TYPE};
-use axum::http::{HeaderMap, StatusCode};
+use axum::extract::{Request, State};
+use axum::http::header::{ACCEPT, CACHE_CONTROL, CONTENT_TYPE, X_CONTENT_TYPE_OPTIONS};
+use axum::http::{HeaderMap, HeaderValue, StatusCode};
+use axum::middleware::{Next, from_fn_with_state};
 use axum::response::{IntoResponse, Response};
 use axum::routing::get;
 use hyper::server::conn::http1;
@@ -22,6 +23,7 @@ use serde_json::json;
 use tokio::net::{TcpListener, TcpStream};
 use tokio::task::{AbortHandle, JoinSet};
 
+use crate::hosts::{self, Hosts, Reach};
 use crate::metrics::{Format, Metrics};
 use crate::readiness::Readiness;
 
@@ -46,12 +48,14 @@ pub struct Admin {
     pub metrics: Metrics,
     pub readiness: Readiness,
     pub revision: Option<&'static str>,
+    pub hosts: Hosts,
     /// Updates gauges that are read on demand, before each scrape.
     pub look: Arc<dyn Fn() + Send + Sync>,
 }
 
 pub async fn serve(listener: TcpListener, admin: Admin) -> Infallible {
-    let routes = routes(admin);
+    let reach = hosts::reach(&listener, Reach::Near);
+    let routes = routes(admin, reach);
     let mut open = JoinSet::new();
     let mut ends: VecDeque<AbortHandle> = VecDeque::new();
     loop {
@@ -89,14 +93,29 @@ async fn connection(stream: TcpStream, routes: Router) {
     }
 }
 
-fn routes(admin: Admin) -> Router {
+fn routes(admin: Admin, reach: Reach) -> Router {
+    let guard = from_fn_with_state((admin.hosts.clone(), reach), guard);
     Router::new()
         .route("/metrics", get(metrics))
         .route("/healthz", get(|| async { "ok\n" }))
         .route("/readyz", get(readiness))
         .route("/version", get(version))
+        .layer(guard)
         .with_state(admin)
 }
+
+/// Answers no page of another site: the port asks for no key.
+async fn guard(State((hosts, reach)): State<(Hosts, Reach)>, request: Request, next: Next) -> Response {
+    let mut response = match hosts.check(&request, reach) {
+        Ok(()) => next.run(request).await,
+        Err(_) => (StatusCode::FORBIDDEN, REFUSED).into_response(),
+    };
+    response.headers_mut().insert(X_CONTENT_TYPE_OPTIONS, HeaderValue::from_static("nosniff"));
+    response
+}
+
+const REFUSED: &str = "This port answers requests to its own address alone, and no page of another site; add a name with \
+                       --public-host.\n";
 
 async fn metrics(State(admin): State<Admin>, headers: HeaderMap) -> Response {
     let format = Format::of(headers.get(ACCEPT).and_then(|value| value.to_str().ok()));
@@ -139,6 +158,7 @@ mod tests {
             metrics: Metrics::default(),
             readiness: readiness.clone(),
             revision: Some("abc"),
+            hosts: Hosts::default(),
             look: Arc::new(|| {}),
         };
         let mut serving = JoinSet::new();
@@ -156,7 +176,7 @@ mod tests {
     }
 
     async fn get(port: &Port, path: &str, more: &str) -> String {
-        ask(port, &format!("GET {path} HTTP/1.1\r\nHost: a\r\nConnection: close\r\n{more}\r\n")).await
+        ask(port, &format!("GET {path} HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n{more}\r\n")).await
     }
 
     #[tokio::test]
@@ -170,7 +190,7 @@ mod tests {
         let open = get(&port, "/metrics", "Accept: application/openmetrics-text\r\n").await;
         assert!(open.contains("application/openmetrics-text; version=1.0.0") && open.ends_with("# EOF\n"), "{open}");
         assert!(get(&port, "/nothing", "").await.starts_with("HTTP/1.1 404"));
-        let post = ask(&port, "POST /metrics HTTP/1.1\r\nHost: a\r\nConnection: close\r\n\r\n").await;
+        let post = ask(&port, "POST /metrics HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n").await;
         assert!(post.starts_with("HTTP/1.1 405"), "{post}");
     }
 
@@ -190,6 +210,22 @@ mod tests {
             "{answer}"
         );
         assert!(get(&port, "/healthz", "").await.starts_with("HTTP/1.1 200"), "the process lives");
+    }
+
+    #[tokio::test]
+    async fn pages_of_other_sites_read_nothing() {
+        let port = port().await;
+        for (host, more, status) in [
+            ("localhost:9090", "", 200),
+            ("evil.example", "", 403),
+            ("127.0.0.1", "Origin: http://evil.example\r\n", 403),
+            ("127.0.0.1", "Sec-Fetch-Site: cross-site\r\n", 403),
+        ] {
+            let request = format!("GET /metrics HTTP/1.1\r\nHost: {host}\r\nConnection: close\r\n{more}\r\n");
+            let answer = ask(&port, &request).await;
+            assert!(answer.starts_with(&format!("HTTP/1.1 {status}")), "{host} {more}: {answer}");
+            assert!(answer.contains("x-content-type-options: nosniff"), "{answer}");
+        }
     }
 
     #[tokio::test]

@@ -7,6 +7,9 @@
 
 mod blobs;
 mod body;
+#[cfg(feature = "ui")]
+mod docs;
+mod form;
 mod guard;
 mod jobs;
 mod openapi;
@@ -19,14 +22,17 @@ mod schema;
 mod state;
 
 use std::sync::LazyLock;
+use std::time::Duration;
 
 use axum::Router;
-use axum::http::header::CONTENT_TYPE;
-use axum::middleware::from_fn_with_state;
+use axum::http::Method;
+use axum::http::header::{self, CONTENT_TYPE, HeaderName, HeaderValue};
+use axum::middleware::{from_fn_with_state, map_request, map_response};
 use axum::response::{IntoResponse, Response};
 use axum::routing::{MethodRouter, delete, get, post};
 use schemars::json_schema;
 use tokio::net::TcpListener;
+use tower_http::cors::CorsLayer;
 
 #[cfg(feature = "ui")]
 use self::guard::Open;
@@ -266,10 +272,13 @@ async fn openapi() -> Response {
 }
 
 pub fn door(listener: TcpListener) -> Door {
-    Door::new(listener, routes)
+    Door::new(listener, |desk| {
+        let origins = desk.access.options().hosts.origins.clone();
+        for_browsers(routes(desk), origins)
+    })
 }
 
-/// As [`door`], with the page for browsers.
+/// As [`door`], with the page for browsers and a page of this interface.
 #[cfg(feature = "ui")]
 pub fn door_with_page(listener: TcpListener) -> Door {
     Door::new(listener, |desk| {
@@ -278,9 +287,48 @@ pub fn door_with_page(listener: TcpListener) -> Door {
             let open = from_fn_with_state(Open { desk: desk.clone(), path }, guard::open);
             router = router.route(path, get(page::serve).route_layer(open));
         }
-        router.with_state(desk.clone()).merge(routes(desk))
+        let open = from_fn_with_state(Open { desk: desk.clone(), path: "/docs" }, guard::open);
+        router = router.route("/docs", get(docs::serve).route_layer(open));
+        let origins = desk.access.options().hosts.origins.clone();
+        let page = router.with_state(desk.clone());
+        for_browsers(page.merge(routes(desk)), origins)
     })
 }
+
+/// What browsers need to hear beside each answer: which sites may read it (`origins`), and that its type is not to be guessed.
+fn for_browsers(router: Router, origins: Vec<HeaderValue>) -> Router {
+    let router =
+        router.layer(map_request(body::read_to_the_end)).layer(map_response(async |mut response: Response| {
+            response.headers_mut().insert(header::X_CONTENT_TYPE_OPTIONS, HeaderValue::from_static("nosniff"));
+            response
+        }));
+    if origins.is_empty() {
+        return router;
+    }
+    let names = |names: &[&'static str]| names.iter().copied().map(HeaderName::from_static).collect::<Vec<_>>();
+    let cors = CorsLayer::new()
+        .allow_origin(origins)
+        .allow_methods([Method::GET, Method::HEAD, Method::POST, Method::DELETE])
+        .allow_headers(names(SENT))
+        .expose_headers(names(READ))
+        .max_age(Duration::from_secs(600));
+    router.layer(cors)
+}
+
+/// Headers that pages of allowed sites may send, and those that they may read.
+const SENT: &[&str] = &[
+    "accept",
+    "authorization",
+    "content-encoding",
+    "content-type",
+    "if-none-match",
+    "if-range",
+    "last-event-id",
+    "range",
+    "tessera-tenant",
+    "traceparent",
+];
+const READ: &[&str] = &["content-range", "etag", "location", "retry-after", jobs::ENDED, jobs::STEPS, remesh::WARNING];
 
 fn routes(desk: Desk) -> Router {
     let mut router = Router::new();

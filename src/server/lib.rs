@@ -6,8 +6,9 @@
 //! | [`keys`] | keys of callers: made, hashed, kept in a file | nothing here |
 //! | [`readiness`] | why the server is not ready, if it is not | nothing here |
 //! | [`metrics`] | what is counted, and its text for Prometheus | `readiness` |
+//! | [`hosts`] | hosts and sites whose requests a server without keys answers | nothing here |
 //! | [`lifecycle`] | the steps of a start and an end, each with its time | `metrics` |
-//! | [`admin`] | metrics and readiness over HTTP, for operators | `metrics`, `readiness` |
+//! | [`admin`] | metrics and readiness over HTTP, for operators | `hosts`, `metrics`, `readiness` |
 //! | [`service`] | gRPC: handlers, streams, status codes, limits | all above |
 //! | [`http`] | HTTP: routes over the same jobs, blobs, keys and limits | `service`, without gRPC |
 //!
@@ -20,6 +21,7 @@
 
 pub mod admin;
 pub mod config;
+pub mod hosts;
 pub mod http;
 pub mod keys;
 pub mod lifecycle;

@@ -35,6 +35,7 @@ use self::health::Told;
 pub use self::info::{About, Info};
 pub(crate) use self::stream::{Gate, Kind};
 use crate::config::Limits;
+use crate::hosts::Reach;
 use crate::lifecycle::{self, Step};
 use crate::metrics::Metrics;
 use crate::readiness::{Readiness, Reason};
@@ -113,7 +114,7 @@ pub enum RequestError {
     Wire(#[from] WireError),
     #[error(transparent)]
     Transport(#[from] Rejection),
-    #[error("{limit} {what} are open already, as many as may")]
+    #[error("all of the {limit} {what} that may be open are in use, or as many of them as one tenant may have")]
     TooMany { what: &'static str, limit: usize },
     #[error("no message came for {} s", .0.as_secs_f64())]
     Idle(Duration),
@@ -211,15 +212,18 @@ pub async fn run(
         tasks.spawn(health::follow_blobs(Arc::clone(&jobs.blobs), storage, readiness.clone(), metrics.clone()));
     }
     let api = jobs.as_ref().map(|jobs| Arc::clone(&jobs.api));
+    // By TLS a name that resolves to this address has no certificate.
+    let wide = if tls.is_some() { Reach::Anywhere } else { Reach::Near };
     let door = door.zip(jobs.as_ref()).map(|(door, Jobs { api, blobs })| {
-        let (api, blobs, access) = (Arc::clone(api), Arc::clone(blobs), access.of(&door.listener));
+        let (api, blobs, access) = (Arc::clone(api), Arc::clone(blobs), access.of(&door.listener, wide));
         let (budget, gate, metrics) = (budget.clone(), gate.clone(), metrics.clone());
         (door.listener, (door.open)(Desk { api, blobs, limits, budget, gate, access, metrics, info: info.clone() }))
     });
     if let Some(jobs) = jobs {
         routes = with_jobs(routes, jobs, limits, &budget, &gate);
     }
-    let guarded = Guarded::new(access.of(&listener), routes.prepare());
+    // Browsers speak no HTTP/2 without TLS.
+    let guarded = Guarded::new(access.of(&listener, Reach::Anywhere), routes.prepare());
     let closing = watch::Sender::new(CUT_TIME);
     let shared = Shared::new(connections(&limits), budget, metrics.connections(), tls);
     let grpc = Protocol::Grpc(Arc::new(Grpc {

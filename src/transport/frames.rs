@@ -9,6 +9,7 @@ use std::sync::Arc;
 use std::task::Poll;
 use std::time::Instant;
 
+use super::lines::Lines;
 use super::socket::{Tap, Traffic};
 
 const PREFACE: &[u8; 24] = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n";
@@ -42,6 +43,11 @@ struct Heads {
 impl Heads {
     fn new() -> Self {
         Self { greeted: Some(0), skip: 0, head: [0; HEAD], filled: 0 }
+    }
+
+    /// Whether the connection speaks HTTP/1.1.
+    fn are_none(&self) -> bool {
+        self.greeted.is_none()
     }
 
     /// How many frames that carry nothing begin in `bytes`.
@@ -107,12 +113,13 @@ pub(super) struct Meter {
     heads: Heads,
     allowance: Allowance,
     traffic: Arc<Traffic>,
+    lines: Lines,
 }
 
 impl Meter {
     /// Allows `rate` control frames a second.
     pub(super) fn new(rate: u32, traffic: Arc<Traffic>) -> Self {
-        Self { heads: Heads::new(), allowance: Allowance::new(rate, Instant::now()), traffic }
+        Self { heads: Heads::new(), allowance: Allowance::new(rate, Instant::now()), traffic, lines: Lines::default() }
     }
 }
 
@@ -122,6 +129,9 @@ impl Tap for Meter {
         if count > 0 && !self.allowance.take(count, Instant::now()) {
             self.traffic.flooded.set();
             return Err(io::Error::other("too many frames that carry nothing"));
+        }
+        if self.heads.are_none() && !self.lines.are_whole(bytes) {
+            return Err(io::Error::new(io::ErrorKind::InvalidData, "a line ends by a line feed alone"));
         }
         Ok(())
     }

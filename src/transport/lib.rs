@@ -19,6 +19,7 @@ mod file;
 mod frames;
 mod handshake;
 mod limits;
+mod lines;
 mod places;
 mod rejection;
 mod socket;

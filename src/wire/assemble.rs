@@ -14,6 +14,8 @@ use super::attributes::{AttributeCounts, UploadedAttribute};
 use super::counts::MeshCounts;
 use super::proto::{ArrayKind, Chunk};
 use super::{WireError, unknown_enum};
+use geometry::mesh::numbers::NumberType::{self, F32, F64, U32};
+use geometry::mesh::numbers::Order;
 
 #[derive(Debug)]
 pub struct Uploaded {
@@ -38,9 +40,9 @@ struct Array {
     kind: ArrayKind,
     /// How it is called in errors.
     path: Cow<'static, str>,
-    /// Bytes of one element and of its numbers, and how many were announced.
+    /// Bytes of one element, the type of its numbers, and how many were announced.
     element_bytes: u64,
-    number_bytes: u64,
+    number: NumberType,
     announced: u64,
     received_bytes: u64,
     /// Start of an element whose end is in the next chunk.
@@ -58,16 +60,16 @@ enum Store {
 
 impl Assembly {
     pub fn new(mesh: MeshCounts) -> Self {
-        let points = mesh.coordinate_bytes;
+        let points = if mesh.coordinate_bytes == 4 { F32 } else { F64 };
         let array = Array::new;
         Self {
             arrays: [
                 array(ArrayKind::Positions, points, 3, mesh.vertices, Store::Points(Vec::new())),
-                array(ArrayKind::Facets, 4, 3, mesh.facets, Store::Triples(Vec::new())),
-                array(ArrayKind::Weights, 8, 1, mesh.weights, Store::Numbers(Vec::new())),
+                array(ArrayKind::Facets, U32, 3, mesh.facets, Store::Triples(Vec::new())),
+                array(ArrayKind::Weights, F64, 1, mesh.weights, Store::Numbers(Vec::new())),
                 array(ArrayKind::Seeds, points, 3, mesh.seeds, Store::Points(Vec::new())),
-                array(ArrayKind::EdgeLengths, 8, 1, mesh.edge_lengths, Store::Numbers(Vec::new())),
-                array(ArrayKind::Creases, 4, 2, mesh.creases, Store::Pairs(Vec::new())),
+                array(ArrayKind::EdgeLengths, F64, 1, mesh.edge_lengths, Store::Numbers(Vec::new())),
+                array(ArrayKind::Creases, U32, 2, mesh.creases, Store::Pairs(Vec::new())),
             ],
             attributes: Vec::new(),
         }
@@ -77,10 +79,10 @@ impl Assembly {
     pub fn announce(mut self, facets: u64, attributes: Vec<AttributeCounts>) -> Self {
         let arrays = attributes.into_iter().enumerate().map(|(i, counts)| {
             let (values, corners) = counts.array_kinds();
-            let mut values =
-                Array::new(values, counts.number_bytes, counts.numbers, counts.values, Store::Numbers(Vec::new()));
+            let store = Store::Numbers(Vec::new());
+            let mut values = Array::new(values, counts.number, counts.numbers, counts.values, store);
             let announced = if counts.by_corner { facets } else { 0 };
-            let mut corners = Array::new(corners, 4, 3, announced, Store::Triples(Vec::new()));
+            let mut corners = Array::new(corners, U32, 3, announced, Store::Triples(Vec::new()));
             values.path = format!("mesh.attributes[{i}].values").into();
             corners.path = format!("mesh.attributes[{i}].corners").into();
             (counts, values, corners)
@@ -154,7 +156,7 @@ impl Assembly {
 }
 
 impl Array {
-    fn new(kind: ArrayKind, number_bytes: u64, numbers: u64, announced: u64, store: Store) -> Self {
+    fn new(kind: ArrayKind, number: NumberType, numbers: u64, announced: u64, store: Store) -> Self {
         let path = match kind {
             ArrayKind::Positions => "mesh.positions",
             ArrayKind::Facets => "mesh.facets",
@@ -163,9 +165,9 @@ impl Array {
             ArrayKind::Creases => "mesh.creases",
             _ => "seeds",
         };
-        let element_bytes = number_bytes * numbers;
+        let element_bytes = number.bytes() as u64 * numbers;
         let (path, rest) = (path.into(), Vec::new());
-        Self { kind, path, element_bytes, number_bytes, announced, received_bytes: 0, rest, store }
+        Self { kind, path, element_bytes, number, announced, received_bytes: 0, rest, store }
     }
 
     fn path(&self) -> &str {
@@ -179,7 +181,7 @@ impl Array {
     /// Bytes of memory for `wire` bytes of a message.
     fn memory_bytes(&self, wire: u64) -> u64 {
         match self.store {
-            Store::Points(_) | Store::Numbers(_) => 8 / self.number_bytes * wire,
+            Store::Points(_) | Store::Numbers(_) => 8 / self.number.bytes() as u64 * wire,
             Store::Triples(_) | Store::Pairs(_) => wire,
         }
     }
@@ -231,21 +233,21 @@ impl Array {
                 return;
             }
             let element = std::mem::take(&mut self.rest);
-            self.store.decode(&element, self.number_bytes);
+            self.store.decode(&element, self.number);
         }
         let whole = data.len() / size * size;
-        self.store.decode(&data[..whole], self.number_bytes);
+        self.store.decode(&data[..whole], self.number);
         self.rest.extend_from_slice(&data[whole..]);
     }
 }
 
 impl Store {
-    fn decode(&mut self, data: &[u8], number_bytes: u64) {
+    fn decode(&mut self, data: &[u8], number: NumberType) {
         match self {
-            Self::Points(all) => all.extend(points(data, number_bytes)),
+            Self::Points(all) => all.extend(points(data, number)),
             Self::Triples(facets) => facets.extend_from_slice(indices(data).as_chunks::<3>().0),
             Self::Pairs(edges) => edges.extend_from_slice(indices(data).as_chunks::<2>().0),
-            Self::Numbers(all) => all.extend(numbers(data, number_bytes)),
+            Self::Numbers(all) => all.extend(number.floats(data, Order::Little)),
         }
     }
 }
@@ -284,7 +286,7 @@ impl Arrays {
     }
 
     pub fn points(&self, kind: ArrayKind) -> Result<Vec<DVec3>, WireError> {
-        Ok(points(self.bytes(kind)?, 8))
+        Ok(points(self.bytes(kind)?, F64))
     }
 
     pub fn facets(&self, kind: ArrayKind) -> Result<Vec<[u32; 3]>, WireError> {
@@ -300,7 +302,7 @@ impl Arrays {
     pub fn attribute(&self, counts: AttributeCounts, place: u32) -> Result<UploadedAttribute, WireError> {
         let (values, corners) = counts.array_kinds();
         let place = if values == ArrayKind::Scalars { place } else { 0 };
-        let numbers = numbers(self.bytes_of(values, place)?, counts.number_bytes);
+        let numbers = counts.number.floats(self.bytes_of(values, place)?, Order::Little);
         let corners = if counts.by_corner { self.facets(corners)? } else { Vec::new() };
         Ok(UploadedAttribute { counts, numbers, corners })
     }
@@ -310,17 +312,8 @@ fn broken<T>(what: impl Into<String>) -> Result<T, WireError> {
     Err(WireError::Answer(what.into()))
 }
 
-/// Numbers of so many bytes each; one byte is a 255th.
-pub(super) fn numbers(data: &[u8], number_bytes: u64) -> Vec<f64> {
-    match number_bytes {
-        1 => data.iter().map(|&b| f64::from(b) / 255.0).collect(),
-        4 => data.as_chunks::<4>().0.iter().map(|b| f64::from(f32::from_le_bytes(*b))).collect(),
-        _ => data.as_chunks::<8>().0.iter().map(|b| f64::from_le_bytes(*b)).collect(),
-    }
-}
-
-pub(super) fn points(data: &[u8], number_bytes: u64) -> Vec<DVec3> {
-    numbers(data, number_bytes).as_chunks::<3>().0.iter().map(|p| DVec3::from_array(*p)).collect()
+pub(super) fn points(data: &[u8], number: NumberType) -> Vec<DVec3> {
+    number.floats(data, Order::Little).as_chunks::<3>().0.iter().map(|p| DVec3::from_array(*p)).collect()
 }
 
 pub(super) fn indices(data: &[u8]) -> Vec<u32> {

@@ -9,25 +9,60 @@ use glam::{DVec2, DVec3};
 use super::chunks::{chunks as cut, facet_chunks, number_chunks, point_chunks};
 use super::counts::MeshCounts;
 use super::options::within;
-use super::proto::{ArrayKind, AttributeHeader, AttributeKind, AttributeType, Chunk};
+use super::proto::{ArrayForm, ArrayKind, AttributeHeader, AttributeKind, AttributeType, Chunk};
 use super::{WireError, unknown_enum};
 use geometry::mesh::TriMesh;
 use geometry::mesh::attributes::{
-    AttributeError, Attributes, ColourDepth, Colours, Normals, PerCorner, Scalar, check_name,
+    AttributeError, Attributes, ColourDepth, Colours, MAX_COMPONENTS, Normals, PerCorner, Scalar, check_name,
 };
+use geometry::mesh::numbers::{NumberType, Order};
 
 /// The most attributes of a surface.
 const MOST: usize = 256;
+
+/// Types of numbers, by their names in headers and in arrays of jobs.
+const TYPES: [(AttributeType, ArrayForm, NumberType); 10] = [
+    (AttributeType::F64, ArrayForm::F64, NumberType::F64),
+    (AttributeType::F32, ArrayForm::F32, NumberType::F32),
+    (AttributeType::U8, ArrayForm::U8, NumberType::U8),
+    (AttributeType::I8, ArrayForm::I8, NumberType::I8),
+    (AttributeType::U16, ArrayForm::U16, NumberType::U16),
+    (AttributeType::I16, ArrayForm::I16, NumberType::I16),
+    (AttributeType::U32, ArrayForm::U32, NumberType::U32),
+    (AttributeType::I32, ArrayForm::I32, NumberType::I32),
+    (AttributeType::U64, ArrayForm::U64, NumberType::U64),
+    (AttributeType::I64, ArrayForm::I64, NumberType::I64),
+];
+
+fn number(given: AttributeType) -> NumberType {
+    TYPES.iter().find(|(known, ..)| *known == given).map_or(NumberType::F64, |&(.., number)| number)
+}
+
+/// The word of a type in the names of a result's parts: "F64".
+pub fn word_of(number: NumberType) -> &'static str {
+    let name = TYPES.iter().find(|(.., known)| *known == number).map_or("", |(_, form, _)| form.as_str_name());
+    name.trim_start_matches("ARRAY_FORM_")
+}
+
+/// The type of an array of a job; none of a text.
+pub fn type_of(form: ArrayForm) -> Option<AttributeType> {
+    TYPES.iter().find(|(_, known, _)| *known == form).map(|&(given, ..)| given)
+}
+
+/// The numbers of an array of a job that is no text.
+pub fn number_of(form: ArrayForm) -> NumberType {
+    type_of(form).map_or(NumberType::F64, number)
+}
 
 /// A header that makes sense.
 #[derive(Clone, Debug, PartialEq)]
 pub struct AttributeCounts {
     pub kind: AttributeKind,
     pub name: String,
-    /// Values, numbers of each, and bytes of a number.
+    /// Values, numbers of each, and their type.
     pub values: u64,
     pub numbers: u64,
-    pub number_bytes: u64,
+    pub number: NumberType,
     pub by_corner: bool,
 }
 
@@ -72,26 +107,27 @@ pub fn check(headers: &[AttributeHeader], mesh: MeshCounts) -> Result<Vec<Attrib
 fn check_one(i: usize, header: &AttributeHeader, mesh: MeshCounts) -> Result<AttributeCounts, WireError> {
     let path = |field: &str| format!("attributes[{i}].{field}");
     let unknown = |field: &str, value: i32| unknown_enum(path(field), value);
-    let AttributeHeader { kind, name, r#type, values, by_corner } = header.clone();
+    let AttributeHeader { kind, name, r#type, values, by_corner, components } = header.clone();
     let known = AttributeKind::try_from(kind).ok().filter(|known| *known != AttributeKind::Unspecified);
     let kind = known.ok_or_else(|| unknown("kind", kind))?;
-    let number_bytes = match AttributeType::try_from(r#type) {
-        Ok(AttributeType::F32) => 4,
-        Ok(AttributeType::F64 | AttributeType::Unspecified) => 8,
-        Ok(AttributeType::U8) if kind == AttributeKind::Colours => 1,
-        Ok(AttributeType::U8) => return Err(WireError::field(path("type"), "is U8, which colours alone may be")),
-        Err(_) => return Err(unknown("type", r#type)),
-    };
-    if kind == AttributeKind::Scalar {
+    let number = AttributeType::try_from(r#type).map(number).map_err(|_| unknown("type", r#type))?;
+    let is_scalar = kind == AttributeKind::Scalar;
+    if !(number.is_float() || is_scalar || kind == AttributeKind::Colours && number == NumberType::U8) {
+        return Err(WireError::field(path("type"), "is one of whole numbers; scalars have these, and colours U8"));
+    }
+    if is_scalar {
         check_name(&name).map_err(|error| WireError::field(path("name"), error.to_string()))?;
     } else if !name.is_empty() {
         return Err(WireError::field(path("name"), "is given; scalars alone have names"));
+    } else if components != 0 {
+        return Err(WireError::field(path("components"), "is given; it is for scalars"));
     }
+    within(&path("components"), components.into(), 0, MAX_COMPONENTS as u64)?;
     let (numbers, by_corner) = match kind {
         AttributeKind::Normals => (3, by_corner),
         AttributeKind::TextureCoordinates => (2, true),
         AttributeKind::Colours => (4, false),
-        AttributeKind::Scalar | AttributeKind::Unspecified => (1, false),
+        AttributeKind::Scalar | AttributeKind::Unspecified => (components.max(1).into(), false),
     };
     match by_corner {
         // More values than corners cannot be of use, and would get around the limit on facets.
@@ -102,12 +138,12 @@ fn check_one(i: usize, header: &AttributeHeader, mesh: MeshCounts) -> Result<Att
         }
         false => {}
     }
-    Ok(AttributeCounts { kind, name, values, numbers, number_bytes, by_corner })
+    Ok(AttributeCounts { kind, name, values, numbers, number, by_corner })
 }
 
 pub fn collect(mesh: &TriMesh, uploaded: Vec<UploadedAttribute>) -> Result<Attributes, WireError> {
     let mut attributes = Attributes::new(mesh);
-    for (i, UploadedAttribute { counts, numbers, corners }) in uploaded.into_iter().enumerate() {
+    for (i, UploadedAttribute { counts, mut numbers, corners }) in uploaded.into_iter().enumerate() {
         let points = || numbers.as_chunks::<3>().0.iter().map(|&n| DVec3::from_array(n)).collect();
         let taken = match counts.kind {
             AttributeKind::Normals if counts.by_corner => {
@@ -119,10 +155,18 @@ pub fn collect(mesh: &TriMesh, uploaded: Vec<UploadedAttribute>) -> Result<Attri
                 attributes.set_texture(PerCorner { values, corners })
             }
             AttributeKind::Colours => {
-                let depth = if counts.number_bytes == 1 { ColourDepth::Eight } else { ColourDepth::Float };
+                let depth = if counts.number.is_float() { ColourDepth::Float } else { ColourDepth::Eight };
+                if depth == ColourDepth::Eight {
+                    numbers.iter_mut().for_each(|x| *x /= 255.0);
+                }
                 attributes.set_colours(Colours { values: numbers.as_chunks::<4>().0.to_vec(), depth })
             }
-            AttributeKind::Scalar | AttributeKind::Unspecified => attributes.add_scalar(counts.name, numbers),
+            AttributeKind::Scalar | AttributeKind::Unspecified => attributes.add_scalar(Scalar {
+                name: counts.name,
+                number: counts.number,
+                components: counts.numbers as usize,
+                values: numbers,
+            }),
         };
         taken.map_err(|error| {
             let path = match &error {
@@ -143,7 +187,14 @@ pub fn headers(attributes: &Attributes) -> Vec<AttributeHeader> {
     let mut all = Vec::new();
     let mut push = |kind: AttributeKind, name: &str, values: usize, by_corner, r#type: AttributeType| {
         let (kind, r#type) = (kind.into(), r#type.into());
-        all.push(AttributeHeader { kind, name: name.to_owned(), r#type, values: values as u64, by_corner });
+        all.push(AttributeHeader {
+            kind,
+            name: name.to_owned(),
+            r#type,
+            values: values as u64,
+            by_corner,
+            components: 0,
+        });
     };
     match attributes.normals() {
         Some(Normals::PerVertex(n)) => push(AttributeKind::Normals, "", n.len(), false, AttributeType::F64),
@@ -157,8 +208,16 @@ pub fn headers(attributes: &Attributes) -> Vec<AttributeHeader> {
         let kind = if *depth == ColourDepth::Eight { AttributeType::U8 } else { AttributeType::F64 };
         push(AttributeKind::Colours, "", values.len(), false, kind);
     }
-    for Scalar { name, values } in attributes.scalars() {
-        push(AttributeKind::Scalar, name, values.len(), false, AttributeType::F64);
+    for Scalar { name, number, components, values } in attributes.scalars() {
+        let given = TYPES.iter().find(|(.., known)| known == number).map_or(AttributeType::F64, |&(given, ..)| given);
+        all.push(AttributeHeader {
+            kind: AttributeKind::Scalar.into(),
+            name: name.clone(),
+            r#type: given.into(),
+            values: (values.len() / components) as u64,
+            by_corner: false,
+            components: *components as u32,
+        });
     }
     all
 }
@@ -200,10 +259,11 @@ pub fn chunks<'a>(attributes: &'a Attributes, headers: &[AttributeHeader]) -> Ve
             ColourDepth::Float => all.push(Box::new(number_chunks(ArrayKind::Colours, values.as_flattened()))),
         }
     }
-    for Scalar { name, values } in attributes.scalars() {
+    for Scalar { name, number, values, .. } in attributes.scalars() {
         let is_it = |h: &AttributeHeader| h.kind == i32::from(AttributeKind::Scalar) && h.name == *name;
         let Some(attribute) = headers.iter().position(is_it).and_then(|i| u32::try_from(i).ok()) else { continue };
-        let numbers = number_chunks(ArrayKind::Scalars, values);
+        let put = |x: &f64, out: &mut Vec<u8>| number.put(*x, Order::Little, out);
+        let numbers = cut(ArrayKind::Scalars, values, number.bytes(), put);
         all.push(Box::new(numbers.map(move |chunk| Chunk { attribute, ..chunk })));
     }
     all
@@ -234,8 +294,11 @@ mod tests {
         assert_eq!(path(&[header(AttributeKind::TextureCoordinates, 0)]), "attributes[0].values");
         assert_eq!(path(&[header(AttributeKind::Unspecified, 4)]), "attributes[0].kind");
         assert_eq!(path(&[AttributeHeader { name: "a b".into(), ..scalar.clone() }]), "attributes[0].name");
-        assert_eq!(path(&[AttributeHeader { r#type: 3, ..scalar.clone() }]), "attributes[0].type");
-        assert_eq!(path(&[AttributeHeader { r#type: 9, ..scalar.clone() }]), "attributes[0].type");
+        assert_eq!(path(&[AttributeHeader { r#type: 99, ..scalar.clone() }]), "attributes[0].type");
+        let texture = || header(AttributeKind::TextureCoordinates, 6);
+        assert_eq!(path(&[AttributeHeader { r#type: 3, ..texture() }]), "attributes[0].type");
+        assert_eq!(path(&[AttributeHeader { components: 2, ..texture() }]), "attributes[0].components");
+        assert_eq!(path(&[AttributeHeader { components: 65, ..scalar.clone() }]), "attributes[0].components");
         assert_eq!(path(&vec![scalar; 257]), "attributes");
     }
 }

@@ -4,9 +4,11 @@
 //! never split. What does not fit together is refused. Must not know: how pieces are computed.
 
 use super::WireError;
-use super::assemble::{indices, numbers, points};
+use super::assemble::{indices, points};
 use super::chunks::CHUNK_BYTES;
 use super::proto::CellsChunk;
+use geometry::mesh::numbers::NumberType::F64;
+use geometry::mesh::numbers::Order;
 use geometry::rvd::PieceBatch;
 use prost::bytes::Bytes;
 
@@ -51,7 +53,7 @@ pub fn batch(chunk: &CellsChunk) -> Result<PieceBatch, WireError> {
     let mut cells = PieceBatch::default();
     let (facet, seed, count) = (indices(&chunk.facet), indices(&chunk.seed), indices(&chunk.vertex_count));
     let (position, weight, opposite) =
-        (points(&chunk.positions, 8), numbers(&chunk.weights, 8), indices(&chunk.opposite));
+        (points(&chunk.positions, F64), F64.floats(&chunk.weights, Order::Little), indices(&chunk.opposite));
     let vertices: u64 = count.iter().map(|c| u64::from(*c)).sum();
     let whole = facet.len() == seed.len()
         && facet.len() == count.len()

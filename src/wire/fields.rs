@@ -86,7 +86,7 @@ impl Field {
             _ => text.parse::<f64>().ok().filter(|number| number.is_finite()).map(Value::F64),
         };
         read.ok_or_else(|| match kind {
-            Kind::Uint32 | Kind::Uint64 => "a whole number, and not too large".to_owned(),
+            Kind::Uint32 | Kind::Uint64 => "a whole number, as 10000, 1e4, 10k or 10,000, and not too large".to_owned(),
             Kind::Enum(_) => {
                 let words = self.words();
                 let (last, others) = words.split_last().map_or(("", &[][..]), |(last, others)| (last.as_str(), others));
@@ -140,6 +140,11 @@ impl Default for Fields {
 impl Fields {
     /// Takes an option. Whether there is one of this name.
     pub fn set(&mut self, name: &str, text: &str) -> Result<bool, String> {
+        // A number of points may be a share of the vertices.
+        let (name, text) = match text.trim().strip_suffix('%') {
+            Some(percent) if name == "points" => ("points_percent", percent),
+            _ => (name, text),
+        };
         let Some(field) = self.all.iter().find(|field| field.name == name) else { return Ok(false) };
         let value = field.read(text)?;
         let mut message = self.message.as_mut();
@@ -156,12 +161,28 @@ impl Fields {
     }
 }
 
-/// A whole number as people write it: `10000`, `1e4`.
+/// A whole number as people write it: `10000`, `1e4`, `10k`, `10,000`, `1.5m`.
 pub fn whole(text: &str) -> Option<u64> {
     /// Up to here every whole number is one of double precision.
     const EXACT: f64 = (1u64 << 53) as f64;
-    let real = || text.parse::<f64>().ok().filter(|x| (0.0..=EXACT).contains(x) && x.fract() == 0.0);
-    text.parse().ok().or_else(|| real().map(|x| x as u64))
+    let text = text.trim();
+    let (text, unit) = match text.strip_suffix(['k', 'K', 'm', 'M']) {
+        Some(rest) => (rest, if text.ends_with(['k', 'K']) { 1e3 } else { 1e6 }),
+        None => (text, 1.0),
+    };
+    let mut groups = text.split(',');
+    let first = groups.next().filter(|first| !first.is_empty())?;
+    let digits = |group: &str, most: usize| group.len() <= most && group.bytes().all(|b| b.is_ascii_digit());
+    let text = match text.contains(',') {
+        true if digits(first, 3) && groups.clone().all(|group| group.len() == 3 && digits(group, 3)) => {
+            text.replace(',', "")
+        }
+        true => return None,
+        false => text.replace('_', ""),
+    };
+    let exact = || text.parse::<u64>().ok().filter(|_| unit == 1.0);
+    let real = || text.parse::<f64>().ok().map(|x| x * unit).filter(|x| (0.0..=EXACT).contains(x) && x.fract() == 0.0);
+    exact().or_else(|| real().map(|x| x as u64))
 }
 
 #[cfg(test)]
@@ -176,6 +197,12 @@ mod tests {
             [("points", "1e4"), ("seed", "7"), ("density", "lfs"), ("gradation", "0.5"), ("projection", "surface")]
         {
             assert_eq!(fields.set(name, text), Ok(true), "{name}");
+        }
+        for (text, number) in [("10k", 10_000), ("10,000", 10_000), ("1_000", 1_000), ("1.5m", 1_500_000), (" 7 ", 7)] {
+            assert_eq!(whole(text), Some(number), "{text}");
+        }
+        for text in ["1,5", "1,5k", ",000", "1.0005k", "k", "", "-1", "10,00", "1e4k,000", "inf", "nan", "1,0000"] {
+            assert_eq!(whole(text), None, "{text}");
         }
         assert_eq!(fields.set("point", "1"), Ok(false));
         for (name, text) in

@@ -12,7 +12,7 @@ use super::proto::{self, BoundaryRule, Measure, RvdOutput, ThinRule};
 use super::{WireError, unknown_enum};
 use geometry::cvt::density::{DensityOptions, DensitySource};
 use geometry::cvt::{CvtOptions, Projection};
-use geometry::remesh::{Placement, Refine, RemeshOptions, Seeds, Tolerance};
+use geometry::remesh::{Placement, Refine, RemeshOptions, Seeds, Share, Tolerance};
 
 type Read<T> = Result<T, WireError>;
 
@@ -82,10 +82,41 @@ pub fn fill(options: &mut dyn Start, points: Vec<DVec3>, edge_lengths: Option<Ve
     }
 }
 
+/// The number of points that one of three options says.
+fn points(given: &proto::RemeshOptions) -> Read<Option<Points>> {
+    let all = [
+        ("points", given.points.map(Points::Count)),
+        ("points_percent", given.points_percent.map(|percent| Points::Share(Share::Percent(percent)))),
+        ("facets", given.facets.map(|facets| Points::Share(Share::Facets(facets as usize)))),
+    ];
+    let mut said = all.into_iter().filter_map(|(name, points)| Some((name, points?)));
+    let first = said.next();
+    match (first, said.next()) {
+        (Some((first, _)), Some((other, _))) => {
+            Err(WireError::field(other, format!("is given beside {first}; give one of the two")))
+        }
+        (Some((name, Points::Share(Share::Percent(percent)))), None) if !(percent > 0.0 && percent <= MOST_PERCENT) => {
+            Err(WireError::field(name, format!("is {percent}; give a number above 0 and at most {MOST_PERCENT}")))
+        }
+        (Some((name, Points::Share(Share::Facets(0)))), None) => Err(WireError::field(name, "is 0; give at least 1")),
+        _ => Ok(first.map(|(_, points)| points)),
+    }
+}
+
+/// The most percent of the vertices that points may be.
+const MOST_PERCENT: f64 = 100_000.0;
+
+#[derive(Clone, Copy)]
+enum Points {
+    Count(u32),
+    Share(Share),
+}
+
 /// A remesh. Seeds and lengths or weights that are given beside the options are empty until [`fill`].
 pub fn remesh(given: &proto::RemeshOptions, beside: Beside, bounds: &Bounds) -> Read<RemeshOptions> {
     let usual = RemeshOptions::usual();
-    let (seeds, density) = start(given.points, given.seed, given.density.as_ref(), beside, bounds)?;
+    let points = points(given)?;
+    let (seeds, density) = start(points, given.seed, given.density.as_ref(), beside, bounds)?;
     let steps = |path, steps: Option<u32>, usual: usize| match steps {
         Some(steps) => {
             within(path, steps.into(), 0, bounds.max_iterations.into())?;
@@ -136,7 +167,7 @@ pub fn remesh(given: &proto::RemeshOptions, beside: Beside, bounds: &Bounds) -> 
 
 pub fn session(given: &proto::CvtOptions, beside: Beside, bounds: &Bounds) -> Read<Session> {
     let &proto::CvtOptions { points, seed, ref density, projection, max_seeds } = given;
-    let (seeds, density) = start(points, seed, density.as_ref(), beside, bounds)?;
+    let (seeds, density) = start(points.map(Points::Count), seed, density.as_ref(), beside, bounds)?;
     if let Some(most) = max_seeds {
         within("max_seeds", most.into(), first(&seeds, beside).unwrap_or(1), bounds.max_seeds)?;
     }
@@ -146,7 +177,7 @@ pub fn session(given: &proto::CvtOptions, beside: Beside, bounds: &Bounds) -> Re
 
 pub fn diagram(given: &proto::DiagramOptions, beside: Beside, bounds: &Bounds) -> Read<Diagram> {
     let &proto::DiagramOptions { points, seed, ref outputs } = given;
-    let (seeds, density) = start(points, seed, None, beside, bounds)?;
+    let (seeds, density) = start(points.map(Points::Count), seed, None, beside, bounds)?;
     let mut wanted = Outputs { cells: outputs.is_empty(), ..Outputs::default() };
     for (i, &output) in outputs.iter().enumerate() {
         match RvdOutput::try_from(output) {
@@ -160,7 +191,7 @@ pub fn diagram(given: &proto::DiagramOptions, beside: Beside, bounds: &Bounds) -
 }
 
 fn start(
-    points: Option<u32>,
+    points: Option<Points>,
     seed: Option<u64>,
     density: Option<&proto::Density>,
     beside: Beside,
@@ -177,10 +208,11 @@ fn start(
     let seeds = match (points, beside.seeds) {
         (Some(_), Some(_)) => return Err(WireError::field("points", "is given beside seeds; give one of the two")),
         (None, Some(_)) => Seeds::Given(Vec::new()),
-        (Some(points), None) => {
+        (Some(Points::Count(points)), None) => {
             within("points", points.into(), 1, bounds.max_seeds)?;
             Seeds::Sample { points: points as usize, seed }
         }
+        (Some(Points::Share(of)), None) => Seeds::Share { of, seed },
         (None, None) if implied => Seeds::Implied { seed },
         (None, None) => {
             return Err(WireError::field(
@@ -197,7 +229,7 @@ fn first(seeds: &Seeds, beside: Beside) -> Option<u64> {
     match seeds {
         Seeds::Sample { points, .. } => Some(*points as u64),
         Seeds::Given(_) => beside.seeds.filter(|count| *count > 0),
-        Seeds::Implied { .. } => None,
+        Seeds::Implied { .. } | Seeds::Share { .. } => None,
     }
 }
 
@@ -339,7 +371,9 @@ pub fn of_remesh(options: &RemeshOptions) -> proto::RemeshOptions {
     let tolerance = options.refine.map(|refine| refine.tolerance);
     proto::RemeshOptions {
         points: if let Seeds::Sample { points, .. } = &options.seeds { Some(count(*points)) } else { None },
-        seed: if let Seeds::Sample { seed, .. } | Seeds::Implied { seed } = options.seeds { Some(seed) } else { None },
+        points_percent: if let Seeds::Share { of: Share::Percent(x), .. } = options.seeds { Some(x) } else { None },
+        facets: if let Seeds::Share { of: Share::Facets(n), .. } = options.seeds { Some(count(n)) } else { None },
+        seed: (!matches!(options.seeds, Seeds::Given(_))).then(|| options.seeds.random_seed()),
         density: Some(proto::Density {
             source: source(&options.density).into(),
             edge_length: options.density.edge_length,

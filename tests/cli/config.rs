@@ -59,7 +59,8 @@ fn variable(key: &str) -> String {
 fn values(key: &str, default: Option<&str>) -> [String; 3] {
     let all = match default {
         _ if key == "on_device_loss" => ["\"exit\"", "\"cpu\"", "\"exit\""],
-        _ if key == "allow_host" => ["[\"a\"]", "[\"b\"]", "[\"c\"]"],
+        _ if key == "public_host" => ["[\"a\"]", "[\"b\"]", "[\"c\"]"],
+        _ if key == "cors_origin" => ["[\"http://a\"]", "[\"http://b\"]", "[\"http://c\"]"],
         _ if key == "backend" => ["\"gpu\"", "\"serial\"", "\"parallel\""],
         Some("true" | "false") => ["true", "false", "true"],
         Some(text) if text.starts_with('"') && text.ends_with("h\"") || text.ends_with("d\"") => {

@@ -42,6 +42,8 @@ fn a_remesh_and_a_diagram_are_drawn() {
         ("remesh in.ply -o out.ply --points 200 --picture", "plain.png", "--picture-size 320x200"),
         ("remesh in.ply -o out.ply --points 200 --picture", "quality.png", "--picture-size 320x200 --colour quality"),
         ("remesh in.ply -o out.ply --points 200 --picture", "cell.png", "--picture-size 320x200 --color cell"),
+        ("measure in.ply --picture", "before.png", "--picture-size 320x200"),
+        ("measure in.ply out.ply --picture", "after.png", "--picture-size 320x200 --colour quality"),
         ("rvd in.ply --points 200 --picture", "cells.PNG", "--picture-size 320x200"),
         ("rvd in.ply --points 200 --dots --picture", "dots.png", "--picture-size 320x200 --view -1,0,0 --up 0,0,1"),
         ("rvd in.ply --points 200 -o cells.ply --picture", "both.png", "--picture-size 320x200 --colour plain"),

@@ -33,6 +33,35 @@ fn closed() -> Stdio {
     writer.into()
 }
 
+/// Counts are written as people write them.
+#[test]
+fn points_are_a_count_a_share_or_facets() {
+    let folder = sphere();
+    let counted = |size: &str| {
+        let line = format!("remesh in.ply -o out.ply --newton 0 --json {size}");
+        let (out, said, told) = run(&mut command(folder.path(), &line));
+        assert!(out.status.success(), "{size}: {told}");
+        let report: serde_json::Value = serde_json::from_str(&said).unwrap();
+        let of = |key: &str| report["result"][key].as_u64().unwrap();
+        (of("vertices"), of("facets"))
+    };
+    let vertices = io::read(&folder.path().join("in.ply")).unwrap().positions().len() as u64;
+    assert_eq!(counted("--points 0.3k").0, 300);
+    assert_eq!(counted("--points 1,000").0, 1000);
+    assert_eq!(counted("--points 25%").0, (vertices as f64 / 4.0).round() as u64);
+    assert_eq!(counted("--facets 596").1, 596);
+    for (line, words) in [
+        ("--points 0%", "--points"),
+        ("--points 1,5", "--points"),
+        ("--points 10 --facets 20", "--facets"),
+        ("--facets 0", "--facets"),
+        ("--edge-length 1 --facets 20", "--facets"),
+    ] {
+        let (out, _, told) = run(&mut command(folder.path(), &format!("remesh in.ply -o out.ply {line}")));
+        assert!(out.status.code() == Some(2) && told.contains(words), "{line}: {told}");
+    }
+}
+
 #[test]
 fn a_closed_pipe_ends_nothing() {
     let folder = sphere();
@@ -173,7 +202,7 @@ fn a_missed_bound_and_lost_data_are_warnings() {
     let torus = Shape::Torus.build(2000);
     let scalar = (0..torus.positions().len()).map(|i| i as f64).collect();
     let mut attributes = tessera::mesh::attributes::Attributes::new(&torus);
-    attributes.add_scalar("height", scalar).unwrap();
+    attributes.add_scalar(tessera::mesh::attributes::Scalar::new("height", scalar)).unwrap();
     let (bytes, _) = io::encode_with_attributes(io::Format::Ply, &torus, &attributes).unwrap();
     std::fs::write(folder.path().join("in.ply"), bytes).unwrap();
     let line = "remesh in.ply -o out.stl --points 60 --newton 0 --max-deviation 0.001 --max-points 80 --quiet";

@@ -3,7 +3,7 @@
 
 use glam::{DVec2, DVec3, dvec2, dvec3};
 use tessera::mesh::TriMesh;
-use tessera::mesh::attributes::{Attributes, ColourDepth, Colours, Normals, PerCorner};
+use tessera::mesh::attributes::{Attributes, ColourDepth, Colours, Normals, PerCorner, Scalar};
 use tessera::mesh::shapes::Shape;
 
 pub fn texture(values: Vec<DVec2>, corners: Vec<[u32; 3]>) -> PerCorner<DVec2> {
@@ -37,7 +37,7 @@ pub fn everything() -> (TriMesh, Attributes) {
     all.set_normals(Normals::PerVertex(mesh.positions().iter().map(|p| dvec3(p.x, 0.3, 1.0)).collect())).unwrap();
     let values = (0..mesh.positions().len()).map(|i| [7, 11, 13, 17].map(|k| f64::from((i * k % 256) as u8) / 255.0));
     all.set_colours(Colours { values: values.collect(), depth: ColourDepth::Eight }).unwrap();
-    all.add_scalar("density", mesh.positions().iter().map(|p| p.x / 3.0).collect()).unwrap();
-    all.add_scalar("t", mesh.positions().iter().map(|p| p.z * 1e-300).collect()).unwrap();
+    all.add_scalar(Scalar::new("density", mesh.positions().iter().map(|p| p.x / 3.0).collect())).unwrap();
+    all.add_scalar(Scalar::new("t", mesh.positions().iter().map(|p| p.z * 1e-300).collect())).unwrap();
     (mesh, all)
 }

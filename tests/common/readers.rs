@@ -104,11 +104,25 @@ pub fn detour(format: Format, bytes: &[u8]) -> Option<Vec<u8>> {
     }
 }
 
-/// The same names and numbers; a gap is the same as another.
-fn same_scalars(some: &[Scalar], others: &[Scalar]) -> bool {
+/// The columns of scalars: PLY has one for each number of a vector, and Gmsh's vectors have three or nine.
+fn columns(scalars: &[Scalar], format: Format) -> impl Iterator<Item = Vec<f64>> + '_ {
+    scalars.iter().flat_map(move |Scalar { components: n, values, .. }| {
+        let wide = match format {
+            Format::Gmsh => [1, 3, 9].into_iter().find(|wide| wide >= n).unwrap_or(*n),
+            _ => *n,
+        };
+        let of = move |i: usize| values.chunks_exact(*n).map(|v| v.get(i).copied().unwrap_or(0.0)).collect();
+        (0..wide).map(of)
+    })
+}
+
+/// The same numbers, and the same names and types where a format has vectors; a gap is the same as another.
+fn same_scalars(format: Format, before: &[Scalar], after: &[Scalar]) -> bool {
     let same = |(a, b): (&f64, &f64)| a == b || a.is_nan() && b.is_nan();
-    some.len() == others.len()
-        && some.iter().zip(others).all(|(a, b)| a.name == b.name && a.values.iter().zip(&b.values).all(same))
+    let kept = |(a, b): (&Scalar, &Scalar)| (&a.name, a.number, a.components) == (&b.name, b.number, b.components);
+    let all = !matches!(format, Format::Vtk | Format::Vtp) || before.iter().zip(after).all(kept);
+    let (before, after) = (columns(before, format), columns(after, Format::Vtk));
+    all && before.zip(after).all(|(a, b)| a.len() == b.len() && a.iter().zip(&b).all(same))
 }
 
 /// What was read is written and read again as the same, corner by corner, as far as a format can hold it.
@@ -138,7 +152,7 @@ fn check_attributes(format: Format, loaded: &Loaded) -> Result<(), String> {
             }
         }
         if matches!(other, Format::Ply | Format::Vtk | Format::Vtp | Format::Gmsh)
-            && !same_scalars(again.attributes.scalars(), loaded.attributes.scalars())
+            && !same_scalars(other, loaded.attributes.scalars(), again.attributes.scalars())
         {
             return Err(format!("{format:?} as {other:?}: other scalars come back"));
         }

@@ -152,7 +152,7 @@ fn client(data: &[u8], carried: u8) -> (Vec<u8>, bool) {
 fn announced(carried: u8, vertices: u64, facets: u64) -> Vec<AttributeHeader> {
     let header = |kind: AttributeKind, r#type: AttributeType, values, by_corner| {
         let name = if kind == AttributeKind::Scalar { "a".to_owned() } else { String::new() };
-        AttributeHeader { kind: kind.into(), name, r#type: r#type.into(), values, by_corner }
+        AttributeHeader { kind: kind.into(), name, r#type: r#type.into(), values, by_corner, components: 0 }
     };
     let mut all = Vec::new();
     if carried & 1 != 0 {

@@ -11,6 +11,7 @@ use rustls::pki_types::{CertificateDer, ServerName};
 use rustls::{ClientConfig, RootCertStore};
 use serde_json::Value;
 use server::config::Limits;
+use server::hosts::Hosts;
 use server::http::door;
 #[cfg(feature = "ui")]
 use server::http::door_with_page;
@@ -61,12 +62,13 @@ impl House {
     }
 
     pub async fn with_keys() -> (Self, Keys) {
-        Self::locked(door).await
+        Self::locked(door, Limits::default()).await
     }
 
-    /// Without keys, for one more host.
-    pub async fn with_host(host: &str) -> Self {
-        let options = AccessOptions { hosts: vec![host.to_owned()], ..AccessOptions::default() };
+    /// Without keys, for one more host and the pages of one more site.
+    pub async fn with_host(host: &str, origin: &'static str) -> Self {
+        let hosts = Hosts { names: vec![host.to_owned()], origins: vec![origin.parse().unwrap()] };
+        let options = AccessOptions { hosts, ..AccessOptions::default() };
         Self::start(Access::open().with(options), None, door, Limits::default()).await
     }
 
@@ -79,15 +81,19 @@ impl House {
     /// With keys too.
     #[cfg(feature = "ui")]
     pub async fn with_page() -> (Self, Keys) {
-        Self::locked(door_with_page).await
+        Self::locked(door_with_page, Limits::default()).await
     }
 
-    async fn locked(door: fn(TcpListener) -> Door) -> (Self, Keys) {
+    /// With keys, and with these limits.
+    pub async fn with_keys_and_limits(limits: Limits) -> (Self, Keys) {
+        Self::locked(door, limits).await
+    }
+
+    async fn locked(door: fn(TcpListener) -> Door, limits: Limits) -> (Self, Keys) {
         let folder = tempfile::tempdir().unwrap();
         let file = KeyFile::in_folder(folder.path());
         let options = AccessOptions { require_keys: true, ..AccessOptions::default() };
-        let house =
-            Self::start(Access::in_folder(folder.path(), options).unwrap(), None, door, Limits::default()).await;
+        let house = Self::start(Access::in_folder(folder.path(), options).unwrap(), None, door, limits).await;
         (house, Keys { _folder: folder, file })
     }
 

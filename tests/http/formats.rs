@@ -5,11 +5,12 @@ use std::io::Write as _;
 
 use serde_json::Value;
 use server::http::OPENAPI;
-use tessera::mesh::attributes::Attributes;
+use tessera::mesh::attributes::{Attributes, Scalar};
 use tessera::mesh::io::{Format, decode, encode, encode_with_attributes};
 use tessera::mesh::shapes::Shape;
 
 use crate::client::{self, Answer, House, get, post};
+use crate::torus;
 
 fn gzip(bytes: &[u8]) -> Vec<u8> {
     let mut packer = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::default());
@@ -86,7 +87,7 @@ async fn warnings_come_with_the_answer() {
     let house = House::open().await;
     let mesh = Shape::Torus.build(500);
     let mut attributes = Attributes::new(&mesh);
-    attributes.add_scalar("height", vec![1.0; mesh.positions().len()]).unwrap();
+    attributes.add_scalar(Scalar::new("height", vec![1.0; mesh.positions().len()])).unwrap();
     let (file, _) = encode_with_attributes(Format::Ply, &mesh, &attributes).unwrap();
     let kept = post(&house, REMESH, &[], &file).await;
     assert_eq!((kept.status, kept.header("tessera-warning")), (200, None));
@@ -128,5 +129,57 @@ async fn what_unpacks_to_too_much_is_refused() {
         assert_eq!((stored.status, stored.json()["digest"].as_str()), (201, Some(&*digest)), "{stored:?}");
     }
     assert!(get(&house, &format!("/v1/blobs/{digest}"), &[]).await.body == torus);
+    house.stop().await;
+}
+
+/// A form with these parts: name, further headers, content.
+fn form(parts: &[(&str, &str, &[u8])]) -> Vec<u8> {
+    let mut all = Vec::new();
+    for (name, headers, content) in parts {
+        all.extend_from_slice(format!("--edge\r\nContent-Disposition: form-data; {name}\r\n{headers}\r\n").as_bytes());
+        all.extend_from_slice(content);
+        all.extend_from_slice(b"\r\n");
+    }
+    all.extend_from_slice(b"--edge--\r\n");
+    all
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_form_is_its_one_file() {
+    let house = House::open().await;
+    let file = torus(40);
+    let packed = gzip(&file);
+    let media = "Content-Type: multipart/form-data; boundary=edge";
+    let plain = post(&house, "/v1/remesh?points=200", &[], &file).await;
+    assert_eq!(plain.status, 200, "{plain:?}");
+    let named = "name=\"file\"; filename=\"a.obj\"";
+    for (headers, content) in
+        [("", &file), ("Content-Type: model/obj\r\n", &file), ("Content-Type: application/gzip\r\n", &packed)]
+    {
+        let answer = post(&house, "/v1/remesh?points=200", &[media], &form(&[(named, headers, content)])).await;
+        assert_eq!(answer.status, 200, "{headers}: {answer:?}");
+        assert!(answer.body == plain.body, "{headers}: another result");
+    }
+    let stored = post(&house, "/v1/blobs", &[media], &form(&[(named, "", &file)])).await;
+    let raw = post(&house, "/v1/blobs", &[], &file).await;
+    assert_eq!((stored.status, stored.json()["digest"].clone()), (201, raw.json()["digest"].clone()));
+    let whole = form(&[(named, "", &file)]);
+    let nothing = form(&[]);
+    let two = form(&[(named, "", &file), ("name=\"other\"", "", b"1")]);
+    let cut = &whole[..whole.len() / 2];
+    for (what, media, body) in [
+        ("no file", media, &nothing[..]),
+        ("two parts", media, &two),
+        ("cut", media, cut),
+        ("no boundary", "Content-Type: multipart/form-data", &whole),
+        ("another boundary", "Content-Type: multipart/form-data; boundary=other", &whole),
+        ("another kind", "Content-Type: multipart/mixed; boundary=edge", &whole),
+        ("no form", media, &file),
+    ] {
+        for path in ["/v1/remesh?points=200", "/v1/blobs"] {
+            let answer = post(&house, path, &[media], body).await;
+            assert_eq!(answer.status, 400, "{what} to {path}: {answer:?}");
+        }
+    }
     house.stop().await;
 }

@@ -3,7 +3,9 @@
 
 use std::time::{Duration, Instant};
 
+use serde_json::json;
 use server::config::Limits;
+use server::keys::{KeyLimits, Role};
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::TcpStream;
 use transport::ConnectionLimits;
@@ -134,5 +136,111 @@ async fn nonsense_is_refused_and_costs_nobody_else() {
     }
     let file = torus(20);
     assert_eq!(post(&house, "/v1/remesh?points=100&format=obj", &[], &file).await.status, 200);
+    house.stop().await;
+}
+
+/// The status of what a stream is answered with, if that comes within a second.
+async fn status(stream: &mut TcpStream) -> Option<u16> {
+    let mut head = [0; 12];
+    tokio::time::timeout(Duration::from_secs(1), stream.read_exact(&mut head)).await.ok()?.ok()?;
+    std::str::from_utf8(&head[9..]).ok()?.parse().ok()
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn one_tenant_leaves_places_to_another() {
+    let (house, keys) = House::with_keys_and_limits(Limits { max_streams: 12, ..Limits::default() }).await;
+    let [greedy, other] = ["greedy", "other"]
+        .map(|name| format!("Authorization: Bearer {}", keys.add(name, Role::Submit, KeyLimits::default()).reveal()));
+    house.reload().await;
+    let file = torus(40);
+    let mut jobs = Vec::new();
+    for key in [&greedy, &other] {
+        let digest = post(&house, "/v1/blobs", &[key], &file).await.json()["digest"].clone();
+        let wanted = json!({ "mesh": digest, "format": "obj", "points": 3000, "lloyd": 10_000, "newton": 0 });
+        let job =
+            post(&house, "/v1/jobs", &[key, "Content-Type: application/json"], wanted.to_string().as_bytes()).await;
+        jobs.push(job.json()["id"].as_str().unwrap_or_else(|| panic!("{job:?}")).to_owned());
+    }
+    // Uploads whose bytes do not come, and watches of a job.
+    let upload = async |key: &str| {
+        let mut stream = TcpStream::connect(house.http).await.unwrap();
+        let head = format!("POST /v1/blobs HTTP/1.1\r\nHost: localhost\r\n{key}\r\nContent-Length: 9\r\n\r\nab");
+        stream.write_all(head.as_bytes()).await.unwrap();
+        stream
+    };
+    let watch =
+        async |key: &str, job: &str| client::send(&house, "GET", &format!("/v1/jobs/{job}/events"), &[key], b"").await;
+    let mut uploads = Vec::new();
+    let mut watches = Vec::new();
+    for _ in 0..11 {
+        uploads.push(upload(&greedy).await);
+        watches.push(watch(&greedy, &jobs[0]).await);
+    }
+    // Connections have no order: any one may be the last.
+    let told = futures_util::future::join_all(uploads.iter_mut().map(status)).await;
+    assert_eq!(told.iter().filter(|status| **status == Some(503)).count(), 1, "{told:?}");
+    let told = futures_util::future::join_all(watches.iter_mut().map(status)).await;
+    assert_eq!(told.iter().filter(|status| **status == Some(503)).count(), 1, "{told:?}");
+    let begin = Instant::now();
+    assert_eq!(post(&house, "/v1/blobs", &[&other], b"mine").await.status, 201);
+    assert_eq!(status(&mut watch(&other, &jobs[1]).await).await, Some(200));
+    assert!(begin.elapsed() < Duration::from_secs(1), "{:?}", begin.elapsed());
+    drop((uploads, watches));
+    for (key, job) in [&greedy, &other].into_iter().zip(&jobs) {
+        post(&house, &format!("/v1/jobs/{job}/cancel"), &[key], b"").await;
+    }
+    house.stop().await;
+}
+
+/// Sends all of it before it reads a byte, as simple clients do.
+async fn answer_after_all(house: &House, head: &str, body: &[u8]) -> String {
+    let mut stream = TcpStream::connect(house.http).await.unwrap();
+    let head = format!("{head} HTTP/1.1\r\nHost: localhost\r\nContent-Length: {}\r\n", body.len());
+    stream.write_all(format!("{head}Connection: close\r\n\r\n").as_bytes()).await.unwrap();
+    stream.write_all(body).await.unwrap_or_else(|error| panic!("{head}: {error}"));
+    let mut all = String::new();
+    stream.read_to_string(&mut all).await.unwrap_or_else(|error| panic!("{head}: {error}"));
+    all
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn refused_uploads_hear_why() {
+    let body = vec![b'x'; 24 << 20];
+    let digest = "0".repeat(64);
+    let open = House::with_limits(Limits { memory_bytes: 8 << 20, ..Limits::default() }).await;
+    for (head, wanted) in [
+        ("POST /v1/remesh?points=0".to_owned(), "400"),
+        ("POST /v1/remesh?points=9".to_owned(), "503"),
+        ("POST /v1/blobs".to_owned(), "503"),
+        (format!("POST /v1/blobs?digest={digest}&what=1"), "400"),
+        ("POST /v1/jobs".to_owned(), "4"),
+        ("POST /v1/nothing".to_owned(), "404"),
+        ("DELETE /v1/jobs".to_owned(), "405"),
+    ] {
+        let answer = answer_after_all(&open, &head, &body).await;
+        assert!(answer.starts_with(&format!("HTTP/1.1 {wanted}")), "{head}: {answer}");
+    }
+    open.stop().await;
+    let (locked, _keys) = House::with_keys().await;
+    let answer = answer_after_all(&locked, "POST /v1/blobs", &body).await;
+    assert!(answer.starts_with("HTTP/1.1 401"), "{answer}");
+    locked.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn lines_end_as_they_should() {
+    let house = House::open().await;
+    for request in [
+        "GET /healthz HTTP/1.1\nHost: localhost\r\nConnection: close\r\n\r\n",
+        "GET /healthz HTTP/1.1\r\nHost: localhost\nConnection: close\r\n\r\n",
+        "GET /healthz HTTP/1.1\r\nHost: localhost\r\nConnection: close\n\n",
+    ] {
+        let mut stream = TcpStream::connect(house.http).await.unwrap();
+        stream.write_all(request.as_bytes()).await.unwrap();
+        let (text, closed) = until_closed(&mut stream).await;
+        assert!(closed && !text.contains(" 200 "), "{request:?}: {text}");
+    }
+    // A file with such lines is a body.
+    assert_eq!(post(&house, "/v1/remesh?points=60&to=off", &[], &torus(12)).await.status, 200);
     house.stop().await;
 }

@@ -315,9 +315,12 @@ async fn the_page_needs_no_key_and_lets_nothing_else_in() {
 async fn the_page_of_a_server_without_keys_uses_it() {
     let house = House::with_open_page().await;
     assert_eq!(get(&house, "/", &[]).await.status, 200);
-    let origin = format!("Origin: http://{}", house.http);
-    assert_eq!(post(&house, "/v1/blobs", &[&origin], b"OFF").await.status, 201);
+    let (host, origin) = (format!("Host: {}", house.http), format!("Origin: http://{}", house.http));
+    assert_eq!(post(&house, "/v1/blobs", &[&host, &origin], b"OFF").await.status, 201);
     assert_eq!(get(&house, "/", &["Host: evil.example"]).await.status, 403);
+    let docs = get(&house, "/docs", &[]).await;
+    assert_eq!((docs.status, docs.header("content-type")), (200, Some("text/html; charset=utf-8")));
+    assert!(docs.header("content-security-policy").is_some_and(|policy| policy.starts_with("default-src 'none'")));
     house.stop().await;
 }
 
@@ -384,12 +387,12 @@ async fn keys_are_those_of_the_service() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn pages_of_other_sites_use_no_server_without_keys() {
-    let house = House::with_host("proxy.example").await;
-    let page = format!("Origin: http://{}", house.http);
+    let house = House::with_host("proxy.example", "https://app.example").await;
+    let page = [format!("Host: {}", house.http), format!("Origin: http://{}", house.http)];
     for headers in [
         &[][..],
-        &[page.as_str()],
-        &["Origin: http://localhost:5173"],
+        &page.each_ref().map(String::as_str),
+        &["Origin: https://app.example"],
         &["Host: proxy.example", "Origin: https://proxy.example"],
     ] {
         assert_eq!(get(&house, "/v1/jobs", headers).await.status, 200, "{headers:?}");
@@ -398,6 +401,8 @@ async fn pages_of_other_sites_use_no_server_without_keys() {
         // A page of another site, and one whose name resolves to this machine.
         (&["Origin: https://evil.example"][..], "another site"),
         (&["Origin: null"], "another site"),
+        (&["Origin: http://localhost:5173"], "another site"),
+        (&["Sec-Fetch-Site: cross-site", "Sec-Fetch-Mode: no-cors"], "another site"),
         (&["Host: evil.example:8080", "Origin: http://evil.example:8080"], "localhost"),
         (&["Host: 192.0.2.1"], "localhost"),
     ] {
@@ -406,9 +411,24 @@ async fn pages_of_other_sites_use_no_server_without_keys() {
             let told = answer.json();
             assert_eq!((answer.status, &told["reason"]), (403, &json!("permission_denied")), "{method} {headers:?}");
             let detail = told["detail"].as_str().unwrap();
-            assert!(detail.contains(word) && detail.contains("--allow-host"), "{detail}");
+            assert!(detail.contains(word) && detail.contains("--require-keys"), "{detail}");
+            assert_eq!(answer.header("x-content-type-options"), Some("nosniff"));
         }
     }
+    let twice = get(&house, "/v1/jobs", &["Host: localhost", "Host: localhost"]).await;
+    assert_eq!(twice.status, 400, "{twice:?}");
+    let text = ["Origin: https://app.example", "Content-Type: text/plain"];
+    assert_eq!(post(&house, "/v1/jobs", &text, b"{}").await.status, 400);
+    // The allowed site may read answers, and ask first; another one learns nothing.
+    let asked =
+        |origin| [origin, "Access-Control-Request-Method: DELETE", "Access-Control-Request-Headers: authorization"];
+    let allowed = ask(&house, "OPTIONS", "/v1/jobs/x", &asked("Origin: https://app.example"), b"").await;
+    assert_eq!(allowed.header("access-control-allow-origin"), Some("https://app.example"));
+    assert!(allowed.header("access-control-allow-methods").is_some_and(|methods| methods.contains("DELETE")));
+    let read = get(&house, "/v1/jobs", &["Origin: https://app.example"]).await;
+    assert_eq!((read.status, read.header("access-control-allow-origin")), (200, Some("https://app.example")));
+    let other = ask(&house, "OPTIONS", "/v1/jobs/x", &asked("Origin: https://evil.example"), b"").await;
+    assert_eq!(other.header("access-control-allow-origin"), None);
     house.stop().await;
     // With keys the key decides: no page of another site has it.
     let (house, keys) = House::with_keys().await;

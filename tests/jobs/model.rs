@@ -270,12 +270,11 @@ impl Model {
     fn recover(&mut self, now: Time, orphans: Orphans) -> Gives {
         let (mut requeued, mut failed) = (Vec::new(), Vec::new());
         let ids: Vec<JobId> = self.jobs.keys().copied().collect();
-        for id in &ids {
-            let job = &self.jobs[id];
-            if job.state != State::Running || (orphans == Orphans::LeaseOver && job.until > now) {
-                continue;
-            }
-            if job.crashes == 0 {
+        let is_orphaned = |job: &Known| job.state == State::Running && (orphans == Orphans::All || job.until <= now);
+        let orphaned: Vec<JobId> = ids.iter().filter(|id| is_orphaned(&self.jobs[*id])).copied().collect();
+        for id in &orphaned {
+            // Of several any one may be the cause.
+            if self.jobs[id].crashes == 0 || orphaned.len() > 1 {
                 self.change(*id, None, &Change::Orphan, now);
                 requeued.push(*id);
             } else {

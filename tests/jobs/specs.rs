@@ -156,6 +156,8 @@ fn options() -> impl Strategy<Value = RemeshOptions> {
                 max_deviation_length,
                 max_points,
                 measure,
+                points_percent: None,
+                facets: None,
             }
         },
     )

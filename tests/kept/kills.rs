@@ -130,6 +130,64 @@ async fn a_job_that_brings_the_process_down_twice_is_not_tried_again() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn of_jobs_that_were_at_work_together_none_fails_before_it_is_tried_alone() {
+    let folder = tempfile::tempdir().unwrap();
+    let options = &["--jobs-at-once", "2"];
+    let mut program = Program::start(folder.path(), options);
+    let mut client = program.client().await;
+    let digest = client.put_mesh(&Shape::Genus(3).build(20_000)).await;
+    let ids = [client.submit(remesh(&digest, 20_000, 0)).await, client.submit(remesh(&digest, 20_001, 0)).await];
+    let running = async |client: &mut Client| {
+        let mut running = Vec::new();
+        for id in &ids {
+            if client.get(id).await.state() == JobState::Running {
+                running.push(id.clone());
+            }
+        }
+        running
+    };
+    for _ in 0..2 {
+        let started = Instant::now();
+        while running(&mut client).await.len() < 2 {
+            assert!(started.elapsed() < Duration::from_secs(60), "both run");
+            tokio::time::sleep(Duration::from_millis(5)).await;
+        }
+        program.kill();
+        program = Program::start(folder.path(), options);
+        client = program.client().await;
+    }
+    // Now one after the other.
+    let later = client.submit(remesh(&digest, 200, 0)).await;
+    let started = Instant::now();
+    let suspect = loop {
+        match &running(&mut client).await[..] {
+            [] => {}
+            [one] => break one.clone(),
+            both => panic!("{both:?} are at work together"),
+        }
+        assert!(started.elapsed() < Duration::from_secs(60));
+        tokio::time::sleep(Duration::from_millis(5)).await;
+    };
+    assert_eq!(client.get(&later).await.state(), JobState::Queued);
+    for id in &ids {
+        let job = client.get(id).await;
+        assert_eq!((job.crashes, job.failure), (2, None));
+    }
+    program.kill();
+    let program = Program::start(folder.path(), options);
+    client = program.client().await;
+    for id in &ids {
+        let is_guilty = *id == suspect;
+        assert_eq!(client.get(id).await.state() == JobState::Failed, is_guilty);
+        if !is_guilty {
+            client.cancel(id).await.unwrap();
+        }
+    }
+    assert_eq!(client.end(&later, Duration::from_secs(120)).await.state(), JobState::Succeeded);
+    drop(program);
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn an_orderly_end_puts_jobs_back_without_blame() {
     let folder = tempfile::tempdir().unwrap();
     let mut program = Program::start(folder.path(), &["--grace-s", "0.2", "--jobs-at-once", "1"]);

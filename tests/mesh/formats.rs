@@ -10,11 +10,12 @@ use glam::{DVec3, dvec2};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use tessera::mesh::TriMesh;
-use tessera::mesh::attributes::{Attributes, ColourDepth, Colours, Normals, PerCorner};
+use tessera::mesh::attributes::{AttributeError, Attributes, ColourDepth, Colours, Normals, PerCorner, Scalar};
 use tessera::mesh::io::{
     DataError, Format, UNPACKED_RATIO, decode, decode_with_attributes, encode, encode_with_attributes, read,
     read_with_attributes, unpack, write, write_with_attributes,
 };
+use tessera::mesh::numbers::NumberType;
 use tessera::mesh::shapes::Shape;
 
 /// How often each file is changed.
@@ -29,9 +30,71 @@ fn plain(mesh: &TriMesh) -> Attributes {
     let colour = |p: &DVec3| [0.2, if p.z > 0.0 { 1.0 } else { 0.0 }, 0.4, 1.0];
     let values = mesh.positions().iter().map(colour).collect();
     all.set_colours(Colours { values, depth: ColourDepth::Eight }).unwrap();
-    all.add_scalar("height", mesh.positions().iter().map(|p| p.z).collect()).unwrap();
-    all.add_scalar("t", mesh.positions().iter().map(|p| p.y / 3.0).collect()).unwrap();
+    all.add_scalar(Scalar::new("height", mesh.positions().iter().map(|p| p.z).collect())).unwrap();
+    all.add_scalar(Scalar::new("t", mesh.positions().iter().map(|p| p.y / 3.0).collect())).unwrap();
     all
+}
+
+const WHOLE: [NumberType; 8] = [
+    NumberType::I8,
+    NumberType::U8,
+    NumberType::I16,
+    NumberType::U16,
+    NumberType::I32,
+    NumberType::U32,
+    NumberType::I64,
+    NumberType::U64,
+];
+
+/// Whole numbers of each type, and vectors: their types and their numbers of columns come back where a format has them.
+#[test]
+fn types_and_vectors_come_back() {
+    let mesh = Shape::Hills.build(200);
+    let count = mesh.positions().len();
+    let mut all = Attributes::new(&mesh);
+    for (k, number) in WHOLE.into_iter().enumerate() {
+        let least = if k % 2 == 0 { -3.0 } else { 0.0 };
+        let values = (0..count).map(|v| least + (v % 5) as f64).collect();
+        all.add_scalar(Scalar { number, ..Scalar::new(format!("whole{k}"), values) }).unwrap();
+    }
+    for components in [2, 3, 4, 9] {
+        let values = (0..components * count).map(|i| i as f64 / 3.0).collect();
+        all.add_scalar(Scalar { components, ..Scalar::new(format!("vector{components}"), values) }).unwrap();
+        let values = (0..components * count).map(|i| (i % 200) as f64).collect();
+        let pair = Scalar { components, number: NumberType::I32, ..Scalar::new(format!("cell{components}"), values) };
+        all.add_scalar(pair).unwrap();
+    }
+    for format in [Format::Vtk, Format::Vtp, Format::Ply, Format::Gmsh] {
+        let (bytes, left_out) = encode_with_attributes(format, &mesh, &all).unwrap();
+        let loaded = decode_with_attributes(format, &bytes).unwrap();
+        assert!(left_out.is_empty() && loaded.left_aside.is_empty(), "{:?}", loaded.left_aside);
+        let found = loaded.attributes.scalars();
+        if matches!(format, Format::Vtk | Format::Vtp) {
+            assert_eq!(found, all.scalars(), "{format:?}");
+        }
+        for wanted in all.scalars().iter().filter(|scalar| scalar.components == 1) {
+            let got = found.iter().find(|scalar| scalar.name == wanted.name).unwrap();
+            assert_eq!(got.values, wanted.values, "{format:?}");
+            // PLY has no numbers of 64 bits, and Gmsh doubles alone.
+            let number = match (format, wanted.number) {
+                (Format::Gmsh, _) => NumberType::F64,
+                (Format::Ply, NumberType::I64 | NumberType::U64) => NumberType::I32,
+                (_, number) => number,
+            };
+            assert_eq!(got.number, number, "{format:?}");
+        }
+        // PLY has a property for each number.
+        let numbers = |scalars: &[Scalar]| scalars.iter().map(|scalar| scalar.values.len()).sum::<usize>();
+        // Gmsh's vectors have three numbers or nine.
+        let wider = if format == Format::Gmsh { 2 * (1 + 5) * count } else { 0 };
+        assert_eq!(numbers(found), numbers(all.scalars()) + wider, "{format:?}");
+    }
+    let values = vec![9_007_199_254_740_994.0; count];
+    let rounded = all.add_scalar(Scalar { number: NumberType::I64, ..Scalar::new("id", values) });
+    assert!(matches!(rounded, Err(AttributeError::Inexact { index: 0, .. })));
+    let half = Scalar { number: NumberType::U8, ..Scalar::new("half", vec![0.5; count]) };
+    all.add_scalar(half).unwrap();
+    assert_eq!(all.scalars().last().unwrap().number, NumberType::F64);
 }
 
 #[test]
@@ -58,13 +121,19 @@ fn what_points_carry_comes_back() {
 #[test]
 fn rounding_is_told() {
     let near = Shape::Torus.build(500);
-    let moved = near.positions().iter().map(|&p| p + DVec3::splat(1e5)).collect();
+    let moved = near.positions().iter().map(|&p| p + DVec3::new(1e5, -3e5, 0.3)).collect();
     let far = TriMesh::new(moved, near.facets().to_vec()).unwrap();
     for format in Format::ALL {
         let left_out = |mesh: &TriMesh| encode_with_attributes(format, mesh, &Attributes::new(mesh)).unwrap().1;
-        let is_single = ["stl", "glb", "gltf"].contains(&format.extension());
         assert!(left_out(&near).is_empty(), "{format:?}");
-        assert_eq!(left_out(&far).iter().any(|what| what.contains("precision")), is_single, "{format:?}");
+        let is_told = left_out(&far).iter().any(|what| what.contains("precision"));
+        assert_eq!(is_told, format == Format::Stl, "{format:?}");
+        if ["glb", "gltf"].contains(&format.extension()) {
+            // The node has the place.
+            let back = decode(format, &encode(format, &far).unwrap()).unwrap();
+            let moved = back.positions().iter().zip(far.positions()).map(|(p, q)| p.distance(*q));
+            assert!(moved.fold(0.0, f64::max) < 1e-7, "{format:?}");
+        }
     }
 }
 
@@ -79,11 +148,12 @@ fn vtk_dialects() {
                 1 0 0 1 0 0 1 0 0 1 0 0 1 0 0 1 0 0 0 0.5 0\nSCALARS bits bit\nLOOKUP_TABLE default\n1 0 1 0 1 0 1\n";
     let loaded = decode_with_attributes(Format::Vtk, text.as_bytes()).unwrap();
     assert_eq!((loaded.mesh.positions().len(), loaded.mesh.facets().len(), loaded.mesh.area()), (7, 3, 1.5));
-    // The vectors, and the array of cells; a scalar may have gaps.
-    assert_eq!(loaded.left_aside.len(), 2, "{:?}", loaded.left_aside);
+    // The array of cells. A scalar may have gaps.
+    assert_eq!(loaded.left_aside.len(), 1, "{:?}", loaded.left_aside);
+    assert!(loaded.attributes.scalars().iter().any(|scalar| (scalar.name.as_str(), scalar.components) == ("speed", 3)));
     assert!(loaded.attributes.scalars().iter().find(|scalar| scalar.name == "height").unwrap().values[5].is_nan());
     let wrong = text.replace("nan(ind)", "north");
-    assert_eq!(decode_with_attributes(Format::Vtk, wrong.as_bytes()).unwrap().left_aside.len(), 3);
+    assert_eq!(decode_with_attributes(Format::Vtk, wrong.as_bytes()).unwrap().left_aside.len(), 2);
     let colours = loaded.attributes.colours().unwrap();
     assert_eq!((colours.values[6], colours.depth), ([0.0, 0.5, 0.0, 1.0], ColourDepth::Float));
     let shorter = text.replace("POINT_DATA 7", "POINT_DATA 4000000000");
@@ -358,8 +428,8 @@ fn files_of_other_libraries() {
                     ("scalars", height.is_some()),
                 ];
                 let has: Vec<&str> = has.iter().filter(|(_, has)| *has).map(|(name, _)| *name).collect();
-                // Vectors, and an array of cells, are left aside.
-                let aside = if words[4].contains("normals,texture,colours") { 2 } else { 0 };
+                // An array of cells is left aside.
+                let aside = usize::from(words[4].contains("normals,texture,colours"));
                 if !right || has.join(",") != words[4].trim_matches('-') || loaded.left_aside.len() != aside {
                     wrong.push(format!("{line}: {has:?}, {right}, {:?}", loaded.left_aside));
                 }

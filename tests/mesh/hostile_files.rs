@@ -6,7 +6,7 @@ use std::time::Instant;
 
 use crate::readers;
 use rand::{Rng, SeedableRng};
-use tessera::mesh::attributes::{Attributes, ColourDepth, Colours, Normals, PerCorner};
+use tessera::mesh::attributes::{Attributes, ColourDepth, Colours, Normals, PerCorner, Scalar};
 use tessera::mesh::io::{
     DataError, FileError, Format, counts, decode, decode_with_attributes, encode, encode_with_attributes, read,
 };
@@ -168,7 +168,7 @@ fn cut_off_with_attributes() {
     attributes.set_texture(PerCorner { values, corners: vec![[0, 1, 1], [1, 0, 0]] }).unwrap();
     attributes.set_normals(Normals::PerVertex(vec![glam::DVec3::Z; 4])).unwrap();
     attributes.set_colours(Colours { values: vec![[0.2, 0.4, 0.6, 1.0]; 4], depth: ColourDepth::Eight }).unwrap();
-    attributes.add_scalar("density", vec![0.1; 4]).unwrap();
+    attributes.add_scalar(Scalar::new("density", vec![0.1; 4])).unwrap();
     for format in Format::ALL {
         let whole = encode_with_attributes(format, &mesh, &attributes).unwrap().0;
         for end in 0..=whole.len() {

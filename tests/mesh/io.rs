@@ -9,7 +9,7 @@ use ply_rs_bw::ply::{DefaultElement, Encoding};
 use ply_rs_bw::writer::Writer;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use tessera::mesh::attributes::{Attributes, PerCorner};
+use tessera::mesh::attributes::{Attributes, PerCorner, Scalar};
 use tessera::mesh::io::{
     DataError, FileError, Format, decode, decode_with_attributes, encode, encode_with_attributes, read, write,
 };
@@ -157,7 +157,7 @@ fn ply_as_another_program_has_it() {
     let corners = (0..mesh.facets().len() as u32).map(|f| [f, f + 1, 0]).collect();
     let values = (0..=mesh.facets().len()).map(|k| dvec2(k as f64, 0.25)).collect();
     carried.set_texture(PerCorner { values, corners }).unwrap();
-    carried.add_scalar("height", (0..mesh.positions().len()).map(|k| 0.1 * k as f64).collect()).unwrap();
+    carried.add_scalar(Scalar::new("height", (0..mesh.positions().len()).map(|k| 0.1 * k as f64).collect())).unwrap();
     let plain = encode(Format::Ply, &mesh).unwrap();
     let (carrying, _) = encode_with_attributes(Format::Ply, &mesh, &carried).unwrap();
     for encoding in [Encoding::Ascii, Encoding::BinaryBigEndian, Encoding::BinaryLittleEndian] {

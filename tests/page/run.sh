@@ -3,7 +3,7 @@
 # Usage: tests/page/run.sh path/to/tessera [--pictures FOLDER]
 # With --pictures the screenshots of docs/page.md are written to the folder. The mesh is stanford-bunny.obj of the folder that
 # TESSERA_MESHES names, else a generated one. CHROMIUM names the browser, if it is not on the path as `chromium`.
-# Installs what package.json names below a temporary folder, and removes it. Needs node 20, npm and a Chromium.
+# Installs what package.json names below a temporary folder, and removes it. Needs node 20, npm, a Chromium, curl and python3.
 set -eu
 
 usage="usage: run.sh path/to/tessera [--pictures FOLDER]"
@@ -38,6 +38,13 @@ serve locked --data-dir "$work/data" --require-keys --http-listen 127.0.0.1:0 --
 
 page=$(address open "tessera speaks HTTP on")
 asks_for_a_key=$(address locked "tessera speaks HTTP on")
-client env PAGE="http://$page/" LOCKED="http://$asks_for_a_key/" KEY="$key" MESH="$mesh" CHROMIUM="$chromium" PICTURES="$pictures" \
+client env PAGE="http://$page/" LOCKED="http://$asks_for_a_key/" KEY="$key" MESH="$mesh" CHROMIUM="$chromium" \
+    SERVER="$server" CALLS="$here/../../clients/python/python/tessera_remesh/calls.py" PICTURES="$pictures" \
     node "$work/test.mjs"
+
+serve strict --ephemeral --http-listen 127.0.0.1:0 --ui
+serve friendly --ephemeral --http-listen 127.0.0.1:0 --cors-origin http://friend.example
+strict=$(address strict "tessera speaks HTTP on")
+friendly=$(address friendly "tessera speaks HTTP on")
+client env PAGE="http://$strict/" FRIENDLY="http://$friendly/" CHROMIUM="$chromium" node "$work/sites.mjs"
 stop

@@ -2,14 +2,16 @@
 //
 // Purpose: one function for each thing that the page promises. Invariant: every request of every test goes to the page's own
 // server, no policy is violated, and nothing is complained of on the console that a test did not provoke.
-// Usage: see run.sh, which sets PAGE, LOCKED, KEY, MESH, CHROMIUM and PICTURES.
+// Usage: see run.sh, which sets PAGE, LOCKED, KEY, MESH, CHROMIUM, SERVER, CALLS and PICTURES.
 
 import assert from "node:assert/strict";
-import { readFileSync } from "node:fs";
-import { basename, join } from "node:path";
+import { execFileSync } from "node:child_process";
+import { mkdtempSync, readFileSync, rmSync, symlinkSync, writeFileSync } from "node:fs";
+import { tmpdir } from "node:os";
+import { basename, delimiter, join } from "node:path";
 import { chromium } from "playwright-core";
 
-const { PAGE, LOCKED, KEY, MESH, CHROMIUM, PICTURES } = process.env;
+const { PAGE, LOCKED, KEY, MESH, CHROMIUM, SERVER, CALLS, PICTURES } = process.env;
 const SLOW = { timeout: 120_000 };
 
 const browser = await chromium.launch({
@@ -69,8 +71,11 @@ async function drop(page, name, bytes) {
     transfer.items.add(new File([Uint8Array.from(atob(text), (c) => c.charCodeAt(0))], name));
     return transfer;
   }, [name, Buffer.from(bytes).toString("base64")]);
-  await page.dispatchEvent("#drop", "dragenter", { dataTransfer: transfer });
-  await page.dispatchEvent("#drop", "drop", { dataTransfer: transfer });
+  // Anywhere will do. Over the views it is seen.
+  await page.dispatchEvent("#stage", "dragenter", { dataTransfer: transfer });
+  assert.ok(await page.locator("#viewer[data-over]").count(), "the views show that a file may be dropped");
+  await page.dispatchEvent("#stage", "drop", { dataTransfer: transfer });
+  assert.equal(await page.locator("#viewer[data-over]").count(), 0);
 }
 
 const text = (page, selector) => page.locator(selector).innerText();
@@ -96,11 +101,74 @@ const compared = (page) => page.waitForSelector("#colours-distance:enabled", { .
 
 async function message(page, pattern) {
   await page.waitForSelector("#message:not([hidden])", SLOW);
-  assert.match(await text(page, "#message"), pattern);
+  const words = await text(page, "#message");
+  assert.match(words, pattern);
+  assert.doesNotMatch(words, /[{}]|spec\.|urn:|problem\+json|invalid_argument/, "words of the interface");
   assert.notEqual(await text(page, "#message-advice"), "");
+  const { y } = await page.locator("#message").boundingBox();
+  assert.ok(y >= 0 && y < page.viewportSize().height, "it is seen wherever the page is scrolled to");
   await page.click("#message-close");
   await page.waitForSelector("#message", { state: "hidden" });
 }
+
+/** Presses Remesh and waits until both surfaces are compared. */
+async function remeshed(page) {
+  await page.click("#go");
+  await ended(page);
+  await compared(page);
+}
+
+async function downloaded(page, selector = "#download") {
+  const [download] = await Promise.all([page.waitForEvent("download"), page.click(selector)]);
+  return { name: download.suggestedFilename(), bytes: readFileSync(await download.path()) };
+}
+
+const CLIPBOARD = { permissions: ["clipboard-read", "clipboard-write"] };
+
+/** Prints the path in a call of `remesh`, if the function has all keywords of the call. */
+const KEYWORDS = `
+import ast, sys
+known = next(node for node in ast.parse(open(sys.argv[1]).read()).body if getattr(node, "name", "") == "remesh").args
+call = next(node for node in ast.walk(ast.parse(sys.stdin.read())) if isinstance(node, ast.Call) and node.func.attr == "remesh")
+unknown = {one.arg for one in call.keywords} - {one.arg for one in known.args + known.kwonlyargs}
+assert not unknown, unknown
+print(ast.literal_eval(call.args[0]))
+`;
+
+/** The copied command and request give the bits of the page's download, and the call in Python has known keywords. */
+async function copiesAreRight(page, name) {
+  const folder = mkdtempSync(join(tmpdir(), "page-"));
+  try {
+    symlinkSync(SERVER, join(folder, "tessera"));
+    writeFileSync(join(folder, name), octahedron);
+    const env = { ...process.env, PATH: `${folder}${delimiter}${process.env.PATH}` };
+    const { bytes } = await downloaded(page);
+    const output = await page.getAttribute("#download", "download");
+    for (const language of ["command", "curl"]) {
+      await page.click(`[data-copy=${language}]`);
+      await says(page, "#as-note", /^Copied/);
+      const words = await page.textContent("#as-text");
+      assert.equal(await page.evaluate(() => navigator.clipboard.readText()), words);
+      rmSync(join(folder, output), { force: true });
+      execFileSync("sh", ["-c", words], { cwd: folder, env, stdio: "pipe" });
+      const isSame = readFileSync(join(folder, output)).equals(bytes);
+      assert.ok(isSame || words.startsWith("# Not here: "), `${words}\ngives other bits`);
+    }
+    await page.click("[data-copy=python]");
+    const path = execFileSync("python3", ["-c", KEYWORDS, CALLS], { input: await page.textContent("#as-text") }).toString().trimEnd();
+    assert.equal(path, name.startsWith("-") ? `./${name}` : name);
+  } finally {
+    rmSync(folder, { recursive: true });
+  }
+}
+
+const idOf = (page) => new URL(page.url()).hash.replace("#job=", "");
+const json = async (url, init) => {
+  const response = await fetch(url, init);
+  assert.ok(response.ok, `${url}: ${response.status}`);
+  return response.json();
+};
+const post = (url, value) => json(url, { method: "POST", headers: { "content-type": "application/json" }, body: JSON.stringify(value) });
 
 async function fits(page) {
   const [wide, room] = await page.evaluate(() => [document.documentElement.scrollWidth, innerWidth]);
@@ -163,9 +231,19 @@ const tests = {
       await compared(page);
       assert.ok(cells >= 1, "cells came");
       await says(page, "#run-stage", /^Done/);
-      await says(page, "#chart-words", /below the first/);
+      await says(page, "#chart-words", /times that of regular hexagons .* below the first/);
+      const cut = await page.evaluate(() => ["chart", "bars-q", "bars-angle"].flatMap((id) => {
+        const box = document.getElementById(id).getBoundingClientRect();
+        return [...document.querySelectorAll(`#${id} text`)].filter((one) => {
+          const { left, right, top, bottom } = one.getBoundingClientRect();
+          return left < box.left - 1 || right > box.right + 1 || top < box.top - 1 || bottom > box.bottom + 1;
+        }).map((one) => `${id}: ${one.textContent}`);
+      }));
+      assert.deepEqual(cut, [], "labels are whole");
+      assert.match(await page.textContent("#chart"), /^E \/ Ehex/);
+      for (const id of ["bars-q", "bars-angle"]) assert.match(await page.getAttribute(`#${id}`, "aria-description"), /^Input: .* Remesh: most facets/);
       if (PICTURES) await page.waitForTimeout(500);
-      await picture(page, "after");
+      await picture(page, "after", { fullPage: true });
 
       const figures = await page.locator("#figures tr").evaluateAll((rows) =>
         Object.fromEntries(rows.map((row) => [row.querySelector("th").textContent, [...row.querySelectorAll("td")].map((cell) => cell.textContent)])));
@@ -182,48 +260,227 @@ const tests = {
       await says(page, "#result-legend", /mean 0\.\d+; under 30°/);
       const quality = await seen(page, "#result-canvas");
       await page.click("label[for=colours-distance]");
-      await says(page, "#result-legend", /largest .* % of the diagonal/);
+      await says(page, "#result-legend", /% and more.*largest .* % of the diagonal/);
       const distance = await changed(page, "#result-canvas", quality, "distances are drawn");
       await page.check("#edges");
       await changed(page, "#result-canvas", distance, "edges are drawn");
 
+      await page.click("label[for=colours-quality]");
+      await page.click("label[for=layout-slider]");
+      if (PICTURES) await page.waitForTimeout(500);
+      await picture(page, "slider");
+      await page.click("label[for=layout-pair]");
+
       // The download is the result, and what it says it is.
-      const [download] = await Promise.all([page.waitForEvent("download"), page.click("#download")]);
-      assert.match(download.suggestedFilename(), /-remesh\.ply$/);
-      const file = readFileSync(await download.path());
-      const id = new URL(page.url()).hash.replace("#job=", "");
-      const result = Buffer.from(await (await fetch(`${at}v1/jobs/${id}/result`)).arrayBuffer());
+      const { name, bytes: file } = await downloaded(page);
+      assert.match(name, /-remesh\.ply$/);
+      const result = Buffer.from(await (await fetch(`${at}v1/jobs/${idOf(page)}/result`)).arrayBuffer());
       assert.deepEqual(file, result);
       assert.deepEqual(counts(file), [vertices, facets]);
 
-      // The queue has it, and its link opens it on another page.
+      // The queue has it, and its link opens it on another page, with the form, the mesh and the cells.
       await says(page, "#queue", /3,000 points/);
       await page.reload();
       await ended(page);
       await says(page, "#result-counts", new RegExp(`^${figures["Vertices"][1]} vertices`));
       await says(page, "#input-counts", /vertices/);
+      assert.equal(await page.inputValue("#points"), "3000");
+      await page.waitForSelector("#colours-cells:enabled", { ...SLOW, state: "attached" });
+      await page.click("label[for=colours-cells]");
+      await says(page, "#input-legend", /^[\d,]+ cells, each the points nearest to its vertex/);
+      await says(page, "#chart-words", /after \d+ of 35 iterations/);
     });
   },
 
-  async "every format of a result is shown"() {
-    await opened(async (page) => {
+  async "every format is offered and shown"() {
+    await opened(async (page, at) => {
+      const { components } = await json(`${at}v1/openapi.json`);
+      const formats = components.schemas.Options.properties.to.enum;
+      assert.ok(formats.includes("glb") && formats.length > 8);
+      for (const format of formats) await says(page, "#welcome-formats", new RegExp(`\\b${format.toUpperCase()}\\b`));
+      const offered = await page.locator("#to option").evaluateAll((options) => options.map(({ value }) => value));
+      assert.deepEqual(offered.sort(), [...formats].sort());
       await drop(page, "octahedron.obj", octahedron);
       await page.fill("#points", "300");
-      for (const format of ["obj", "stl", "off", "ply"]) {
+      for (const format of formats) {
         await says(page, "#input-counts", /^6 vertices, 8 facets/);
         await page.selectOption("#to", format);
-        await page.click("#go");
-        await ended(page);
-        await compared(page);
+        await remeshed(page);
         await says(page, "#result-counts", /^(29\d|30\d) vertices/);
-        const [download] = await Promise.all([page.waitForEvent("download"), page.click("#download")]);
-        assert.equal(download.suggestedFilename(), `octahedron-remesh.${format}`);
+        const result = await text(page, "#result-counts");
+        const { name, bytes } = await downloaded(page);
+        assert.equal(name, `octahedron-remesh.${format}`);
+        if (format === "glb") assert.equal(bytes.subarray(0, 4).toString("latin1"), "glTF");
         // Each result is an input too.
-        const bytes = readFileSync(await download.path());
         await drop(page, `again.${format}`, bytes);
-        await says(page, "#input-counts", /^(29\d|30\d) vertices/);
+        await says(page, "#input-counts", new RegExp(`^${result}`));
         await drop(page, "octahedron.obj", octahedron);
       }
+      // What was made to read files is gone.
+      const kept = async () => (await json(`${at}v1/jobs?page_size=100`)).jobs.filter(({ spec }) => spec.labels?.["tessera-page"]);
+      for (const end = Date.now() + SLOW.timeout; (await kept()).length > 0; await page.waitForTimeout(50)) assert.ok(Date.now() < end);
+    });
+  },
+
+  async "samples are remeshed at once"() {
+    await opened(async (page) => {
+      const samples = await page.locator("[data-sample]").evaluateAll((all) => all.map((one) => one.dataset.sample));
+      assert.equal(samples.length, 3);
+      for (const sample of samples) {
+        if (sample !== samples[0]) await page.goto(PAGE);
+        await page.reload();
+        assert.ok(await page.isVisible("#welcome"));
+        await page.click(`[data-sample=${sample}]`);
+        await says(page, "#input-counts", /^[\d,]+ vertices/);
+        assert.ok(await page.isHidden("#welcome"));
+        await remeshed(page);
+        await says(page, "#figures-note", /are as in the input/);
+        assert.ok(await page.isHidden("#warnings"), `${sample} has warnings`);
+        assert.match(await text(page, "#result-counts"), /^(2,9|3,0)\d\d vertices/);
+        const { name, bytes } = await downloaded(page, "#save");
+        assert.equal(name, `${sample}.obj`);
+        assert.match(bytes.toString("latin1"), /^v .*\n/);
+      }
+    });
+  },
+
+  async "all warnings are shown, with codes and places"() {
+    await opened(async (page, at) => {
+      const beyond = { code: "shared_points", message: "parts touch at `7` points", count: 9, places: Array.from({ length: 7 }, (_, i) => [i, 0.5, -1]) };
+      await page.route("**/result?name=report", async (route) => {
+        const response = await route.fetch();
+        const report = await response.json();
+        await route.fulfill({ response, json: { ...report, warnings: [...report.warnings, beyond] } });
+      });
+      await page.click("[data-sample=bent-box]");
+      await says(page, "#input-counts", /vertices/);
+      // Too few for its edges, and a bound that cannot be met.
+      await page.fill("#points", "60");
+      await page.click("summary");
+      await page.fill("#max_deviation", "0.00001");
+      await remeshed(page);
+      const { warnings } = await json(`${at}v1/jobs/${idOf(page)}/result?name=report`);
+      assert.ok(warnings.length >= 2);
+      await says(page, "#warnings-title", new RegExp(`^${warnings.length + 1} warnings$`));
+      assert.ok(await page.isVisible("#warnings"));
+      const codes = await page.locator("#warnings-list > li > p code").allInnerTexts();
+      assert.deepEqual(codes, [...warnings, beyond].map(({ code }) => code));
+      const last = page.locator("#warnings-list > li").last();
+      assert.match(await last.innerText(), /Parts touch at 7 points\..*At \(0, 0\.5, -1\).*\(2, 0\.5, -1\) and 4 more; 9 in all/s);
+      await last.locator("summary").click();
+      assert.match(await last.innerText(), /\(3, 0\.5, -1\).*\(6, 0\.5, -1\)/s);
+      await page.click("#go");
+      await page.waitForSelector("#warnings", { state: "hidden" });
+    });
+  },
+
+  async "a job fills the form, and Remesh repeats it"() {
+    await opened(async (page, at) => {
+      const { digest } = await json(`${at}v1/blobs`, { method: "POST", body: octahedron });
+      const jobs = [
+        { points: 250 },
+        { points: 260, density: "curvature", adaptivity: 0.5, seed: 7, crease_angle: 40, boundaries: "free", lloyd: 3, newton: 4, to: "glb" },
+        { points: 270, density: "lfs", gradation: 0.2, thin: "even", placement: "surface", projection: "surface", measure: "topology", attributes: false, backend: "serial" },
+        { points: 280, max_deviation: 5, max_points: 400, to: "obj" },
+        { edge_length: 0.4, density: "uniform" },
+        { points: 240, max_deviation_length: 0.1 },
+        { points_percent: 5000 },
+        { facets: 500 },
+        { points: 290, sizes: (await json(`${at}v1/blobs`, { method: "POST", body: ".3\n.4\n.5\n.3\n.4\n.5\n" })).digest,
+          creases: (await json(`${at}v1/blobs`, { method: "POST", body: "0 2\n2 1\n" })).digest, gradation: 0.5 },
+      ];
+      for (const options of jobs) {
+        const { id, spec } = await post(`${at}v1/jobs`, { mesh: digest, format: "obj", ...options, labels: { file: "octahedron.obj" } });
+        await page.goto(`${at}#job=${id}`);
+        await ended(page);
+        await compared(page);
+        for (const [name, value] of Object.entries(options)) {
+          if (name === "points_percent") {
+            assert.equal(await page.inputValue("#points"), `${value}%`);
+            continue;
+          }
+          const field = page.locator(`[name=${name}]`);
+          if (await field.count()) assert.equal(await field.inputValue(), value === "uniform" ? "" : String(value), name);
+          else assert.match(await text(page, "#others"), new RegExp(name.replaceAll("_", " ") + (/^[0-9a-f]{64}$/.test(value) ? "" : ` ${value}`)));
+        }
+        await page.click("#go");
+        await page.waitForFunction((id) => /^#job=/.test(location.hash) && !location.hash.endsWith(id), id, SLOW);
+        const again = (await json(`${at}v1/jobs/${idOf(page)}`)).spec;
+        // Defaults may be named or not.
+        const plain = (all) => JSON.stringify({ ...all, remesh: { ...all.remesh, density: { source: "DENSITY_SOURCE_UNIFORM", ...all.remesh.density } } }, sorted);
+        const sorted = (_, value) => (value && typeof value === "object" ? Object.fromEntries(Object.entries(value).sort()) : value);
+        assert.equal(plain(again), plain({ ...spec, result: { file: spec.result.file } }));
+        await ended(page);
+        await compared(page);
+        await copiesAreRight(page, "octahedron.obj");
+      }
+      assert.ok(await page.isVisible("#others"));
+      await page.click("#others-drop");
+      assert.ok(await page.isHidden("#others"));
+    }, CLIPBOARD);
+  },
+
+  async "a copied call gives the same bits"() {
+    await opened(async (page) => {
+      const cases = [
+        ["octahedron.obj", {}, { points: "300" }],
+        ["it's a $(mesh) `x` & \"y\".obj", { to: "glb", density: "curvature" }, { points: "250", seed: "9", adaptivity: "0.5", crease_angle: "20" }],
+        ["-o.obj", { to: "off", boundaries: "free", density: "" }, { points: "260", lloyd: "3", newton: "2", max_deviation: "3" }],
+        ["no extension", { to: "ply" }, { points: "0.2k", max_deviation: "" }],
+        ["share.obj", { to: "obj" }, { points: "4000%" }],
+      ];
+      await page.click("summary");
+      for (const [name, choices, values] of cases) {
+        await drop(page, name, octahedron);
+        await says(page, "#input-counts", /^6 vertices/);
+        for (const [field, value] of Object.entries(choices)) await page.selectOption(`#${field}`, value);
+        for (const [field, value] of Object.entries(values)) await page.fill(`#${field}`, value);
+        await remeshed(page);
+        await copiesAreRight(page, name);
+      }
+    }, CLIPBOARD);
+  },
+
+  async "one view with a slider, standard views, the wheel, full screen"() {
+    await opened(async (page) => {
+      await page.click("[data-sample=three-holes]");
+      await says(page, "#input-counts", /vertices/);
+      assert.ok(await page.isDisabled("#layout-slider"), "there is nothing to slide between");
+      let before = await seen(page, "#input-canvas");
+      const turned = async (what) => (before = await changed(page, "#input-canvas", before, what));
+      // The wheel zooms without a click, and the page stays where it is.
+      await page.hover("#input-canvas");
+      await page.mouse.wheel(0, -300);
+      await turned("the wheel zooms");
+      assert.equal(await page.evaluate(() => scrollY), 0);
+      for (const stand of ["front", "top", "side", "iso"]) {
+        await page.click(`[data-stand=${stand}]`);
+        await turned(`${stand} is another view`);
+      }
+      await page.selectOption("#up", "z");
+      await turned("the other axis is up");
+      await remeshed(page);
+      await page.click("label[for=layout-slider]");
+      const [a, b] = await page.evaluate(() => ["input", "result"].map((side) => JSON.stringify(document.getElementById(`${side}-canvas`).getBoundingClientRect())));
+      assert.equal(a, b, "both are at one place");
+      const half = await seen(page, "#views");
+      await page.focus("#split");
+      for (let i = 0; i < 20; i++) await page.keyboard.press("ArrowRight");
+      const more = await changed(page, "#views", half, "the slider moves");
+      const box = await page.locator("#split").boundingBox();
+      await page.mouse.move(box.x + 21 + 0.7 * (box.width - 42), box.y + box.height / 2);
+      await page.mouse.down();
+      await page.mouse.move(box.x + 0.2 * box.width, box.y + box.height / 2, { steps: 4 });
+      await page.mouse.up();
+      await changed(page, "#views", more, "the slider is dragged");
+      assert.ok(Number(await page.inputValue("#split")) < 0.3);
+      await page.click("#full");
+      await page.waitForFunction(() => document.fullscreenElement?.id === "viewer");
+      await says(page, "#full", /^Leave/);
+      const [height, room] = await page.evaluate(() => [document.getElementById("input-canvas").clientHeight, innerHeight]);
+      assert.ok(height > 0.6 * room, `${height} of ${room} pixels`);
+      await page.click("#full");
+      await page.waitForFunction(() => document.fullscreenElement === null);
     });
   },
 
@@ -236,6 +493,9 @@ const tests = {
         "polygon.obj": ["o a\nv 0 0 0\nv 1 0 0\nv 1 1 0\nv .5 2 0\nv 0 1 0\nf -5 -4 -3 -2 -1\no b\nv 0 0 1\nf 1 2 6\n", /^6 vertices, 4 facets/],
         "loose.ply": [ascii("3 0 1 2").replace("vertex 3", "vertex 4").replace("0 1 0\n", "0 1 0\n9 9 9\n"), /^3 vertices, 1 facets/],
         "text.stl": ["solid s\nfacet normal 0 0 1\nouter loop\nvertex 0 0 0\nvertex 1e0 0 0\nvertex 0 1 0\nendloop\nendfacet\nendsolid s\n", /^3 vertices, 1 facets/],
+        // What the page cannot read, the server reads.
+        "pentagon.ply": [ascii("5 0 1 2 3 4").replace("vertex 3", "vertex 5").replace("0 1 0\n", "1 1 0\n.5 2 0\n0 1 0\n"), /^5 vertices, 3 facets/],
+        "square.mesh": ["MeshVersionFormatted 2\nDimension 3\nVertices\n4\n0 0 0 0\n1 0 0 0\n1 1 0 0\n0 1 0 0\nTriangles\n2\n1 2 3 0\n1 3 4 0\nEnd\n", /^4 vertices, 2 facets/],
         "square.off": ["# comment\nCOFF\n4 1 0\n0 0 0 1 0 0 1\n1 0 0 1 0 0 1\n1 1 0 1 0 0 1\n0 1 0 1 0 0 1\n4 0 1 2 3 0 1 0\n", /^4 vertices, 2 facets/],
       };
       for (const [name, [text, counts]] of Object.entries(shown)) {
@@ -362,7 +622,7 @@ const tests = {
       await drop(page, "empty.obj", "");
       await message(page, /The file empty\.obj is empty/);
       await drop(page, "broken.obj", "v 0 0 0\nv 1 0 x\nv 0 1 0\nf 1 2 3\n");
-      await message(page, /broken\.obj cannot be shown.*coordinate is no finite number/s);
+      await message(page, /broken\.obj cannot be read.*line 2.*three numbers/s);
       await page.click("#go");
       await message(page, /failed|did not start/);
       await drop(page, "head.ply", "ply\nformat binary_little_endian 1.0\nelement vertex 4000000000\nproperty float x\nend_header\n");
@@ -370,19 +630,21 @@ const tests = {
       await drop(page, "cut.ply", "ply\nformat binary_little_endian 1.0\nelement vertex 3\nproperty float x\nend_header\nxxxx");
       await message(page, /no PLY file, or it is damaged/);
       await drop(page, "beyond.ply", ascii("3 0 1 7"));
-      await message(page, /face names vertex 7/);
-      await drop(page, "pentagon.ply", ascii("5 0 1 2 1 0"));
-      await message(page, /neither triangles nor quadrilaterals/);
+      await message(page, /vertex 7/);
+      await drop(page, "bad.glb", "glTFxxxx");
+      await message(page, /bad\.glb cannot be read.*The file is no surface/s);
       await drop(page, "cut.off", "OFF\n3 1 0\n0 0 0\n1 0 0\n");
       await message(page, /ends early/);
       await drop(page, "packed.obj.gz", Buffer.from([0x1f, 0x8b, 8, 0, 1, 2, 3]));
       await message(page, /cannot be unpacked/);
       await drop(page, "octahedron.obj", octahedron);
       await says(page, "#input-counts", /^6 vertices/);
-      await page.fill("#points", "0");
-      await page.click("#go");
-      assert.ok(await page.isVisible("#points-error"));
-      assert.equal(await page.getAttribute("#points", "aria-invalid"), "true");
+      for (const wrong of ["0", "", "many", "1,5", "-3", "2.5", "0%", "3 points"]) {
+        await page.fill("#points", wrong);
+        await page.click("#go");
+        assert.ok(await page.isVisible("#points-error"), wrong);
+        assert.equal(await page.getAttribute("#points", "aria-invalid"), "true");
+      }
       await page.fill("#points", "200");
       assert.equal(await page.locator("#points-error").count(), 0);
       await page.click("#go");
@@ -416,6 +678,11 @@ const tests = {
       await page.fill("#newton", "3000");
       await page.click("#go");
       await says(page, "#run-stage", /iteration/);
+      // Loaded again, the page shows the job at work, with its cells.
+      await page.reload();
+      await says(page, "#input-legend", /^20,000 cells, each the points nearest to its seed/);
+      await says(page, "#run-stage", /iteration/);
+      assert.equal(await page.inputValue("#newton"), "3000");
       await page.click("#cancel");
       await says(page, "#run-stage", /was cancelled/);
       assert.ok(await page.isHidden("#cancel"));

@@ -11,7 +11,7 @@ mkdir -p "$root/target"
 exec 9>"$venv.lock"
 flock 9
 
-lists="clients/python/pyproject.toml tests/python/requirements.txt deploy/requirements.txt"
+lists="clients/python/pyproject.toml tests/python/requirements.txt tests/python/peers.txt deploy/requirements.txt"
 cd "$root"
 if ! cat $lists | cmp -s - "$venv/made-of"; then
     rm -rf "$venv"
@@ -19,7 +19,8 @@ if ! cat $lists | cmp -s - "$venv/made-of"; then
     # Installs in seconds what takes pip minutes.
     "$venv/bin/pip" install --quiet --disable-pip-version-check "uv>=0.9" >&2
     "$venv/bin/uv" pip install --quiet --python "$venv" --requirements clients/python/pyproject.toml --extra service --extra test \
-        --requirements tests/python/requirements.txt --requirements deploy/requirements.txt >&2
+        --requirements tests/python/requirements.txt --requirements tests/python/peers.txt \
+        --requirements deploy/requirements.txt >&2
     cat $lists >"$venv/made-of"
 fi
 echo "$venv"

@@ -6,8 +6,9 @@ use crate::carried::{centroid, everything, texture, uvs, wedges};
 use geometry::remesh::attributes::{carry, provenance};
 use glam::{DVec2, DVec3, dvec2, dvec3};
 use tessera::mesh::TriMesh;
-use tessera::mesh::attributes::{AttributeError, Attributes, ColourDepth, Colours, Normals, PerCorner};
+use tessera::mesh::attributes::{AttributeError, Attributes, ColourDepth, Colours, Normals, PerCorner, Scalar};
 use tessera::mesh::closest_point::ClosestPoint;
+use tessera::mesh::numbers::NumberType;
 use tessera::mesh::shapes::Shape;
 use tessera::remesh::{Remesh, RemeshError, RemeshOptions, Seeds, remesh};
 use tessera::rvd::Serial;
@@ -57,7 +58,7 @@ fn linear_fields_are_reproduced() {
         let mesh = shape.build(2000);
         let mut attributes = Attributes::new(&mesh);
         for (axis, name) in ["px", "py", "pz"].into_iter().enumerate() {
-            attributes.add_scalar(name, mesh.positions().iter().map(|p| p[axis]).collect()).unwrap();
+            attributes.add_scalar(Scalar::new(name, mesh.positions().iter().map(|p| p[axis]).collect())).unwrap();
         }
         let colour = |p: &DVec3| [0.5 + p.x / 8.0, 0.5 + p.y / 8.0, 0.5 + p.z / 8.0, 0.25];
         let values = mesh.positions().iter().map(colour).collect();
@@ -73,6 +74,45 @@ fn linear_fields_are_reproduced() {
             let got = out.colours().unwrap().values[v];
             assert!(colour(p).iter().zip(got).all(|(want, got)| (want - got).abs() < 1e-12), "{shape} {v}");
         }
+    }
+}
+
+fn label_of(p: &DVec3) -> f64 {
+    if p.x > 0.0 {
+        40.0
+    } else if p.y > 0.0 {
+        7.0
+    } else {
+        -2.0
+    }
+}
+
+/// Whole numbers have no values between: those of the nearest corner are taken. Vectors are interpolated as numbers are.
+#[test]
+fn labels_stay_labels_and_vectors_vectors() {
+    let mesh = Shape::Torus.build(2000);
+    let mut attributes = Attributes::new(&mesh);
+    let pair = mesh.positions().iter().flat_map(|p| [label_of(p), 1.0]).collect();
+    let labels =
+        Scalar { number: NumberType::I16, ..Scalar::new("label", mesh.positions().iter().map(label_of).collect()) };
+    attributes.add_scalar(labels).unwrap();
+    attributes.add_scalar(Scalar { number: NumberType::U64, components: 2, ..Scalar::new("pair", pair) }).unwrap();
+    let positions = mesh.positions().iter().flat_map(|p| p.to_array()).collect();
+    attributes.add_scalar(Scalar { components: 3, ..Scalar::new("position", positions) }).unwrap();
+    let done = run(&mesh, attributes, 300);
+    let out = done.attributes.unwrap();
+    let [label, pair, position] = out.scalars() else { panic!("{:?}", out.scalars().len()) };
+    // A negative number is none of U64.
+    assert_eq!((label.number, pair.number, position.number), (NumberType::I16, NumberType::F64, NumberType::F64));
+    for (v, (p, place)) in done.mesh.positions().iter().zip(&done.provenance).enumerate() {
+        let corners = mesh.facets()[place.facet as usize].map(|c| mesh.positions()[c as usize]);
+        let distance = |corner: &DVec3| corner.distance(*p);
+        let nearest = corners.iter().map(distance).fold(f64::INFINITY, f64::min);
+        let is_near = |corner: &&DVec3| distance(corner) < nearest + 1e-9;
+        let possible: Vec<f64> = corners.iter().filter(is_near).map(label_of).collect();
+        assert!(possible.contains(&label.values[v]), "{v}");
+        assert!((DVec3::from_slice(&position.values[3 * v..]) - *p).length() < 1e-12, "{v}");
+        assert!((pair.values[2 * v + 1] - 1.0).abs() < 1e-12, "{v}");
     }
 }
 
@@ -274,7 +314,7 @@ fn shells_beside_each_other_keep_their_own() {
     let mesh = TriMesh::new(positions, facets).unwrap();
     let mut attributes = Attributes::new(&mesh);
     let shell: Vec<f64> = (0..2 * n).map(|v| if v < n { 0.0 } else { 1.0 }).collect();
-    attributes.add_scalar("shell".to_owned(), shell).unwrap();
+    attributes.add_scalar(Scalar::new("shell", shell)).unwrap();
     let wish = RemeshOptions::new(Seeds::Sample { points: 600, seed: 4 }).with_attributes(attributes);
     let out = remesh(&mesh, &wish, &Serial, &mut (), &Token::default()).unwrap();
     let result = &out.report.result;

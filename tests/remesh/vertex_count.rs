@@ -1,11 +1,12 @@
 //! Promise: a result has as many vertices as were asked for, within 2 %, whatever the parts and sheets of the input, or the
 //! report says why it has not.
 
+use glam::DVec3;
 use tessera::mesh::TriMesh;
 use tessera::mesh::measure::topology;
 use tessera::mesh::shapes::Shape;
 use tessera::remesh::report::CountReason;
-use tessera::remesh::{Remesh, RemeshOptions, Seeds, remesh};
+use tessera::remesh::{Remesh, RemeshOptions, Seeds, Share, remesh};
 use tessera::rvd::Parallel;
 use tessera::token::Token;
 
@@ -82,4 +83,46 @@ fn the_same_bits_on_any_number_of_threads() {
     let (one, three) = (run_on(1, &mesh, 700), run_on(3, &mesh, 700));
     assert!(one.mesh == three.mesh);
     assert_eq!(one.report.vertex_count, three.report.vertex_count);
+}
+
+/// So many facets, whatever the topology: of open surfaces, of those with handles, and of several.
+#[test]
+fn facets_are_about_as_many_as_asked() {
+    let tube = |n: u32| {
+        let points = (0..=n).flat_map(|j| {
+            (0..n).map(move |i| {
+                let (s, c) = (std::f64::consts::TAU * f64::from(i) / f64::from(n)).sin_cos();
+                DVec3::new(c, s, 3.0 * f64::from(j) / f64::from(n))
+            })
+        });
+        let quads = (0..n * n).map(|k| (k, k / n * n + (k + 1) % n));
+        let facets = quads.flat_map(|(a, b)| [[a, b, b + n], [a, b + n, a + n]]);
+        TriMesh::new(points.collect(), facets.collect()).unwrap()
+    };
+    let shapes = [Shape::Torus, Shape::Sphere, Shape::Plane, Shape::Hills].map(|shape| shape.build(4000));
+    for (k, mesh) in shapes.into_iter().chain([tube(40)]).enumerate() {
+        for wanted in [300, 1500] {
+            let seeds = Seeds::Share { of: Share::Facets(wanted), seed: 1 };
+            let done = remesh(
+                &mesh,
+                &RemeshOptions::new(seeds).with_newton(10),
+                &Parallel::new(Some(2)).unwrap(),
+                &mut (),
+                &Token::default(),
+            );
+            let facets = done.unwrap().mesh.facets().len();
+            // Boundaries have edges of their own length.
+            assert!(facets.abs_diff(wanted) <= wanted / 25, "{k}: {facets} of {wanted}");
+        }
+        let seeds = Seeds::Share { of: Share::Percent(10.0), seed: 1 };
+        let done = remesh(
+            &mesh,
+            &RemeshOptions::plain(seeds, 2),
+            &Parallel::new(Some(2)).unwrap(),
+            &mut (),
+            &Token::default(),
+        )
+        .unwrap();
+        assert_eq!(done.report.vertex_count.asked, (mesh.positions().len() as f64 / 10.0).round() as usize, "{k}");
+    }
 }

@@ -41,7 +41,7 @@ async fn a_full_queue_refuses_at_the_header_and_keeps_its_word() {
     // This one has the only place in the queue from its header on.
     let (send, rest, mut first) = begin(&server, BackendChoice::Parallel, 1).await;
     tokio::time::sleep(SECOND / 2).await;
-    until("its place is kept", || server.engine.reserve().is_err()).await;
+    until("its place is kept", || server.engine.reserve("another").is_err()).await;
     let (_send, _rest, mut second) = begin(&server, BackendChoice::Parallel, 1).await;
     let status = tokio::time::timeout(PATIENCE, second.message()).await.expect("without its mesh").unwrap_err();
     assert_eq!(status.code(), Code::ResourceExhausted);
@@ -53,7 +53,7 @@ async fn a_full_queue_refuses_at_the_header_and_keeps_its_word() {
     assert!(matches!(first.message().await.unwrap().unwrap().message, Some(Accepted(_))));
     // Whoever gives up an upload gives back its place.
     drop((send, first));
-    until("nobody waits", || server.engine.load().0 == 0 || server.engine.reserve().is_ok()).await;
+    until("nobody waits", || server.engine.load().0 == 0 || server.engine.reserve("another").is_ok()).await;
     busy.abort();
     server.stop().await.unwrap();
 }

@@ -4,8 +4,9 @@
 use crate::server::*;
 use glam::{DVec2, DVec3};
 use tessera::mesh::TriMesh;
-use tessera::mesh::attributes::{Attributes, ColourDepth, Colours, Normals, PerCorner};
+use tessera::mesh::attributes::{Attributes, ColourDepth, Colours, Normals, PerCorner, Scalar};
 use tessera::mesh::io::{read_with_attributes, write_with_attributes};
+use tessera::mesh::numbers::NumberType;
 use tessera::proto::remesh_response::Message as Answer;
 use tessera::proto::*;
 use tonic::{Code, Status};
@@ -17,7 +18,7 @@ fn bytes(numbers: impl IntoIterator<Item = f64>) -> Vec<u8> {
 
 fn header(kind: AttributeKind, name: &str, r#type: AttributeType, values: usize) -> AttributeHeader {
     let (kind, r#type, name) = (kind.into(), r#type.into(), name.to_owned());
-    AttributeHeader { kind, name, r#type, values: values as u64, by_corner: false }
+    AttributeHeader { kind, name, r#type, values: values as u64, by_corner: false, components: 0 }
 }
 
 fn scalar(attribute: u32, data: &[u8]) -> Vec<Chunk> {
@@ -176,7 +177,9 @@ async fn the_program_carries_them_here_and_there() {
     all.set_normals(Normals::PerVertex(mesh.positions().to_vec())).unwrap();
     let values = mesh.positions().iter().map(|p: &DVec3| [f64::from(u8::from(p.x > 0.0)), 0.2, 0.4, 1.0]).collect();
     all.set_colours(Colours { values, depth: ColourDepth::Eight }).unwrap();
-    all.add_scalar("height", mesh.positions().iter().map(|p| p.z).collect()).unwrap();
+    all.add_scalar(Scalar::new("height", mesh.positions().iter().map(|p| p.z).collect())).unwrap();
+    let labels = mesh.positions().iter().map(|p| if p.x > 0.0 { 7.0 } else { -40.0 }).collect();
+    all.add_scalar(Scalar { number: NumberType::I32, ..Scalar::new("label", labels) }).unwrap();
     let folder = tempfile::tempdir().unwrap();
     let path = |name: &str| folder.path().join(name);
     assert!(write_with_attributes(&path("in.ply"), &mesh, &all).unwrap().is_empty());
@@ -204,6 +207,8 @@ async fn the_program_carries_them_here_and_there() {
     for (value, p) in loaded.attributes.scalars()[0].values.iter().zip(loaded.mesh.positions()) {
         assert!((value - p.z).abs() < 1e-12);
     }
+    let labels = &loaded.attributes.scalars()[1];
+    assert!(labels.number == NumberType::I32 && labels.values.iter().all(|x| [7.0, -40.0].contains(x)));
     assert!(here == there, "the service gives another file");
     server.stop().await.unwrap();
 }

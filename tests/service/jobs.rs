@@ -31,7 +31,7 @@ async fn start() -> (Server, Jobs) {
 }
 
 /// A remesh of the blob that is there.
-fn wanted(points: u32) -> JobSpec {
+pub fn wanted(points: u32) -> JobSpec {
     let file =
         MeshFile { digest: Digest::of(b"a surface").to_string(), format: MeshFormat::Ply.into(), attributes: None };
     let work =
@@ -45,7 +45,7 @@ fn wanted(points: u32) -> JobSpec {
     }
 }
 
-fn by<T>(tenant: &str, message: T) -> Request<T> {
+pub fn by<T>(tenant: &str, message: T) -> Request<T> {
     let mut request = Request::new(message);
     request.metadata_mut().insert("tessera-tenant", tenant.parse().unwrap());
     request
@@ -402,7 +402,7 @@ async fn a_watcher_that_does_not_read_holds_up_nobody() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn watchers_take_no_place_from_who_has_work() {
-    let limits = server::config::Limits { max_streams: 2, ..Default::default() };
+    let limits = server::config::Limits { max_streams: 3, ..Default::default() };
     let server = Server::start(Setup { limits, ..Setup::default() }).await;
     let mut client = JobServiceClient::new(server.channel().await);
     put(&*server.idle.blobs, b"a surface".to_vec().into(), None).await.unwrap();

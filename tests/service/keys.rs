@@ -38,23 +38,23 @@ const METHODS: &[(&str, Role)] = &[
     ("JobService/EstimateJob", Role::Read),
 ];
 
-fn required() -> AccessOptions {
+pub fn required() -> AccessOptions {
     AccessOptions { require_keys: true, ..AccessOptions::default() }
 }
 
-struct House {
-    folder: tempfile::TempDir,
+pub struct House {
+    pub folder: tempfile::TempDir,
     file: KeyFile,
 }
 
 impl House {
-    fn new() -> Self {
+    pub fn new() -> Self {
         let folder = tempfile::tempdir().unwrap();
         let file = KeyFile::in_folder(folder.path());
         Self { folder, file }
     }
 
-    fn add(&self, name: &str, role: Role, limits: KeyLimits) -> Secret {
+    pub fn add(&self, name: &str, role: Role, limits: KeyLimits) -> Secret {
         self.lasting(name, role, limits, None)
     }
 
@@ -74,7 +74,7 @@ fn bearer(secret: &Secret) -> String {
 }
 
 /// A message in the name of a key.
-fn with<T>(secret: &Secret, message: T) -> Request<T> {
+pub fn with<T>(secret: &Secret, message: T) -> Request<T> {
     let mut request = Request::new(message);
     let mut value: MetadataValue<_> = bearer(secret).parse().unwrap();
     value.set_sensitive(true);
@@ -194,7 +194,7 @@ async fn health_and_reflection_have_switches() {
         (&[("tessera-tenant", "team")], Code::Ok),
         (&[("tessera-tenant", "eye")], Code::Unauthenticated),
         (&[("authorization", bad.as_str())], Code::Unauthenticated),
-        (&[("origin", "http://localhost:5173")], Code::Ok),
+        (&[("origin", "http://localhost:5173")], Code::PermissionDenied),
         (&[("origin", "https://evil.example")], Code::PermissionDenied),
         (&[("host", "evil.example")], Code::PermissionDenied),
         (&key, Code::Ok),

@@ -28,7 +28,7 @@ fn begin(mut client: Client, backend: BackendChoice) -> tokio::task::JoinHandle<
 #[tokio::test(flavor = "multi_thread")]
 async fn a_full_queue_refuses_with_advice_and_empties() {
     let fake = Arc::new(Fake::new(Mood::Busy));
-    let server = Server::start(Setup { queue_jobs: 2, ..Setup::fake(&fake) }).await;
+    let server = Server::start(Setup { queue_jobs: 3, ..Setup::fake(&fake) }).await;
     // Memory that other tests of this process hold may have a job refused for a while: it is asked for again.
     let mut busy = begin(server.client().await, BackendChoice::Serial);
     let start = Instant::now();

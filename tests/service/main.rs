@@ -32,6 +32,7 @@ mod keys;
 mod life;
 mod owners;
 mod refusals;
+mod shares;
 mod shutdown;
 mod slow_readers;
 mod streams;

@@ -5,6 +5,10 @@
 
 export type State = "queued" | "running" | "succeeded" | "failed" | "cancelled" | "expired";
 
+export function isOver(state: State): boolean {
+  return state !== "queued" && state !== "running";
+}
+
 export interface Job {
   readonly id: string;
   readonly state: State;
@@ -19,10 +23,13 @@ export interface Job {
 
 /** What the page reads of the message `JobSpec`. Formats are as "MESH_FORMAT_PLY". */
 export interface Spec {
-  readonly mesh?: { readonly file?: { readonly digest: string; readonly format: string } };
-  readonly remesh?: { readonly points?: number };
+  readonly mesh?: { readonly file?: { readonly digest: string; readonly format: string; readonly attributes?: boolean } };
+  readonly remesh?: { readonly points?: number; readonly density?: Readonly<Record<string, unknown>>; readonly [option: string]: unknown };
+  readonly backend?: string;
   readonly result?: { readonly file?: string };
   readonly labels?: Readonly<Record<string, string>>;
+  readonly arrays?: Readonly<Record<string, { readonly digest: string; readonly form: string }>>;
+  readonly [other: string]: unknown;
 }
 
 export interface Iteration {
@@ -48,6 +55,12 @@ export type Event =
 
 /** Positions of all seeds after a number of steps; `ended` if no more will come. */
 export type Seeds = { readonly steps: number; readonly bytes: ArrayBuffer } | "none" | "ended" | "unknown";
+
+/** Label of the jobs that read a file for the page. */
+const VIEW_LABEL = "tessera-page";
+
+/** After this time such a job is not waited for by any page. */
+const LEFT_MS = 60_000;
 
 /** With its digest, the service stores an upload as it comes; smaller ones it holds until their digest is known. */
 const LARGE_BYTES = 64 << 20;
@@ -128,8 +141,14 @@ export class Api {
     return this.json<Job>(`v1/jobs/${id}`, signal ? { signal } : {});
   }
 
+  /** The newest jobs. */
   async jobs(count: number): Promise<Job[]> {
-    return (await this.json<{ jobs: Job[] }>(`v1/jobs?page_size=${count}`)).jobs;
+    const { jobs } = await this.json<{ jobs: Job[] }>(`v1/jobs?page_size=${2 * count}`);
+    const isOwn = ({ spec }: Job): boolean => spec.labels?.[VIEW_LABEL] !== undefined;
+    // A page that was closed in the meantime left them.
+    const left = jobs.filter((job) => isOwn(job) && isOver(job.state) && Date.now() - job.changed_ms > LEFT_MS);
+    for (const { id } of left) void this.delete(id).catch(() => {});
+    return jobs.filter((job) => !isOwn(job)).slice(0, count);
   }
 
   cancel(id: string): Promise<Job> {
@@ -140,8 +159,32 @@ export class Api {
     return (await this.ask(`v1/blobs/${digest}`, { signal })).blob();
   }
 
-  async result(id: string, signal: AbortSignal): Promise<Blob> {
-    return (await this.ask(`v1/jobs/${id}/result`, { signal })).blob();
+  async result(id: string, signal: AbortSignal, name = "mesh"): Promise<Blob> {
+    return (await this.ask(`v1/jobs/${id}/result?name=${name}`, { signal })).blob();
+  }
+
+  private async delete(id: string): Promise<void> {
+    await this.ask(`v1/jobs/${id}`, { method: "DELETE" });
+  }
+
+  /** The facets of a stored mesh as PLY: the diagram of a single seed. A failure is the service's own. */
+  async facets(digest: string, format: string, signal: AbortSignal): Promise<Blob> {
+    const mesh = { file: { digest, format: `MESH_FORMAT_${format.toUpperCase()}`, attributes: false } };
+    const job = await this.create({ mesh, rvd: { points: 1 }, labels: { [VIEW_LABEL]: "view" } }, signal);
+    try {
+      await this.watch(job.id, () => {}, () => {}, signal);
+      const { failure, state } = await this.job(job.id, signal);
+      if (state !== "succeeded") throw new Problem(failure?.kind === "bad_input" ? 400 : 422, "invalid_argument", failure?.message ?? `the job is ${state}`);
+      return await this.result(job.id, signal, "cells");
+    } finally {
+      void this.forget(job.id);
+    }
+  }
+
+  /** Deletes a short job after its end. */
+  private async forget(id: string): Promise<void> {
+    const nothing = (): void => {};
+    await this.watch(id, nothing, nothing, new AbortController().signal).then(() => this.delete(id)).catch(nothing);
   }
 
   report(id: string, signal: AbortSignal): Promise<Record<string, unknown>> {
@@ -249,7 +292,7 @@ export class Api {
 }
 
 /** What this page reads of a JSON schema. */
-interface Schema {
+export interface Schema {
   readonly $ref?: string;
   readonly allOf?: readonly Schema[];
   readonly oneOf?: readonly Schema[];

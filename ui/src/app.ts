@@ -4,22 +4,28 @@
 // job are shown. A new one cancels the work for the one before. A failure ends in a message, and the page stays usable. Must
 // not know: how surfaces are read, measured and drawn.
 
-import { Api, isAbort, pause, Problem, type Event, type Job } from "./api.ts";
+import { Api, isAbort, isOver, pause, Problem, type Event, type Job } from "./api.ts";
 import { Chart } from "./chart.ts";
+import { written, type Language } from "./copy.ts";
 import { the } from "./dom.ts";
 import { Figures } from "./figures.ts";
 import { open, type Chosen } from "./file.ts";
 import { Options } from "./options.ts";
 import { Progress } from "./progress.ts";
-import { pointsOf, Queue } from "./queue.ts";
+import { Queue } from "./queue.ts";
+import { sample, SAMPLE_POINTS, type Sample } from "./samples.ts";
 import { Stage } from "./stage.ts";
 import { isShown, SHOWN } from "./mesh/formats.ts";
-import type { Loaded } from "./tasks.ts";
+import type { Loaded, Side } from "./tasks.ts";
+import { showWarnings } from "./warnings.ts";
 import { count, ending, problem, size, type Told } from "./words.ts";
-import { Work } from "./work.ts";
+import { Work, WorkError } from "./work.ts";
 
 /** Larger files are remeshed, but not shown: no browser has a text of so many characters. */
 const SHOWN_BYTES = 500_000_000;
+
+/** Second moment of a regular hexagon of area 1. */
+const HEXAGON = 5 / (18 * Math.sqrt(3));
 
 export class App {
   private readonly api = new Api((isWrong) => this.askKey(isWrong));
@@ -33,9 +39,11 @@ export class App {
   private readonly go = the("go", HTMLButtonElement);
   private readonly cancelButton = the("cancel", HTMLButtonElement);
   private readonly download = the("download", HTMLAnchorElement);
+  private readonly save = the("save", HTMLAnchorElement);
 
   /** The formats that the service reads. */
   private formats: readonly string[] = SHOWN;
+  private learned: Promise<void> = Promise.resolve();
   private chosen: Chosen | null = null;
   /** The input's name at the service. */
   private digest: string | null = null;
@@ -54,10 +62,21 @@ export class App {
     the("message-close", HTMLButtonElement).addEventListener("click", () => this.hush());
     addEventListener("hashchange", () => void this.follow());
     this.takeDrops();
+    for (const button of document.querySelectorAll<HTMLElement>("[data-sample]")) {
+      button.addEventListener("click", () => {
+        this.options.points(SAMPLE_POINTS);
+        // The button goes away with the invitation.
+        void this.take(sample(button.dataset["sample"] as Sample)).then(() => this.go.focus());
+      });
+    }
+    for (const button of document.querySelectorAll<HTMLElement>("[data-copy]")) {
+      button.addEventListener("click", () => void this.copy(button.dataset["copy"] as Language));
+    }
     this.chart.clear();
     this.figures.clear();
+    this.stage.welcome(jobInAddress() === null);
     this.queue.refresh();
-    void this.learn();
+    this.learned = this.learn();
     void this.follow();
   }
 
@@ -65,7 +84,7 @@ export class App {
 
   private takeDrops(): void {
     const input = the("file", HTMLInputElement);
-    const zone = the("drop", HTMLElement);
+    const zones = [the("drop", HTMLElement), the("viewer", HTMLElement)];
     input.addEventListener("change", () => {
       const file = input.files?.[0];
       // The same file may be chosen again, after a change.
@@ -75,7 +94,7 @@ export class App {
     let depth = 0;
     const mark = (change: number): void => {
       depth = change === 0 ? 0 : depth + change;
-      zone.toggleAttribute("data-over", depth > 0);
+      for (const zone of zones) zone.toggleAttribute("data-over", depth > 0);
     };
     addEventListener("dragenter", () => mark(1));
     addEventListener("dragleave", () => mark(-1));
@@ -99,7 +118,9 @@ export class App {
     }
     the("file", HTMLInputElement).accept = this.formats.flatMap((format) => [`.${format}`, `.${format}.gz`]).join(",");
     const names = this.formats.map((format) => format.toUpperCase());
-    if (!this.chosen) the("file-note", HTMLElement).textContent = `${names.slice(0, -1).join(", ")} or ${names[names.length - 1]}`;
+    const list = `${names.slice(0, -1).join(", ")} or ${names[names.length - 1]}`;
+    the("welcome-formats", HTMLElement).textContent = `${list}, also compressed as .gz`;
+    if (!this.chosen) the("file-note", HTMLElement).textContent = list;
   }
 
   private async take(file: File): Promise<void> {
@@ -115,8 +136,8 @@ export class App {
     } catch (error) {
       if (mesh.aborted) return;
       this.chosen = null;
-      this.note("Drop a mesh, or choose a file", "The last file could not be opened.");
-      this.stage.clear("input", "Drop a mesh here");
+      this.note("Choose a mesh", "The last file could not be opened.");
+      this.stage.welcome(true);
       this.say({ ...problem("This file could not be opened", error), advice: `The server reads ${this.formats.join(", ")}.` });
     }
     this.enable();
@@ -131,6 +152,8 @@ export class App {
     this.chosen = null;
     this.loaded = null;
     this.digest = null;
+    this.keep(null);
+    this.stage.welcome(false);
     this.stage.clear("input", "Reading …");
     this.stage.clear("result", "The remesh appears here");
     this.figures.clear();
@@ -141,18 +164,13 @@ export class App {
   /** Takes a mesh and shows it if that can be. */
   private async look(chosen: Chosen, signal: AbortSignal): Promise<void> {
     this.chosen = chosen;
+    this.keep(chosen);
     this.enable();
     const about = `${chosen.format.toUpperCase()}, ${size(chosen.file.size)}`;
     this.note(chosen.name, about);
     if (!(await this.stage.canDraw) || signal.aborted) return;
-    if (!isShown(chosen.format) || chosen.file.size > SHOWN_BYTES) {
-      const why = isShown(chosen.format) ? "Files as large as this" : `Files of the format ${chosen.format}`;
-      this.stage.clear("input", `${why} are not shown. It can be remeshed.`);
-      await this.work.ask("drop", { side: "input" });
-      return;
-    }
     try {
-      const loaded = await this.work.ask("load", { side: "input", file: chosen.file, format: chosen.format });
+      const loaded = await this.read("input", chosen.file, chosen.format, signal);
       if (signal.aborted) return;
       this.loaded = loaded;
       this.stage.show("input", loaded);
@@ -160,9 +178,59 @@ export class App {
       this.note(chosen.name, `${about}, ${count(loaded.facets)} facets`);
     } catch (error) {
       if (signal.aborted) return;
-      this.stage.clear("input", "This mesh cannot be shown.");
-      this.say({ ...problem(`${chosen.name} cannot be shown`, error), advice: "The server may still read it: press Remesh. Or take another file." });
+      this.stage.clear("input", "This mesh cannot be shown");
+      const isBad = error instanceof Problem && error.status === 400;
+      const advice = isBad ? "Correct the file, or choose another." : "It can still be remeshed: press Remesh. Or choose another file.";
+      this.say({ ...problem(`${chosen.name} cannot be ${isBad ? "read" : "shown"}`, error), advice });
     }
+  }
+
+  /** Reads a surface to be shown: here if the page knows the format, else by the server. */
+  private async read(side: Side, file: Blob, format: string, signal: AbortSignal): Promise<Loaded> {
+    let reason: string | null = null;
+    if (isShown(format) && file.size <= SHOWN_BYTES) {
+      try {
+        return await this.work.ask("load", { side, file, format });
+      } catch (error) {
+        if (signal.aborted || !(error instanceof WorkError && error.isFile)) throw error;
+        reason = error.message;
+      }
+    }
+    this.stage.clear(side, "The server reads the file …");
+    const digest = await this.api.upload(file, () => {}, signal);
+    if (side === "input") this.digest = digest;
+    const facets = await this.api.facets(digest, format, signal).catch((error: unknown) => {
+      // A refusal before the job begins does not say what is wrong with the file.
+      const isVague = error instanceof Problem && error.fields.length > 0;
+      throw isVague && reason !== null ? new Problem(error.status, error.reason, reason) : error;
+    });
+    if (facets.size > SHOWN_BYTES) throw new WorkError("it has too many facets to be shown");
+    return this.work.ask("load", { side, file: facets, format: "ply", isLoose: true });
+  }
+
+  /** Offers the input as a file: it may be a sample, or of a job of another computer. */
+  private keep(chosen: Chosen | null): void {
+    if (this.save.href !== "") URL.revokeObjectURL(this.save.href);
+    this.save.removeAttribute("href");
+    this.save.hidden = chosen === null;
+    if (!chosen) return;
+    this.save.href = URL.createObjectURL(chosen.file);
+    this.save.download = `${chosen.stem}.${chosen.format}`;
+  }
+
+  /** Copies the form's options as a call in a language. */
+  private async copy(language: Language): Promise<void> {
+    if (!this.options.check()) return;
+    const { name, stem, format } = this.chosen ?? { name: "mesh.ply", stem: "mesh", format: "ply" };
+    const base = new URL(".", document.baseURI).href;
+    const text = written(language, { name, stem, format, base, options: this.options.read(), needsKey: this.api.hasKey });
+    const shown = the("as-text", HTMLElement);
+    shown.textContent = text;
+    shown.hidden = false;
+    // Pages without TLS have no clipboard, unless they are of this machine.
+    const isCopied = await (navigator.clipboard?.writeText(text) ?? Promise.reject(new Error())).then(() => true, () => false);
+    if (!isCopied) getSelection()?.selectAllChildren(shown);
+    the("as-note", HTMLElement).textContent = isCopied ? "Copied." : "Selected: copy it with Ctrl+C.";
   }
 
   // ---- The job
@@ -188,7 +256,7 @@ export class App {
   }
 
   private async create(chosen: Chosen, signal: AbortSignal): Promise<Job> {
-    const options = { ...this.options.read(), format: chosen.format, measure: "full", labels: { file: chosen.name.slice(0, 80) } };
+    const options = { ...this.options.read(), format: chosen.format, labels: { file: chosen.name.slice(0, 80) } };
     // A digest that was given once may be of a blob that is gone.
     for (let isKnown = this.digest !== null; ; isKnown = false) {
       if (!isKnown) {
@@ -207,8 +275,9 @@ export class App {
     this.job = job.id;
     this.queue.mark(job.id);
     this.chart.clear();
-    const isOver = job.state !== "queued" && job.state !== "running";
-    if (!isOver) {
+    this.chart.over(this.hexagons(job));
+    this.stage.forgetCells();
+    if (!isOver(job.state)) {
       this.progress.begin("Waiting for a place in the queue", job.created_ms);
       this.stage.clear("result", "Cells become triangles at the end");
       if (this.loaded) this.stage.expectCells();
@@ -218,6 +287,14 @@ export class App {
     await this.api.watch(job.id, (event) => this.hear(event), (seconds) => this.progress.cut(seconds), signal);
     if (signal.aborted) return;
     await this.finish(await this.api.job(job.id, signal), signal);
+  }
+
+  /** Energy of regular hexagons of the surface's area, as many as the job has points; if density and number stay the same. */
+  private hexagons({ spec: { remesh } }: Job): number | null {
+    const isUniform = /^(DENSITY_SOURCE_(UNIFORM|UNSPECIFIED))?$/.test(String(remesh?.density?.["source"] ?? ""));
+    const area = this.loaded?.figures.area;
+    const isFixed = isUniform && remesh?.["max_deviation"] === undefined && remesh?.["max_deviation_length"] === undefined;
+    return isFixed && area !== undefined && remesh?.points ? (HEXAGON * area * area) / remesh.points : null;
   }
 
   private hear(event: Event): void {
@@ -265,6 +342,9 @@ export class App {
     const format = formatOf(job);
     this.offer(file, job, format);
     this.figures.result(report);
+    showWarnings(report);
+    const steps = report["iterations"];
+    if (Array.isArray(steps)) this.chart.exact(steps.map(({ energy_ratio: ratio }: { energy_ratio?: unknown }) => Number(ratio ?? NaN)));
     this.progress.end("Done.", job.started_ms === null ? null : job.changed_ms - job.started_ms);
     this.endJob();
     await this.showResult(file, format, signal);
@@ -272,15 +352,20 @@ export class App {
 
   private async showResult(file: Blob, format: string, signal: AbortSignal): Promise<void> {
     if (!(await this.stage.canDraw) || signal.aborted) return;
-    if (!isShown(format)) return this.stage.clear("result", `Files of the format ${format} are not shown. Download it.`);
     this.stage.clear("result", "Reading …");
     try {
-      const loaded = await this.work.ask("load", { side: "result", file, format });
+      const loaded = await this.read("result", file, format, signal);
       if (signal.aborted) return;
       this.stage.show("result", loaded);
+      this.figures.shares("result", loaded);
       if (!this.loaded) return;
       const compared = await this.work.ask("compare", {});
-      if (!signal.aborted) this.stage.compare(compared);
+      if (signal.aborted) return;
+      this.stage.compare(compared);
+      // The steps were not seen here. The vertices lie near the last points.
+      if (this.stage.hasCells) return;
+      const cells = await this.work.ask("cells", { seeds: null });
+      if (!signal.aborted) this.stage.cells(cells, "vertex of the remesh");
     } catch (error) {
       if (signal.aborted) return;
       this.stage.clear("result", "The remesh cannot be shown. Download it.");
@@ -324,19 +409,23 @@ export class App {
 
   /** Shows the job that the address names. */
   private async follow(): Promise<void> {
-    const id = /^#job=([0-9a-f]{32})$/.exec(location.hash)?.[1];
-    if (!id || id === this.job) return;
+    const id = jobInAddress();
+    if (id === null || id === this.job) return;
     this.hush();
     const signal = this.leaveJob();
     this.progress.begin("Opening the job");
     try {
       const job = await this.api.job(id, signal);
+      await this.learned;
+      if (!job.spec.remesh) throw new Problem(404, "kind", "it is no remesh, and the page shows no other jobs");
+      this.options.fill(job.spec);
       await this.fetchInput(job, signal);
       if (signal.aborted) return;
       await this.attend(job, signal);
     } catch (error) {
       if (signal.aborted) return;
       this.progress.end("Nothing runs.");
+      if (!this.chosen) this.stage.welcome(true);
       this.say(problem("The job cannot be opened", error));
       this.endJob();
     }
@@ -348,8 +437,6 @@ export class App {
     if (source && source.digest === this.digest) return;
     const mesh = this.begin();
     const name = job.spec.labels?.["file"] ?? `job ${job.id.slice(0, 8)}`;
-    const points = pointsOf(job);
-    if (points !== null) the("points", HTMLInputElement).value = String(points);
     try {
       if (!source) throw new Problem(404, "blob", "the job's mesh is not a file");
       const file = await this.api.blob(source.digest, signal);
@@ -358,7 +445,7 @@ export class App {
       await this.look({ name, stem: name.replace(/(\.gz)?$/i, "").replace(/\.[^.]*$/, ""), format: formatName(source.format), file }, mesh);
     } catch (error) {
       if (isAbort(error)) throw error;
-      this.note("Drop a mesh, or choose a file", "The mesh of this job is no longer stored.");
+      this.note("Choose a mesh", "The mesh of this job is no longer stored.");
       this.stage.clear("input", "The mesh of this job is no longer stored");
     }
   }
@@ -372,6 +459,7 @@ export class App {
     this.withdraw();
     this.chart.clear();
     this.figures.clearResult();
+    showWarnings(null);
     this.stage.clear("result", "The remesh appears here");
     this.progress.end("Nothing runs.");
     return this.ofJob.signal;
@@ -433,6 +521,11 @@ export class App {
       field.focus();
     });
   }
+}
+
+/** The job that the address names. */
+function jobInAddress(): string | null {
+  return /^#job=([0-9a-f]{32})$/.exec(location.hash)?.[1] ?? null;
 }
 
 /** The format of a job's result. */

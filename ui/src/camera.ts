@@ -10,6 +10,26 @@ const KEY_TURN = Math.PI / 24;
 const DRAG_TURN = 0.008;
 const ZOOM = 1.15;
 
+/** Which axis of the file is up in the first view. */
+export type Up = "y" | "z";
+
+/** Turns about the upright axis and towards the viewer, of the first view and of standard ones. */
+const ISO = Math.atan(Math.SQRT1_2);
+export const STANDPOINTS = {
+  first: [-0.45, 0.22],
+  front: [0, 0],
+  top: [0, Math.PI / 2],
+  side: [-Math.PI / 2, 0],
+  iso: [-Math.PI / 4, ISO],
+} as const;
+
+export type Standpoint = keyof typeof STANDPOINTS;
+
+const VIEW_KEYS: Readonly<Record<string, Standpoint>> = { "1": "front", "2": "top", "3": "side", "4": "iso" };
+
+const X = new Vector3(1, 0, 0);
+const Y = new Vector3(0, 1, 0);
+
 export class Camera {
   readonly turn = new Quaternion();
   /** What is looked at, beside the centre, in the plane of the view. */
@@ -17,6 +37,7 @@ export class Camera {
   zoom = 1;
   /** What is in view at zoom 1 reaches so far from the centre. */
   radius = 0.5;
+  private up: Up = "y";
   private readonly listeners: (() => void)[] = [];
 
   constructor() {
@@ -34,17 +55,28 @@ export class Camera {
   }
 
   reset(): void {
-    this.turn.identity();
-    this.rotate(-0.45, 0.22);
+    this.stand("first");
+  }
+
+  /** Looks at the whole surface from a standard place. */
+  stand(where: Standpoint): void {
+    const [around, down] = STANDPOINTS[where];
+    this.turn.setFromAxisAngle(X, down).multiply(new Quaternion().setFromAxisAngle(Y, around));
+    if (this.up === "z") this.turn.multiply(new Quaternion().setFromAxisAngle(X, -Math.PI / 2));
     this.shift.set(0, 0, 0);
     this.zoom = 1;
     this.tell();
   }
 
+  upright(up: Up): void {
+    this.up = up;
+    this.reset();
+  }
+
   /** Turns the surface about the axes of the screen. */
   rotate(right: number, down: number): void {
-    const about = new Quaternion().setFromAxisAngle(new Vector3(0, 1, 0), right);
-    about.multiply(new Quaternion().setFromAxisAngle(new Vector3(1, 0, 0), down));
+    const about = new Quaternion().setFromAxisAngle(Y, right);
+    about.multiply(new Quaternion().setFromAxisAngle(X, down));
     this.turn.premultiply(about).normalize();
     this.tell();
   }
@@ -61,8 +93,13 @@ export class Camera {
     this.tell();
   }
 
-  magnify(by: number): void {
-    this.zoom = Math.min(Math.max(this.zoom * by, 0.2), 200);
+  /** About a place in the view, in parts of its height from the middle. What is there stays there. */
+  magnify(by: number, right = 0, up = 0): void {
+    const before = this.zoom;
+    this.zoom = Math.min(Math.max(before * by, 0.2), 200);
+    const change = 1 / before - 1 / this.zoom;
+    this.shift.x += right * change;
+    this.shift.y += up * change;
     this.tell();
   }
 
@@ -93,11 +130,11 @@ export class Camera {
       pointers.set(event.pointerId, { x: event.clientX, y: event.clientY });
     });
     element.addEventListener("contextmenu", (event) => event.preventDefault());
-    // The wheel scrolls the page until the view is chosen.
     element.addEventListener("wheel", (event) => {
-      if (document.activeElement !== element && !event.ctrlKey) return;
       event.preventDefault();
-      this.magnify(Math.exp(-event.deltaY * (event.deltaMode === 0 ? 0.0015 : 0.05)));
+      const box = element.getBoundingClientRect();
+      const [right, up] = [event.clientX - box.left - box.width / 2, box.top + box.height / 2 - event.clientY];
+      this.magnify(Math.exp(-event.deltaY * (event.deltaMode === 0 ? 0.0015 : 0.05)), right / (box.height || 1), up / (box.height || 1));
     }, { passive: false });
     element.addEventListener("keydown", (event) => {
       if (event.ctrlKey || event.metaKey || event.altKey) return;
@@ -108,7 +145,9 @@ export class Camera {
   private key(key: string, isShift: boolean): boolean {
     const arrows: Readonly<Record<string, readonly [number, number]>> = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] };
     const arrow = arrows[key];
-    if (arrow && isShift) this.pan(0.05 * arrow[0], -0.05 * arrow[1]);
+    const standpoint = VIEW_KEYS[key];
+    if (standpoint) this.stand(standpoint);
+    else if (arrow && isShift) this.pan(0.05 * arrow[0], -0.05 * arrow[1]);
     else if (arrow) this.rotate(KEY_TURN * arrow[0], KEY_TURN * arrow[1]);
     else if (key === "+" || key === "=") this.magnify(ZOOM);
     else if (key === "-") this.magnify(1 / ZOOM);

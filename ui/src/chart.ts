@@ -1,20 +1,24 @@
 // The chart of the energy.
 //
-// Purpose: draws the energy of each iteration as it comes. Invariant: what is drawn is told in words beside it too. Must not
-// know: where iterations come from.
+// Purpose: draws the energy of each iteration as it comes, over that of regular hexagons if it is known. Invariant: what is
+// drawn is told in words beside it too; every label is whole. Must not know: where iterations come from.
 
 import type { Iteration } from "./api.ts";
+import { draw } from "./dom.ts";
 import { figure, raised } from "./words.ts";
 
-const SPACE = "http://www.w3.org/2000/svg";
-const LEFT = 44;
 const RIGHT = 14;
-const TOP = 24;
+const TOP = 26;
 const BOTTOM = 28;
+/** Pixels of a digit. */
+const DIGIT = 6.6;
 
 export class Chart {
   private readonly steps: Iteration[] = [];
   private total = 0;
+  /** Energy over that of regular hexagons, of each step; or what gives it. */
+  private ratios: readonly number[] = [];
+  private hexagons: number | null = null;
 
   constructor(private readonly svg: SVGSVGElement, private readonly words: HTMLElement) {
     new ResizeObserver(() => this.draw()).observe(svg);
@@ -23,6 +27,8 @@ export class Chart {
   clear(): void {
     this.steps.length = 0;
     this.total = 0;
+    this.ratios = [];
+    this.hexagons = null;
     this.draw();
   }
 
@@ -32,14 +38,26 @@ export class Chart {
     this.draw();
   }
 
+  /** Shows energies over this one: that of regular hexagons, if it is known. */
+  over(hexagons: number | null): void {
+    this.hexagons = hexagons !== null && hexagons > 0 && Number.isFinite(hexagons) ? hexagons : null;
+    this.draw();
+  }
+
+  /** The ratio of each step, as the report has it. */
+  exact(ratios: readonly number[]): void {
+    this.ratios = ratios.every(Number.isFinite) ? ratios : [];
+    this.draw();
+  }
+
   private draw(): void {
     const { svg, steps } = this;
+    const { values: energies, isRatio } = this.values();
     const width = svg.clientWidth || 400;
     const height = svg.clientHeight || 180;
     svg.setAttribute("viewBox", `0 0 ${width} ${height}`);
     svg.replaceChildren();
     this.say();
-    const energies = steps.map(({ energy }) => energy);
     let least = energies.length > 0 ? Math.min(...energies) : 0;
     let most = energies.length > 0 ? Math.max(...energies) : 1;
     if (!(most > least)) {
@@ -47,57 +65,76 @@ export class Chart {
       least -= 0.05 * about;
       most += 0.05 * about;
     }
-    const room = 0.06 * (most - least);
-    const x = (i: number): number => LEFT + ((width - LEFT - RIGHT) * i) / Math.max(this.total - 1, 1);
-    const y = (energy: number): number => TOP + ((height - TOP - BOTTOM) * (most + room - energy)) / (most - least + 2 * room);
+    const step = round((most - least) / 3);
+    least = step * Math.floor(least / step);
+    most = step * Math.ceil(most / step);
     // All labels have one power of ten, which is written once.
     const power = Math.floor(Math.log10(Math.max(Math.abs(most), 1e-300)));
     const isPlain = power >= -2 && power < 4;
     const unit = isPlain ? 1 : 10 ** power;
-    if (!isPlain && steps.length > 0) this.text(0, 11, "start", `× 10${raised(power)}`);
-    for (let i = 0; i <= 3; i++) {
-      const energy = least + ((most - least) * i) / 3;
-      this.put("line", { x1: LEFT, x2: width - RIGHT, y1: y(energy), y2: y(energy), class: "grid" });
-      if (steps.length > 0) this.text(LEFT - 8, y(energy) + 4, "end", isPlain ? figure(energy, 3) : (energy / unit).toFixed(2));
-    }
-    this.text(LEFT, height - 8, "start", steps.length > 0 ? "1" : "");
-    this.text((LEFT + width - RIGHT) / 2, height - 8, "middle", "iteration");
+    const digits = Math.max(0, Math.ceil(-Math.log10(step / unit) - 1e-9));
+    const labels = Array.from({ length: Math.round((most - least) / step) + 1 }, (_, i) => ((least + i * step) / unit).toFixed(digits));
+    const left = steps.length > 0 ? 12 + DIGIT * Math.max(...labels.map(({ length }) => length)) : 12;
+    const x = (i: number): number => left + ((width - left - RIGHT) * i) / Math.max(this.total - 1, 1);
+    const y = (energy: number): number => TOP + ((height - TOP - BOTTOM) * (most - energy)) / (most - least);
+    if (steps.length > 0) this.axis(isRatio, isPlain ? "" : ` × 10${raised(power)}`);
+    labels.forEach((label, i) => {
+      const at = y(least + i * step);
+      draw(svg, "line", { x1: left, x2: width - RIGHT, y1: at, y2: at, class: "grid" });
+      if (steps.length > 0) this.text(left - 8, at + 4, "end", label);
+    });
+    this.text(left, height - 8, "start", steps.length > 0 ? "1" : "");
+    this.text((left + width - RIGHT) / 2, height - 8, "middle", "iteration");
     this.text(width - RIGHT, height - 8, "end", this.total > 0 ? String(this.total) : "");
     if (steps.length === 0) return;
     const change = steps.findIndex(({ kind }, i) => i > 0 && kind !== "lloyd" && steps[i - 1]?.kind === "lloyd");
     if (change > 0) {
       const at = (x(change) + x(change - 1)) / 2;
-      this.put("line", { x1: at, x2: at, y1: TOP, y2: height - BOTTOM, class: "change" });
+      draw(svg, "line", { x1: at, x2: at, y1: TOP, y2: height - BOTTOM, class: "change" });
       this.text(at + 6, TOP + 10, "start", "quasi-Newton steps");
     }
-    const points = steps.map(({ energy }, i) => `${x(i).toFixed(1)},${y(energy).toFixed(1)}`);
+    const points = energies.map((energy, i) => `${x(i).toFixed(1)},${y(energy).toFixed(1)}`);
     const floor = height - BOTTOM;
-    this.put("polygon", { points: `${x(0)},${floor} ${points.join(" ")} ${x(steps.length - 1).toFixed(1)},${floor}`, class: "area" });
-    this.put("polyline", { points: points.join(" "), class: "curve" });
+    draw(svg, "polygon", { points: `${x(0)},${floor} ${points.join(" ")} ${x(steps.length - 1).toFixed(1)},${floor}`, class: "area" });
+    draw(svg, "polyline", { points: points.join(" "), class: "curve" });
     const last = steps.length - 1;
-    this.put("circle", { cx: x(last), cy: y(energies[last] as number), r: 4, class: "last" });
+    draw(svg, "circle", { cx: x(last), cy: y(energies[last] as number), r: 4, class: "last" });
+  }
+
+  /** The name of the axis, above it. */
+  private axis(isRatio: boolean, unit: string): void {
+    const text = this.text(0, 12, "start", isRatio ? "E / E" : `E${unit}`);
+    if (isRatio) draw(text, "tspan", { dy: 3, class: "below-line" }).textContent = "hex";
+  }
+
+  private values(): { values: readonly number[]; isRatio: boolean } {
+    const { steps, ratios, hexagons } = this;
+    if (steps.length > 0 && ratios.length === steps.length) return { values: ratios, isRatio: true };
+    return { values: steps.map(({ energy }) => energy / (hexagons ?? 1)), isRatio: hexagons !== null };
   }
 
   private say(): void {
     const { steps } = this;
-    const first = steps[0];
-    const last = steps[steps.length - 1];
-    if (!first || !last) {
+    const { values, isRatio } = this.values();
+    if (steps.length === 0) {
       this.words.textContent = "The energy falls as cells become even. It is drawn here while a job runs.";
       return;
     }
-    const below = first.energy > 0 ? (100 * (first.energy - last.energy)) / first.energy : 0;
-    this.words.textContent = `${figure(last.energy, 4)} after ${steps.length} of ${this.total} iterations, ${below.toFixed(1)} % below the first.`;
+    const [from, to] = [values[0] as number, values[values.length - 1] as number];
+    const below = from > 0 ? (100 * (from - to)) / from : 0;
+    const height = isRatio ? `${figure(to, 4)} times that of regular hexagons` : figure(to, 4);
+    this.words.textContent = `${height} after ${steps.length} of ${this.total} iterations, ${below.toFixed(1)} % below the first.`;
   }
 
-  private put(name: string, attributes: Readonly<Record<string, string | number>>): SVGElement {
-    const element = document.createElementNS(SPACE, name);
-    for (const [key, value] of Object.entries(attributes)) element.setAttribute(key, String(value));
-    this.svg.append(element);
+  private text(x: number, y: number, anchor: string, text: string): SVGElement {
+    const element = draw(this.svg, "text", { x, y, "text-anchor": anchor });
+    element.textContent = text;
     return element;
   }
+}
 
-  private text(x: number, y: number, anchor: string, text: string): void {
-    this.put("text", { x, y, "text-anchor": anchor }).textContent = text;
-  }
+/** A step of 1, 2 or 5 times a power of ten, not less than this. */
+function round(step: number): number {
+  const power = 10 ** Math.floor(Math.log10(step));
+  return power * ([1, 2, 5, 10].find((times) => times * power >= step * 0.999) ?? 10);
 }

@@ -1,13 +1,13 @@
 // The table of figures.
 //
 // Purpose: sets the input and the remesh beside each other. Invariant: figures of the remesh are those of the job's report;
-// those of the input are measured here. Must not know: how they are measured.
+// those of the input, and the shares of facets, are measured here. Must not know: how they are measured.
 
+import { Bars } from "./bars.ts";
 import { make, the } from "./dom.ts";
-import type { Loaded } from "./tasks.ts";
+import type { Loaded, Side } from "./tasks.ts";
 import { count, duration, figure } from "./words.ts";
 
-type Column = "input" | "result";
 
 /** The rows: a name, and what explains it. */
 const ROWS = [
@@ -25,6 +25,8 @@ type Row = (typeof ROWS)[number][0];
 
 export class Figures {
   private readonly cells = new Map<string, HTMLElement>();
+  private readonly q = new Bars("bars-q", 1, "");
+  private readonly angle = new Bars("bars-angle", 60, "°");
   private readonly note = the("figures-note", HTMLElement);
 
   constructor() {
@@ -41,21 +43,32 @@ export class Figures {
 
   clear(): void {
     this.clearColumn("input");
+    this.shares("input", null);
     this.clearResult();
   }
 
   clearResult(): void {
     this.clearColumn("result");
+    this.shares("result", null);
     this.note.textContent = "";
   }
 
-  input({ vertices, facets, figures }: Loaded): void {
+  input(loaded: Loaded): void {
+    const { vertices, facets, figures } = loaded;
+    this.shares("input", loaded);
     this.set("vertices", "input", count(vertices));
     this.set("facets", "input", count(facets));
     this.set("q_min", "input", figure(figures.least, 2));
     this.set("q_avg", "input", figure(figures.mean, 3));
     this.set("theta_min_deg", "input", `${figures.smallestAngle.toFixed(1)}°`);
     this.set("under_30_percent", "input", percent(figures.under30));
+  }
+
+  /** Draws how the facets of a surface are shaped. */
+  shares(side: Side, loaded: Loaded | null): void {
+    this.q.show(side, loaded?.figures.shares.q ?? null);
+    this.angle.show(side, loaded?.figures.shares.angle ?? null);
+    the("shape", HTMLElement).toggleAttribute("data-empty", !this.q.isShown);
   }
 
   result(report: Readonly<Record<string, unknown>>): void {
@@ -73,19 +86,15 @@ export class Figures {
     put("hausdorff_percent", percent);
     const total = (report["timings_ms"] as Readonly<Record<string, unknown>> | undefined)?.["total"];
     if (typeof total === "number") this.set("time", "result", duration(total));
-    const lines = remarks(report).map((text) => {
-      const line = document.createElement("p");
-      line.textContent = text;
-      return line;
-    });
-    this.note.replaceChildren(...lines);
+    const changes = report["topology_changes"];
+    this.note.textContent = Array.isArray(changes) && changes.length === 0 ? "Components, holes and handles are as in the input." : "";
   }
 
-  private clearColumn(column: Column): void {
+  private clearColumn(column: Side): void {
     for (const [row] of ROWS) this.set(row, column, "–");
   }
 
-  private set(row: Row, column: Column, text: string): void {
+  private set(row: Row, column: Side, text: string): void {
     const cell = this.cells.get(`${row} ${column}`);
     if (cell) cell.textContent = text;
   }
@@ -95,18 +104,4 @@ export class Figures {
 function percent(x: number): string {
   if (x < 1e-6) return "0 %";
   return `${x >= 10 ? x.toFixed(1) : figure(x, 2)} %`;
-}
-
-/** The topology if it is kept, and the warnings of the report; a sentence each. */
-function remarks(report: Readonly<Record<string, unknown>>): string[] {
-  const [changes, warnings] = [report["topology_changes"], report["warnings"]];
-  const kept = Array.isArray(changes) && changes.length === 0;
-  const messages = Array.isArray(warnings) ? warnings.map((warning: { message?: unknown }) => sentence(warning.message)) : [];
-  return [...(kept ? ["Components, holes and handles are as in the input."] : []), ...messages];
-}
-
-/** A message as a sentence. */
-function sentence(message: unknown): string {
-  const text = String(message).replaceAll("`", "");
-  return `${text.charAt(0).toUpperCase()}${text.slice(1)}.`;
 }

@@ -1,21 +1,101 @@
 // The options of a remesh.
 //
-// Purpose: reads the form into the names of the service, and shows at a field what is wrong with it. Invariant: an empty field
-// is not sent, so that the service's default holds; the defaults and formats on the page are those of the service's document.
-// Must not know: how a job is made.
+// Purpose: reads the form into the names of the service, fills it from a job, and shows at a field what is wrong with it.
+// Invariant: an empty field is not sent, so that the service's default holds; the defaults and formats on the page are those of
+// the service's document; options of a job that have no field are kept, or left out, and named. Must not know: how a job is made.
 
-import { Problem, type Schemas } from "./api.ts";
-import { make } from "./dom.ts";
+import { Problem, type Schemas, type Spec } from "./api.ts";
+import { FILES } from "./copy.ts";
+import { make, the } from "./dom.ts";
+import { count, whole } from "./words.ts";
+
+/** The least points for a closed surface, and the most that a server takes. */
+const POINTS = [4, 4_000_000] as const;
+
+/** Options that say how many points there are, in place of a number. */
+const SIZES: readonly string[] = ["edge_length", "facets", "sizes"];
 
 export class Options {
+  private schemas: Schemas = {};
+  /** Options of the job that was opened, without a field. */
+  private others: Readonly<Record<string, unknown>> = {};
+  private left: readonly string[] = [];
+
   constructor(private readonly form: HTMLFormElement) {
     form.addEventListener("input", (event) => {
       if (event.target instanceof Element) this.clear(event.target);
     });
+    const points = the("points", HTMLInputElement);
+    points.addEventListener("input", () => {
+      // A number takes the place of another size.
+      const { edge_length: _, facets: __, ...others } = this.others;
+      if (points.value !== "") this.keep(others, this.left);
+    });
+    the("others-drop", HTMLButtonElement).addEventListener("click", () => {
+      this.keep({});
+      form.dispatchEvent(new Event("input"));
+    });
+  }
+
+  /** Sets the number of points. */
+  points(value: number): void {
+    the("points", HTMLInputElement).value = String(value);
+    this.keep({});
+  }
+
+  /** Fills the form as a job has it. */
+  fill(spec: Spec): void {
+    this.clearAll();
+    const { density, points_percent: percent, ...remesh } = spec.remesh ?? {};
+    const { source, ...ofDensity } = density ?? {};
+    const set: Record<string, unknown> = {
+      ...remesh, ...ofDensity, density: source, backend: spec.backend, to: spec.result?.file, attributes: spec.mesh?.file?.attributes,
+      ...(percent === undefined ? {} : { points: `${String(percent)}%` }),
+    };
+    const left = Object.keys(spec).filter((name) => !["mesh", "remesh", "backend", "result", "labels", "arrays"].includes(name));
+    for (const [name, { digest, form }] of Object.entries(spec.arrays ?? {})) {
+      const option = form === "ARRAY_FORM_TEXT" ? { edge_lengths: "sizes", creases: "creases" }[name] : undefined;
+      if (option) set[option] = digest;
+      else left.push(name);
+    }
+    for (const field of this.fields()) {
+      const value = this.plain(field.name, set[field.name]);
+      const standard = field instanceof HTMLSelectElement ? (field.options[0]?.value ?? "") : "";
+      const isKnown = !(field instanceof HTMLSelectElement) || [...field.options].some((option) => option.value === value);
+      field.value = value !== undefined && isKnown ? String(value) : standard;
+      const isFilled = field.value !== standard && field.closest("details");
+      if (isFilled) isFilled.open = true;
+      if (isKnown) delete set[field.name];
+    }
+    const rest = Object.entries(set).map(([name, value]) => [name, this.plain(name, value)] as const);
+    const isStandard = (name: string, value: unknown): boolean => value === undefined || typeof value === "object" || value === this.schemas[name]?.default;
+    this.keep(Object.fromEntries(rest.filter(([name, value]) => !isStandard(name, value) && !(name === "attributes" && value === true))), left);
+  }
+
+  private keep(others: Readonly<Record<string, unknown>>, left: readonly string[] = []): void {
+    this.others = others;
+    this.left = left;
+    the("points", HTMLInputElement).required = !SIZES.some((name) => name in others);
+    const words = (name: string): string => name.replaceAll("_", " ");
+    const names = Object.entries(others).map(([name, value]) => (FILES.includes(name) ? words(name) : `${words(name)} ${String(value)}`));
+    the("others", HTMLElement).hidden = names.length + left.length === 0;
+    the("others-names", HTMLElement).textContent = [
+      names.length > 0 ? `Also set: ${names.join(", ")}.` : "", left.length > 0 ? `Of this job, not set here: ${left.map(words).join(", ")}.` : "",
+    ].join(" ").trim();
+    the("others-drop", HTMLElement).hidden = names.length === 0;
+  }
+
+  /** A value as the form has it: that of an enum is DENSITY_SOURCE_LFS in a specification and lfs here. A whole number may be text. */
+  private plain(name: string, value: unknown): unknown {
+    if (typeof value !== "string") return value;
+    const word = value.toLowerCase();
+    const known = this.schemas[name]?.enum?.filter((one) => word.endsWith(`_${one}`)).sort((a, b) => b.length - a.length)[0];
+    return known ?? (/^\d+$/.test(value) ? Number(value) : word);
   }
 
   /** Shows the service's defaults in empty fields, and all formats that it writes. */
   learn(schemas: Schemas): void {
+    this.schemas = schemas;
     for (const field of this.fields()) {
       const schema = schemas[field.name];
       const standard = schema?.default;
@@ -32,6 +112,9 @@ export class Options {
   check(): boolean {
     this.clearAll();
     let first: HTMLElement | null = null;
+    const points = the("points", HTMLInputElement);
+    const isRight = points.value.trim() === "" || Object.keys(size(points.value)).length > 0;
+    points.setCustomValidity(isRight ? "" : `Give ${POINTS.map(count).join(" to ")} points, as 10000 or 10k, or percent of the input's vertices, as 50%.`);
     for (const field of this.fields()) {
       if (field.checkValidity()) continue;
       this.say(field, field.validationMessage);
@@ -42,9 +125,13 @@ export class Options {
   }
 
   read(): Record<string, unknown> {
-    const options: Record<string, unknown> = {};
+    const options: Record<string, unknown> = { ...this.others };
     for (const field of this.fields()) {
       if (field.value === "" || field.name === "") continue;
+      if (field.name === "points") {
+        Object.assign(options, size(field.value));
+        continue;
+      }
       options[field.name] = field instanceof HTMLInputElement && field.type === "number" ? field.valueAsNumber : field.value;
     }
     return options;
@@ -91,4 +178,12 @@ export class Options {
   private clearAll(): void {
     for (const field of this.fields()) this.clear(field);
   }
+}
+
+/** A number of points, or a share of the vertices; nothing if it is neither. */
+function size(text: string): Record<string, number> {
+  const share = /^\s*(\d+(?:\.\d+)?)\s*%\s*$/.exec(text)?.[1];
+  if (share !== undefined) return Number(share) > 0 ? { points_percent: Number(share) } : {};
+  const points = whole(text);
+  return points !== null && points >= POINTS[0] && points <= POINTS[1] ? { points } : {};
 }

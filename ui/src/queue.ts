@@ -84,12 +84,16 @@ export class Queue {
     link.replaceChildren(
       make("span", { class: "queue-name" }, name),
       make("span", { class: `badge badge-${job.state}` }, STATES[job.state]),
-      make("span", { class: "queue-more" }, `${points === null ? "" : `${count(points)} points, `}${ago(job.created_ms)}${took}`),
+      make("span", { class: "queue-more" }, `${points === "" ? "" : `${points}, `}${ago(job.created_ms)}${took}`),
     );
   }
 }
 
-/** How many points a job asks for, if it says so. */
-export function pointsOf(job: Job): number | null {
-  return job.spec.remesh?.points ?? null;
+/** How fine the result of a job is, if it says so. */
+function pointsOf({ spec: { remesh } }: Job): string {
+  if (remesh?.points) return `${count(remesh.points)} points`;
+  if (remesh?.["facets"]) return `${count(Number(remesh["facets"]))} facets`;
+  if (remesh?.["points_percent"]) return `${String(remesh["points_percent"])} % of the vertices`;
+  const length = remesh?.density?.["edge_length"];
+  return length === undefined ? "" : `edges of ${String(length)}`;
 }

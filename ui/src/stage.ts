@@ -1,10 +1,10 @@
-// The two views side by side.
+// The two views, side by side or under a slider.
 //
 // Purpose: keeps what both views show, and colours them as the toolbar says. Invariant: a colouring that is not there cannot be
-// chosen; both views share one scale and one camera. Without WebGL it says so and shows nothing. Must not know: files, the
+// chosen, nor a slider between fewer than two surfaces; both views share one scale and one camera. Without WebGL it says so and shows nothing. Must not know: files, the
 // service.
 
-import type { Camera } from "./camera.ts";
+import type { Camera, Standpoint, Up } from "./camera.ts";
 import { DISTANCE, gradient, QUALITY, type Scale } from "./colours.ts";
 import { make, the } from "./dom.ts";
 import type { Cells, Compared, Loaded, Side } from "./tasks.ts";
@@ -25,6 +25,10 @@ export class Stage {
   private compared: Compared | null = null;
   private cellCount = 0;
   private expectsCells = false;
+  /** Whose cells: of the points of a step, or of the vertices of the result. */
+  private cellsOf = "seed";
+  private isSlider = false;
+  private readonly area = the("views", HTMLElement);
   private mode: Mode = "plain";
   /** Whether a person chose the mode. */
   private isChosen = false;
@@ -41,8 +45,41 @@ export class Stage {
     const edges = the("edges", HTMLInputElement);
     edges.addEventListener("change", () => this.each((view) => view.edges(edges.checked)));
     the("reset", HTMLButtonElement).addEventListener("click", () => this.camera?.reset());
+    for (const button of document.querySelectorAll<HTMLElement>("[data-stand]")) {
+      button.addEventListener("click", () => this.camera?.stand(button.dataset["stand"] as Standpoint));
+    }
+    const up = the("up", HTMLSelectElement);
+    up.addEventListener("change", () => this.camera?.upright(up.value as Up));
+    for (const layout of ["pair", "slider"]) {
+      the(`layout-${layout}`, HTMLInputElement).addEventListener("change", () => {
+        this.isSlider = layout === "slider";
+        this.paint();
+      });
+    }
+    const split = the("split", HTMLInputElement);
+    const divide = (): void => this.area.style.setProperty("--split", split.value);
+    split.addEventListener("input", divide);
+    divide();
+    this.fullScreen();
     matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.theme());
     this.paint();
+  }
+
+  private fullScreen(): void {
+    const button = the("full", HTMLButtonElement);
+    const viewer = the("viewer", HTMLElement);
+    button.hidden = !document.fullscreenEnabled;
+    button.addEventListener("click", () => void (document.fullscreenElement ? document.exitFullscreen() : viewer.requestFullscreen()));
+    document.addEventListener("fullscreenchange", () => {
+      button.textContent = document.fullscreenElement ? "Leave full screen" : "Full screen";
+    });
+  }
+
+  /** Invites to a first mesh, in place of empty views; or no longer. */
+  welcome(isEmpty: boolean): void {
+    this.area.toggleAttribute("data-empty", isEmpty);
+    the("welcome", HTMLElement).hidden = !isEmpty;
+    the("stage", HTMLElement).toggleAttribute("data-empty", isEmpty);
   }
 
   /** Fetches and begins the views. */
@@ -55,6 +92,7 @@ export class Stage {
       });
       const camera = new Camera();
       for (const side of SIDES) this.views[side] = new View(the(`${side}-canvas`, HTMLCanvasElement), camera);
+      camera.upright(the("up", HTMLSelectElement).value as Up);
       this.camera = camera;
     } catch {
       this.views.input = null;
@@ -102,9 +140,21 @@ export class Stage {
     this.paint();
   }
 
-  cells(cells: Cells): void {
+  /** Cells of another job say nothing of this one. */
+  forgetCells(): void {
+    this.cellCount = 0;
+    this.views.input?.dropCells();
+    this.paint();
+  }
+
+  get hasCells(): boolean {
+    return this.cellCount > 0;
+  }
+
+  cells(cells: Cells, of = "seed"): void {
     this.views.input?.setCells(cells);
     this.cellCount = cells.count;
+    this.cellsOf = of;
     this.paint();
   }
 
@@ -129,6 +179,11 @@ export class Stage {
 
   private paint(): void {
     if (!this.has(this.mode)) this.mode = "plain";
+    const isPair = this.shown.input !== null && this.shown.result !== null;
+    the("layout-slider", HTMLInputElement).disabled = !isPair;
+    the(this.isSlider && isPair ? "layout-slider" : "layout-pair", HTMLInputElement).checked = true;
+    this.area.toggleAttribute("data-slider", this.isSlider && isPair);
+    the("split", HTMLInputElement).hidden = !(this.isSlider && isPair);
     for (const mode of MODES) {
       this.radio(mode).disabled = !this.camera || !this.has(mode);
       this.radio(mode).checked = mode === this.mode;
@@ -147,7 +202,8 @@ export class Stage {
     if (this.mode === "quality") return { values: loaded.quality, scale: QUALITY, range: [0, 1] };
     if (this.mode === "distance" && this.compared) {
       const { inputFigures, resultFigures } = this.compared;
-      const most = Math.max(inputFigures.largest, resultFigures.largest, 1e-9);
+      // A few far vertices would leave all others one colour.
+      const most = Math.max(inputFigures.most, resultFigures.most) || Math.max(inputFigures.largest, resultFigures.largest, 1e-9);
       return { values: this.compared[side], scale: DISTANCE, range: [0, most] };
     }
     return null;
@@ -159,7 +215,7 @@ export class Stage {
     if (!loaded) return element.replaceChildren();
     if (!colouring) {
       const isCells = this.mode === "cells" && side === "input";
-      const words = isCells ? (this.cellCount > 0 ? `${count(this.cellCount)} cells, each the points nearest to its seed` : "Cells come with the first iteration") : "";
+      const words = isCells ? (this.cellCount > 0 ? `${count(this.cellCount)} cells, each the points nearest to its ${this.cellsOf}` : "Cells come with the first iteration") : "";
       return element.replaceChildren(make("span", { class: "legend-words" }, words));
     }
     const [least, most] = colouring.range;
@@ -170,7 +226,7 @@ export class Stage {
     }
     const figures = side === "input" ? this.compared?.inputFigures : this.compared?.resultFigures;
     const words = `largest ${figure(figures?.largest ?? NaN, 2)} %, mean ${figure(figures?.mean ?? NaN, 2)} % of the diagonal`;
-    element.replaceChildren(bar(colouring.scale, "0", `${figure(most, 2)} %`), make("span", { class: "legend-words" }, words));
+    element.replaceChildren(bar(colouring.scale, "0", `${figure(most, 2)} % and more`), make("span", { class: "legend-words" }, words));
   }
 
   private note(side: Side, words: string): void {

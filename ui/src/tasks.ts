@@ -11,14 +11,14 @@ import type { Frame } from "./mesh/surface.ts";
 export type Side = "input" | "result";
 
 export interface Requests {
-  /** Reads a file and keeps its surface. */
-  load: { side: Side; file: Blob; format: string };
+  /** Reads a file and keeps its surface. Corners of a loose one have vertices of their own: those with equal coordinates become one. */
+  load: { side: Side; file: Blob; format: string; isLoose?: boolean };
   /** Forgets a surface. */
   drop: { side: Side };
   /** How far each surface is from the other. */
   compare: Record<string, never>;
-  /** Which seeds count on which facet of the input. A seed is three doubles, little-endian. */
-  cells: { seeds: ArrayBuffer };
+  /** Which seeds count on which facet of the input. A seed is three doubles, little-endian. Without seeds: the result's vertices. */
+  cells: { seeds: ArrayBuffer | null };
 }
 
 export interface Loaded {
@@ -68,4 +68,4 @@ export interface Question<T extends Task = Task> {
   readonly request: Requests[T];
 }
 
-export type Reply = { readonly id: number; readonly answer: Answers[Task] } | { readonly id: number; readonly error: string };
+export type Reply = { readonly id: number; readonly answer: Answers[Task] } | { readonly id: number; readonly error: string; readonly isFile: boolean };

@@ -6,10 +6,10 @@
 import { Problem, type Job, type State } from "./api.ts";
 import { WorkError } from "./work.ts";
 
-const whole = new Intl.NumberFormat("en");
+const grouped = new Intl.NumberFormat("en");
 
 export function count(x: number): string {
-  return whole.format(x);
+  return grouped.format(x);
 }
 
 /** With so many significant digits, and no exponent where none is needed. */
@@ -49,6 +49,14 @@ export function size(bytes: number): string {
   return bytes < 1e9 ? `${(bytes / 1e6).toFixed(1)} MB` : `${(bytes / 1e9).toFixed(2)} GB`;
 }
 
+/** A whole number as people write it: 10000, 10,000, 10k, 1.5m or 1e4. */
+export function whole(text: string): number | null {
+  const [, digits, unit] = /^\s*(\d{1,3}(?:,\d{3})+|\d+(?:\.\d*)?(?:e\d+)?)\s*([km]?)\s*$/i.exec(text) ?? [];
+  if (digits === undefined) return null;
+  const number = Number(digits.replaceAll(",", "")) * { "": 1, k: 1e3, m: 1e6 }[(unit ?? "").toLowerCase() as "" | "k" | "m"];
+  return Number.isSafeInteger(number) ? number : null;
+}
+
 export const STATES: Readonly<Record<State, string>> = {
   queued: "waiting", running: "running", succeeded: "done", failed: "failed", cancelled: "cancelled", expired: "expired",
 };
@@ -66,14 +74,31 @@ export interface Told {
   readonly advice: string;
 }
 
-function sentence(text: string): string {
+export function sentence(text: string): string {
   const begun = text.charAt(0).toUpperCase() + text.slice(1);
   return /[.!?]$/.test(begun) ? begun : `${begun}.`;
 }
 
+/** A message of the service, without the names of its fields. */
+export function plain(message: string): string {
+  return message
+    .replaceAll("`", "")
+    .replace(/^(spec\.)?mesh(\.file)?:?\s+the blob /, "the file ")
+    .replace(/^(spec\.)?mesh(\.file)?:?\s+/, "the file: ")
+    .replace(/\bspec\.(\w+\.)*(\w+)/g, "$2")
+    .replace(/\b[a-z]+(_[a-z]+)+\b/g, (name) => name.replaceAll("_", " "));
+}
+
+/** What the service found wrong. */
+function found({ message, fields, status }: Problem): string {
+  if (status >= 500 && status !== 503) return "The server could not do this.";
+  if (fields.length === 0) return sentence(plain(message));
+  return fields.map(({ field, description }) => sentence(plain(`${field} ${description}`))).join(" ");
+}
+
 /** A failed attempt. */
 export function problem(title: string, error: unknown): Told {
-  if (error instanceof Problem) return { title, detail: sentence(error.message), advice: advice(error) };
+  if (error instanceof Problem) return { title, detail: found(error), advice: advice(error) };
   if (error instanceof WorkError) return { title, detail: sentence(error.message), advice: "Try another file, or one with fewer facets." };
   const detail = error instanceof Error ? error.message : String(error);
   return { title, detail: sentence(detail), advice: "Reload the page." };
@@ -104,7 +129,7 @@ export function ending(job: Job): Told | null {
       const isLarge = job.failure?.kind === "too_large";
       return {
         title: "The job failed",
-        detail: sentence(job.failure?.message ?? "the server gives no reason"),
+        detail: sentence(plain(job.failure?.message ?? "the server gives no reason")),
         advice: isInput ? "Correct the mesh or the options, then press Remesh." : isLarge ? "Ask for fewer points." : "Press Remesh to try again.",
       };
     }

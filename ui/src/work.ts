@@ -6,7 +6,12 @@
 import type { Answers, Question, Reply, Requests, Task } from "./tasks.ts";
 
 /** Why there is no answer. Its message is for people. */
-export class WorkError extends Error {}
+export class WorkError extends Error {
+  /** `isFile`: the file cannot be read here; another reader may know it. */
+  constructor(message: string, readonly isFile = false) {
+    super(message);
+  }
+}
 
 interface Waiting {
   readonly resolve: (answer: never) => void;
@@ -41,7 +46,7 @@ export class Work {
     worker.addEventListener("message", ({ data }: MessageEvent<Reply>) => {
       const one = this.waiting.get(data.id);
       this.waiting.delete(data.id);
-      if ("error" in data) one?.reject(new WorkError(data.error));
+      if ("error" in data) one?.reject(new WorkError(data.error, data.isFile));
       else one?.resolve(data.answer as never);
     });
     worker.addEventListener("error", (event) => {

@@ -18,6 +18,9 @@ const MOST_FACETS = 6_000_000;
 /** The most facets that cells are drawn on. */
 const MOST_DIVIDED = 1_500_000;
 
+/** The most seeds whose cells are drawn, as at the service. */
+const MOST_SEEDS = 1_000_000;
+
 /** Seeds that count on a facet. A multiple of four, as a texel holds four. */
 const NEAREST = 12;
 
@@ -35,12 +38,12 @@ interface Divided {
 const kept: Record<Side, Kept | null> = { input: null, result: null };
 let divided: Divided | null = null;
 
-async function load({ side, file, format }: Requests["load"]): Promise<Loaded> {
+async function load({ side, file, format, isLoose }: Requests["load"]): Promise<Loaded> {
   drop({ side });
   if (!isShown(format)) throw new BadFile(`files of the format ${format} are not shown here`);
-  const surface = read(new Uint8Array(await file.arrayBuffer()), format);
+  const surface = read(new Uint8Array(await file.arrayBuffer()), format, isLoose);
   const facets = surface.indices.length / 3;
-  if (facets > MOST_FACETS) throw new BadFile(`${facets} facets are more than the ${MOST_FACETS} that are shown here`);
+  if (facets > MOST_FACETS) throw new Error(`${facets} facets are more than the ${MOST_FACETS} that are shown here`);
   // Both are drawn in the input's frame, so that they lie on each other.
   const frame = (side === "result" ? kept.input?.frame : null) ?? frameOf(surface);
   kept[side] = { surface, frame };
@@ -75,17 +78,18 @@ function compare(): Compared {
 }
 
 function cells({ seeds: bytes }: Requests["cells"]): Cells {
-  const { input } = kept;
+  const { input, result } = kept;
   if (!input) throw new BadFile("there is no surface to draw cells on");
   const { centre, diagonal } = input.frame;
-  const raw = new DataView(bytes);
-  const count = Math.floor(bytes.byteLength / 24);
+  const places = bytes ? doubles(bytes) : (result?.surface.positions ?? []);
+  const count = Math.floor(places.length / 3);
   if (count === 0) throw new BadFile("there are no seeds");
+  if (count > MOST_SEEDS) throw new BadFile("there are too many seeds to draw their cells");
   const points = new Float64Array(3 * count);
   const seeds = new Float32Array(4 * count);
   for (let seed = 0; seed < count; seed++) {
     for (let axis = 0; axis < 3; axis++) {
-      const x = (raw.getFloat64(24 * seed + 8 * axis, true) - centre[axis]) / diagonal;
+      const x = (places[3 * seed + axis] - centre[axis]) / diagonal;
       points[3 * seed + axis] = x;
       seeds[4 * seed + axis] = x;
     }
@@ -110,6 +114,11 @@ function cells({ seeds: bytes }: Requests["cells"]): Cells {
   return { corners: isNew ? corners.slice() : null, seeds, count, nearest, k: NEAREST };
 }
 
+function doubles(bytes: ArrayBuffer): Float64Array {
+  const raw = new DataView(bytes);
+  return Float64Array.from({ length: Math.floor(bytes.byteLength / 8) }, (_, i) => raw.getFloat64(8 * i, true));
+}
+
 const tasks: { [T in Task]: (request: Requests[T]) => Answers[T] | Promise<Answers[T]> } = { load, drop, compare, cells };
 
 /** The memory of all arrays of an answer. */
@@ -123,7 +132,7 @@ async function answer<T extends Task>({ id, task, request }: Question<T>): Promi
     reply = { id, answer: await tasks[task](request) };
   } catch (error) {
     const isMemory = error instanceof RangeError;
-    reply = { id, error: isMemory ? "there is not enough memory for it" : error instanceof Error ? error.message : String(error) };
+    reply = { id, error: isMemory ? "there is not enough memory for it" : error instanceof Error ? error.message : String(error), isFile: error instanceof BadFile };
   }
   postMessage(reply, { transfer: "answer" in reply ? arrays(reply.answer) : [] });
 }

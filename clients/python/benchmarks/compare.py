@@ -1,7 +1,7 @@
-"""Time, memory and cancellation of `tessera_remesh.remesh` beside the command, and time and quality beside pyacvd. Prints JSON.
+"""Time, memory and cancellation of `tessera_remesh.remesh` beside the command. Prints JSON.
 
 Usage: python compare.py COMMAND MESH.obj POINTS [ROUNDS]
-COMMAND is a `tessera` of the same code and profile. Needs Linux, meshio, pyvista and pyacvd.
+COMMAND is a `tessera` of the same code and profile. Needs Linux and meshio.
 The command's time is that of its report without reading and writing. Rounds alternate; the least time of each counts.
 """
 
@@ -86,33 +86,6 @@ def cancels(path: str, points: int, rounds: int) -> list[float]:
     return sorted(late)
 
 
-def beside_pyacvd(command: str, path: str, points: int) -> dict[str, dict[str, float]]:
-    """Seconds of both, and what the command measures of their results."""
-    import pyacvd
-    import pyvista
-
-    surface = pyvista.PolyData.from_regular_faces(*load(path))
-    start = time.perf_counter()
-    ours = surface.tessera.remesh(points, backend="parallel")
-    here = time.perf_counter() - start
-    start = time.perf_counter()
-    clustering = pyacvd.Clustering(surface.copy())  # it divides the mesh that it is given
-    # As its examples do: at least ten vertices a cluster.
-    while clustering.mesh.n_points < 10 * points:
-        clustering.subdivide(1)
-    clustering.cluster(points)
-    theirs = clustering.create_mesh()
-    seconds = [time.perf_counter() - start, here]
-    found = {}
-    with tempfile.TemporaryDirectory() as folder:
-        for name, mesh, taken in zip(("pyacvd", "tessera"), (theirs, ours), seconds):
-            file = os.path.join(folder, f"{name}.ply")
-            meshio.Mesh(np.asarray(mesh.points, dtype=float), [("triangle", mesh.regular_faces)]).write(file)
-            out = subprocess.run([command, "measure", path, file, "--json"], check=True, capture_output=True)
-            found[name] = {"seconds": taken, **json.loads(out.stdout)["quality"]}
-    return found
-
-
 def main() -> None:
     command, path, points = sys.argv[1], sys.argv[2], int(sys.argv[3])
     rounds = int(sys.argv[4]) if len(sys.argv) > 4 else 5
@@ -128,7 +101,6 @@ def main() -> None:
         "command_ms": min(there), "remesh_ms": min(here), "ratio": min(here) / min(there),
         "command_peak_bytes": min(most), "python": memory(path, points),
         "cancelled": len(late), "cancel_ms_most": late[-1] if late else None,
-        "beside": beside_pyacvd(command, path, points),
     }, indent=1))
 
 

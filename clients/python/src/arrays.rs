@@ -8,6 +8,7 @@ use glam::{DVec2, DVec3};
 use numpy::ndarray::ArrayView2;
 use numpy::{Element, PyArray1, PyArrayMethods, PyReadonlyArray1, PyReadonlyArray2};
 use pyo3::prelude::*;
+use tessera::mesh::numbers::NumberType;
 use tessera::rvd::on_threads_of;
 use tessera::{Backend, TriMesh};
 
@@ -105,6 +106,30 @@ pub(crate) fn numbers(array: &Bound<'_, PyAny>, name: &str) -> PyResult<Vec<f64>
         return Ok(array.as_array().iter().map(|&x| f64::from(x)).collect());
     }
     Err(input(format!("{name} is no array (n,) of float64 or float32")))
+}
+
+/// Words of the types of scalars.
+const NUMBERS: [(&str, NumberType); 9] = [
+    ("F64", NumberType::F64),
+    ("U8", NumberType::U8),
+    ("I8", NumberType::I8),
+    ("U16", NumberType::U16),
+    ("I16", NumberType::I16),
+    ("U32", NumberType::U32),
+    ("I32", NumberType::I32),
+    ("U64", NumberType::U64),
+    ("I64", NumberType::I64),
+];
+
+/// The type that a word names.
+pub(crate) fn number(word: &str) -> PyResult<NumberType> {
+    let found = NUMBERS.iter().find(|(known, _)| *known == word).map(|&(_, number)| number);
+    found.ok_or_else(|| input(format!("{word} is no type of a scalar")))
+}
+
+/// The word of a type.
+pub(crate) fn word(number: NumberType) -> &'static str {
+    NUMBERS.iter().find(|(_, known)| *known == number).map_or("F64", |&(word, _)| word)
 }
 
 /// (n, 3) float64.

@@ -30,7 +30,7 @@ mod _engine {
     #[pymodule_export]
     use crate::files::{read, write};
     #[pymodule_export]
-    use crate::remesh::remesh;
+    use crate::remesh::{nearest_faces, remesh};
     #[pymodule_export]
     use crate::rvd::rvd;
 

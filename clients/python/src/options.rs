@@ -8,8 +8,10 @@ use std::cell::RefCell;
 
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyString};
-use tessera::mesh::attributes::{Attributes, ColourDepth, Colours, Normals, PerCorner};
-use tessera::{DensityOptions, DensitySource, Placement, Projection, Refine, RemeshOptions, Seeds, Tolerance, TriMesh};
+use tessera::mesh::attributes::{Attributes, ColourDepth, Colours, Normals, PerCorner, Scalar};
+use tessera::{
+    DensityOptions, DensitySource, Placement, Projection, Refine, RemeshOptions, Seeds, Share, Tolerance, TriMesh,
+};
 
 use crate::arrays;
 use crate::errors::input;
@@ -78,7 +80,17 @@ impl<'py> Options<'py> {
     pub(crate) fn seeds(&self) -> PyResult<Seeds> {
         let seed = self.get("seed", "a whole number from 0 to 2**64 - 1")?.unwrap_or(Seeds::RANDOM_SEED);
         let points: Option<usize> = self.get("points", "a whole number, at least 1")?;
+        let facets: Option<usize> = self.get("facets", "a whole number, at least 1")?;
         let given = self.list("seeds", arrays::points)?;
+        if let Some(facets) = facets {
+            if points.is_some() || given.is_some() {
+                return Err(input("facets is given beside points or seeds; give one of them"));
+            }
+            if facets == 0 {
+                return Err(input("facets is 0; at least 1 is needed"));
+            }
+            return Ok(Seeds::Share { of: Share::Facets(facets), seed });
+        }
         match (given, points) {
             (Some(_), Some(_)) => Err(input("points and seeds are given; give one of them")),
             (Some(seeds), None) => Ok(Seeds::Given(seeds)),
@@ -191,8 +203,11 @@ pub(crate) fn attributes(given: &Bound<'_, PyAny>, mesh: &TriMesh) -> PyResult<A
         let scalars = scalars.cast::<PyDict>().map_err(|_| input("scalars is no dictionary"))?;
         for (name, values) in scalars.iter() {
             let name: String = name.extract().map_err(|_| input("a scalar's name is no text"))?;
+            let (values, form, components): (Bound<'_, PyAny>, String, usize) =
+                values.extract().map_err(|_| input("a scalar is no array with its type and its number of columns"))?;
+            let number = arrays::number(&form)?;
             let values = arrays::numbers(&values, &name)?;
-            attributes.add_scalar(name, values).map_err(input)?;
+            attributes.add_scalar(Scalar { name, number, components, values }).map_err(input)?;
         }
     }
     options.end()?;

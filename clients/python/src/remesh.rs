@@ -2,9 +2,10 @@
 
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyString};
-use tessera::Remesh;
 use tessera::mesh::attributes::{Attributes, ColourDepth, Normals};
+use tessera::mesh::closest_point::ClosestPoint;
 use tessera::rvd::on_threads_of;
+use tessera::{Remesh, RvdError};
 
 use crate::options::Options;
 use crate::{arrays, backends, errors, running};
@@ -31,6 +32,24 @@ pub(crate) fn remesh<'py>(
     })?;
     let done = done.map_err(errors::engine)?;
     result(py, done)
+}
+
+/// `nearest_faces(vertices, faces, points) -> array`: (n,) int32, the face of a surface that is nearest to each point.
+#[pyfunction]
+pub(crate) fn nearest_faces<'py>(
+    py: Python<'py>,
+    vertices: &Bound<'py, PyAny>,
+    faces: &Bound<'py, PyAny>,
+    points: &Bound<'py, PyAny>,
+) -> PyResult<Bound<'py, PyAny>> {
+    let backend = py.detach(|| backends::open("parallel", None))?;
+    let mesh = arrays::mesh(vertices, faces, backend.as_ref())?;
+    let points = arrays::points(points, "points")?;
+    let nearest = running::run(py, None, |_, token| {
+        on_threads_of(backend.as_ref(), || ClosestPoint::new(&mesh).project_all(&points, token))
+    })?;
+    let nearest = nearest.map_err(|stopped| errors::engine(RvdError::from(stopped).into()))?;
+    Ok(arrays::of_counts(py, nearest.into_iter().map(|point| point.facet).collect()))
 }
 
 fn result(py: Python<'_>, done: Remesh) -> PyResult<Bound<'_, PyDict>> {
@@ -74,7 +93,8 @@ pub(crate) fn carried<'py>(py: Python<'py>, attributes: &Attributes) -> PyResult
     }
     let scalars = PyDict::new(py);
     for scalar in attributes.scalars() {
-        scalars.set_item(&scalar.name, arrays::of_numbers(py, scalar.values.clone()))?;
+        let values = arrays::of_numbers(py, scalar.values.clone());
+        scalars.set_item(&scalar.name, (values, arrays::word(scalar.number), scalar.components))?;
     }
     dict.set_item("scalars", scalars)?;
     Ok(dict)

@@ -27,7 +27,7 @@ pub(crate) fn start(
 ) -> Result<Start, RemeshError> {
     let plan = plan(mesh, density, seeds.count(), token)?;
     let seeds = match seeds {
-        Seeds::Sample { seed, .. } | Seeds::Implied { seed } => {
+        Seeds::Sample { seed, .. } | Seeds::Implied { seed } | Seeds::Share { seed, .. } => {
             let points = sample(&plan.mesh, plan.weights.as_deref(), plan.points, seed);
             points.into_iter().map(|point| point.position).collect()
         }

@@ -7,7 +7,9 @@ import re
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 import tessera_remesh
 import tessera_remesh.calls
@@ -19,16 +21,47 @@ def test_examples_run(module):
     assert tried > 0 and failed == 0
 
 
+def run_blocks(page: str, instead: dict[str, str] | None = None) -> dict[str, Any]:
+    """Runs the blocks of Python of a page, one after the other, and returns their variables."""
+    text = (Path(__file__).parents[3] / "docs" / page).read_text()
+    for old, new in (instead or {}).items():
+        text = text.replace(old, new)
+    names: dict[str, Any] = {"__name__": "guide"}
+    for block in re.findall(r"^```python\n(.*?)^```$", text, re.MULTILINE | re.DOTALL):
+        exec(compile(block, f"docs/{page}", "exec"), names)
+    return names
+
+
+def smallest_angle(mesh: Any) -> float:
+    """Of a pyvista mesh, in degrees."""
+    corners = np.asarray(mesh.points, dtype=float)[mesh.regular_faces]
+    sides = [corners[:, (k + 1) % 3] - corners[:, k] for k in range(3)]
+    units = [side / np.linalg.norm(side, axis=1, keepdims=True) for side in sides]
+    return float(min(np.degrees(np.arccos(-(units[k] * units[k - 1]).sum(axis=1).clip(-1, 1))).min() for k in range(3)))
+
+
+def test_snippets_of_other_packages_and_ours_do_the_same(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    pytest.importorskip("pyacvd")
+    pytest.importorskip("pymeshlab")
+    pyvista = pytest.importorskip("pyvista")
+    monkeypatch.chdir(tmp_path)
+    names = run_blocks("coming-from.md")
+    assert abs(names["by_tessera"].n_points / names["by_pyacvd"].n_points - 1) < 0.02
+    assert smallest_angle(names["by_tessera"]) > smallest_angle(names["by_pyacvd"])
+    assert "height" in names["by_tessera"].point_data
+    meshes = [pyvista.read(tmp_path / f"ring-by-{name}.ply") for name in ("meshlab", "tessera")]
+    assert 0.7 < meshes[0].n_points / meshes[1].n_points < 1.4
+    assert smallest_angle(meshes[1]) > smallest_angle(meshes[0])
+    assert names["new_faces"].shape[1] == 3
+
+
 def test_the_guide_runs(
     endpoint: str, capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
     pytest.importorskip("grpc")
     # It writes files.
     monkeypatch.chdir(tmp_path)
-    guide = (Path(__file__).parents[3] / "docs" / "python.md").read_text().replace("http://127.0.0.1:50051", endpoint)
-    names: dict[str, object] = {"__name__": "guide"}
-    for block in re.findall(r"^```python\n(.*?)^```$", guide, re.MULTILINE | re.DOTALL):
-        exec(compile(block, "docs/python.md", "exec"), names)
+    names = run_blocks("python.md", {"http://127.0.0.1:50051": endpoint})
     with capsys.disabled():
         assert names["there"].report.faces == names["result"].report.faces
 

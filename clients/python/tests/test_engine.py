@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import _thread
+import os
+import subprocess
+import sys
 import threading
 import time
 
 import numpy as np
 import pytest
 import tessera_remesh
-from tessera_remesh import Attributes, Cancelled, InputError, Progress
+from tessera_remesh import Attributes, Cancelled, InputError, Progress, surroundings
 
 from conftest import torus
 
@@ -160,7 +163,11 @@ def test_counts_are_written_as_people_do(surface, points):
 def test_a_share_of_the_vertices_is_a_count(surface):
     half = tessera_remesh.remesh(*surface, points="50%", newton=0)
     assert len(half.seeds) == len(surface[0]) // 2
-    for points in ("many", "10.5", "-3", 10.5, "5 %%"):
+    facets = tessera_remesh.remesh(*surface, facets="0.6k")
+    assert abs(len(facets.faces) - 600) <= 12
+    with pytest.raises(InputError, match="facets"):
+        tessera_remesh.remesh(*surface, facets=600, points=300)
+    for points in ("many", "10.5", "-3", 10.5, "5 %%", "1,5"):
         with pytest.raises(InputError, match="points"):
             tessera_remesh.remesh(*surface, points=points)
 
@@ -189,6 +196,23 @@ def test_results_are_shown_in_a_line(surface):
     assert repr(result).startswith("Remesh(vertices 300, faces 600, mean quality 0.") and len(repr(result)) < 200
     assert "<td>300</td>" in result._repr_html_() and repr(result.report).startswith("Report(vertices 300")
     assert len(repr(tessera_remesh.rvd(*surface, points=50))) < 60
+
+
+def test_labels_keep_their_values_and_their_type(surface):
+    vertices, _ = surface
+    given = {
+        "label": np.where(vertices[:, 0] > 0, 3, -40).astype(np.int8),
+        "inside": vertices[:, 1] > 0,
+        "id": np.arange(len(vertices)),
+        "velocity": vertices * 2,
+    }
+    carried = tessera_remesh.remesh(*surface, points=300, attributes=given).attributes.scalars
+    for name, values in given.items():
+        assert carried[name].dtype == values.dtype and carried[name].shape[1:] == values.shape[1:], name
+        # Nothing that was not there.
+        assert name == "velocity" or set(carried[name].tolist()) <= set(values.tolist()), name
+    with pytest.raises(InputError, match="beyond 2\\^53"):
+        tessera_remesh.remesh(*surface, points=300, attributes={"id": given["id"] + 2**60})
 
 
 def test_gaps_of_a_scalar_stay_gaps(surface):
@@ -330,3 +354,21 @@ def test_seeds_may_be_given(surface):
 
 def test_cancelled_is_an_error_of_the_package():
     assert issubclass(Cancelled, tessera_remesh.TesseraError)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="the layer is Mesa's for Linux")
+def test_drivers_say_nothing_where_there_is_no_desktop():
+    for alone in ({}, {"XDG_RUNTIME_DIR": ""}, {"XDG_RUNTIME_DIR": "run", "WAYLAND_DISPLAY": "wayland-0"}):
+        variables = dict(alone)
+        surroundings.prepare(variables)
+        assert variables == {**alone, "NODEVICE_SELECT": "1"}
+    for other in ("XDG_RUNTIME_DIR", "WAYLAND_DISPLAY", "WAYLAND_SOCKET", "NODEVICE_SELECT", "MESA_VK_DEVICE_SELECT", "DRI_PRIME"):
+        variables = {other: "/run/user/1000"}
+        surroundings.prepare(variables)
+        assert variables == {other: "/run/user/1000"}
+
+    desktop = ("XDG_RUNTIME_DIR", "WAYLAND_DISPLAY", "DISPLAY", "NODEVICE_SELECT")
+    without = {name: value for name, value in os.environ.items() if name not in desktop}
+    code = "import tessera_remesh as t; t.remesh([(0, 0, 0), (1, 0, 0), (0, 1, 0)], [(0, 1, 2)], points=20)"
+    done = subprocess.run([sys.executable, "-c", code], env=without, capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (0, "")

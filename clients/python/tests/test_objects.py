@@ -49,11 +49,75 @@ def test_meshio(surface):
     mesh = meshio.Mesh(surface[0], [("triangle", surface[1])], point_data={"flow": surface[0]})
     out = tessera_remesh.remesh(mesh, points=300).mesh
     assert isinstance(out, meshio.Mesh) and out.cells[0].type == "triangle"
-    assert set(out.point_data) == {"flow_0", "flow_1", "flow_2"}
+    assert out.point_data["flow"].shape == (300, 3) and np.abs(out.point_data["flow"] - out.points).max() < 0.2
     quads = meshio.Mesh([[0, 0], [1, 0], [1, 1], [0, 1]], [("quad", [[0, 1, 2, 3]])])
     assert tessera_remesh.remesh(quads, points=50).report.boundary_loops == 1
     with pytest.raises(tessera_remesh.InputError, match="line"):
         tessera_remesh.remesh(meshio.Mesh([[0, 0, 0], [1, 0, 0]], [("line", [[0, 1]])]), points=10)
+
+
+def test_face_data_are_those_of_the_face_below(surface):
+    pyvista, trimesh, meshio = (pytest.importorskip(name) for name in ("pyvista", "trimesh", "meshio"))
+    vertices, faces = surface
+    side = np.where(vertices[faces].mean(axis=1)[:, 2] > 0, 7, -1).astype(np.int32)
+    objects = [
+        pyvista.PolyData.from_regular_faces(vertices, faces),
+        trimesh.Trimesh(vertices, faces, process=False),
+        meshio.Mesh(vertices, [("triangle", faces)], cell_data={"side": [side]}),
+    ]
+    objects[0].cell_data["side"], objects[1].face_attributes["side"] = side, side
+    get = [
+        lambda mesh: np.asarray(mesh.cell_data["side"]),
+        lambda mesh: mesh.face_attributes["side"],
+        lambda mesh: mesh.cell_data["side"][0],
+    ]
+    for mesh, data in zip(objects, get):
+        result = tessera_remesh.remesh(mesh, points=400, newton=5)
+        found, height = data(result.mesh), result.vertices[result.faces].mean(axis=1)[:, 2]
+        assert found.dtype == np.int32 and len(found) == len(result.faces)
+        clear = np.abs(height) > 0.05
+        assert (found[clear] == np.where(height > 0, 7, -1)[clear]).all()
+        assert not tessera_remesh.remesh(mesh, points=100, attributes=False).face_data
+    # Two quadrilaterals become four triangles, each with its own.
+    points = [[0, 0, 0], [1, 0, 0], [2, 0, 0], [0, 1, 0], [1, 1, 0], [2, 1, 0]]
+    quads = meshio.Mesh(points, [("quad", [[0, 1, 4, 3], [1, 2, 5, 4]])], cell_data={"part": [[1, 2]]})
+    result = tessera_remesh.remesh(quads, points=100)
+    middle = result.vertices[result.faces].mean(axis=1)[:, 0]
+    clear = np.abs(middle - 1) > 0.01
+    assert (result.face_data["part"][clear] == np.where(middle < 1, 1, 2)[clear]).all()
+
+
+def test_texture_and_normals_reach_the_libraries(surface):
+    pyvista, trimesh = (pytest.importorskip(name) for name in ("pyvista", "trimesh"))
+    sphere = pyvista.Sphere(theta_resolution=40, phi_resolution=40)
+    sphere.active_texture_coordinates = np.asarray(sphere.points[:, :2]) * 0.3
+    out = tessera_remesh.remesh(sphere, points=300).mesh
+    assert np.abs(out.active_texture_coordinates - out.points[:, :2] * 0.3).max() < 0.01
+    around = out.points / np.linalg.norm(out.points, axis=1)[:, None]
+    assert (np.einsum("ij,ij->i", out.active_normals, around) > 0.98).all()
+    vertices, faces = surface
+    mesh = trimesh.Trimesh(vertices, faces, process=False)
+    mesh.visual = trimesh.visual.TextureVisuals(uv=vertices[:, :2] * 0.1)
+    out = tessera_remesh.remesh(mesh, points=300).mesh
+    assert np.abs(out.visual.uv - out.vertices[:, :2] * 0.1).max() < 0.05
+    # A cube's corners have three normals each, and its faces texture of their own: the result has a vertex for each.
+    out = tessera_remesh.remesh(pyvista.Cube(clean=False).triangulate(), points=300).mesh
+    assert np.allclose(np.abs(out.active_normals).max(axis=1), 1) and out.n_points > 300
+    assert out.clean(tolerance=1e-9).n_open_edges == 0
+
+
+def test_what_cannot_be_carried_is_a_warning(surface):
+    pyvista = pytest.importorskip("pyvista")
+    mesh = pyvista.PolyData.from_regular_faces(*surface)
+    count = mesh.n_points
+    mesh.point_data["many"] = np.zeros((count, 65))
+    mesh.point_data["id"] = np.arange(count) + 2**60
+    mesh.point_data["a b"], mesh.point_data["a?b"] = np.zeros(count), np.ones(count)
+    with pytest.warns(tessera_remesh.RemeshWarning) as caught:
+        carried = tessera_remesh.remesh(mesh, points=100).attributes.scalars
+    said = sorted(str(warning.message) for warning in caught)
+    assert len(said) == 2 and "id" in said[0] and "many" in said[1]
+    assert sorted(carried) == ["a_b", "a_b_2"] and (carried["a_b"] == 0).all() and (carried["a_b_2"] == 1).all()
 
 
 def test_arrays_need_none_of_these():

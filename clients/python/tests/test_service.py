@@ -45,6 +45,8 @@ OPTIONS = [
     {"points": 300, "creases": [[0, 30], [30, 60]], "crease_angle": 0.0},
     {"seeds": torus(10, 20)[0], "lloyd": 1, "newton": 0},
     {"points": 200, "attributes": {"height": np.arange(1800.0)}},
+    {"facets": 500},
+    {"points": "20%"},
 ]
 
 
@@ -88,14 +90,25 @@ def test_all_attributes_travel(surface, endpoint):
         normals=vertices.copy(),
         texture=vertices[:, :2].copy(),
         colours=np.tile(np.array([[1, 2, 3, 4]], dtype=np.uint8), (len(vertices), 1)),
-        scalars={"a": vertices[:, 0].copy(), "b": vertices[:, 1].copy()},
+        scalars={
+            "a": vertices[:, 0].copy(),
+            "label": np.where(vertices[:, 1] > 0, -7, 40).astype(np.int16),
+            "inside": vertices[:, 2] > 0,
+            "velocity": vertices * 2,
+            "pair": np.tile([[3, 4]], (len(vertices), 1)),
+        },
     )
     here = tessera_remesh.remesh(vertices, faces, points=200, attributes=attributes, backend="parallel").attributes
     there = tessera_remesh.remesh(vertices, faces, points=200, attributes=attributes, endpoint=endpoint).attributes
     for name in ("normals", "texture", "texture_corners", "colours"):
         assert np.array_equal(getattr(here, name), getattr(there, name)), name
     assert here.colours.dtype == there.colours.dtype == np.uint8
-    assert set(there.scalars) == {"a", "b"}
+    assert set(there.scalars) == set(attributes.scalars)
+    for name, values in attributes.scalars.items():
+        assert here.scalars[name].dtype == there.scalars[name].dtype == values.dtype, name
+        assert np.array_equal(here.scalars[name], there.scalars[name]), name
+        assert here.scalars[name].shape[1:] == values.shape[1:], name
+    assert set(there.scalars["label"]) == {-7, 40} and (there.scalars["pair"] == [3, 4]).all()
 
 
 def test_diagrams_and_steps(surface, endpoint):

@@ -6,12 +6,13 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Result;
 use clap::Args;
-use serde_json::json;
+use serde_json::{Value, json};
 
 use super::{id, show};
 use crate::exit::{Absent, NoResult, Unavailable, Usage};
 use crate::files;
 use crate::progress::Progress;
+use crate::remesh::told_of;
 use crate::remote::{Session, has_ended, session};
 use crate::say::{plain, plain_json};
 use crate::server::ServerArgs;
@@ -47,6 +48,12 @@ pub(super) fn run(args: &FetchArgs, server: &ServerArgs) -> Result<()> {
         let job = session.job(id).await?;
         check(&job)?;
         let mut told = json!({ "id": id });
+        // Warnings are of the whole result, whichever part is fetched.
+        let figures = match digest(&job, "report") {
+            Ok(digest) => Some(read_report(session, digest, &progress).await?),
+            Err(_) if report.is_none() => None,
+            Err(error) => return Err(error),
+        };
         if let Some(path) = output {
             let name = name.as_deref().unwrap_or(usual(&job));
             let digest = digest(&job, name)?;
@@ -57,14 +64,18 @@ pub(super) fn run(args: &FetchArgs, server: &ServerArgs) -> Result<()> {
             (told["name"], told["digest"]) = (name.into(), digest.into());
             (told["size_bytes"], told["file"]) = (size.into(), path.to_string_lossy().into());
         }
-        if let Some(path) = report {
-            write_report(session, digest(&job, "report")?, path, &progress).await?;
+        if let (Some(path), Some(figures)) = (report, &figures) {
+            files::write_json(path, figures)?;
             told["report"] = path.to_string_lossy().into();
         }
-        Ok(told)
+        Ok((told, figures.unwrap_or_default()))
     });
     drop(progress);
-    let told = fetched?;
+    let (mut told, figures) = fetched?;
+    told_of(&figures).for_each(|(_, text)| errln!("tessera: warning: job {id}: {text}"));
+    if let Some(warnings) = figures.get("warnings") {
+        told["warnings"] = warnings.clone();
+    }
     server.tell(|| told, Vec::new)
 }
 
@@ -117,7 +128,7 @@ fn check_extension(job: &Job, name: &str, path: &Path) -> Result<()> {
     Ok(())
 }
 
-async fn write_report(session: &mut Session<'_>, digest: &str, path: &Path, progress: &Progress) -> Result<()> {
+async fn read_report(session: &mut Session<'_>, digest: &str, progress: &Progress) -> Result<Value> {
     let wrong = |text: &str| Unavailable(format!("the server's answer is wrong: {text}"));
     let mut bytes = Vec::new();
     let mut keep = |piece: &[u8]| {
@@ -125,6 +136,6 @@ async fn write_report(session: &mut Session<'_>, digest: &str, path: &Path, prog
         if bytes.len() > REPORT_BYTES { Err(wrong("its report does not end").into()) } else { Ok(()) }
     };
     session.download(digest, &mut keep, progress).await?;
-    let report = serde_json::from_slice(&bytes).ok().filter(serde_json::Value::is_object);
-    files::write_json(path, &plain_json(report.ok_or_else(|| wrong("its report is no report"))?))
+    let report = serde_json::from_slice(&bytes).ok().filter(Value::is_object);
+    Ok(plain_json(report.ok_or_else(|| wrong("its report is no report"))?))
 }

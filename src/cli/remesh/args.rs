@@ -29,7 +29,7 @@ use wire::proto::{self, BoundaryRule, Placement, Projection, ThinRule};
 use wire::{WireError, names};
 
 #[derive(Args, Debug)]
-#[command(group(ArgGroup::new("size").required(true).multiple(true).args(["points", "edge_length", "sizes"])))]
+#[command(group(ArgGroup::new("size").required(true).multiple(true).args(["points", "facets", "edge_length", "sizes"])))]
 pub(crate) struct RemeshArgs {
     /// The surfaces.
     #[arg(required = true, value_name = "INPUT", help = files::help_of("The surface", "several with --out-dir; - is the \
@@ -82,11 +82,15 @@ pub(super) struct FileArgs {
 }
 
 #[derive(Args, Debug)]
-#[command(next_help_heading = "Size (--points, --edge-length or --sizes is required)")]
+#[command(next_help_heading = "Size (--points, --facets, --edge-length or --sizes is required)")]
 pub(crate) struct SizeArgs {
-    /// Number of seeds, about the number of vertices of the result.
+    /// Number of seeds, about the number of vertices of the result: 10000, 10k, or 50% of the input's vertices.
+    #[arg(long, value_name = "N|P%", value_parser = points, allow_negative_numbers = true)]
+    #[arg(conflicts_with_all = ["edge_length", "facets"])]
+    pub(crate) points: Option<String>,
+    /// About how many facets the result has, instead of --points.
     #[arg(long, value_name = "N", value_parser = count, allow_negative_numbers = true, conflicts_with = "edge_length")]
-    pub(crate) points: Option<u32>,
+    pub(crate) facets: Option<u32>,
     /// Length of the edges, in the input's units, instead of --points. If --density is not uniform: as many points
     /// as edges of this length everywhere would need.
     #[arg(long, value_name = "H", value_parser = positive, conflicts_with = "sizes", allow_negative_numbers = true)]
@@ -194,6 +198,14 @@ const PLACEMENTS: Words<Placement> = &[
     ("surface", "On the input surface", Placement::Surface),
     ("centroids", "To the centroids of their cells", Placement::Centroids),
 ];
+
+/// A number of points, or percent of the vertices.
+fn points(text: &str) -> Result<String, String> {
+    match text.trim().strip_suffix('%') {
+        Some(percent) => positive(percent).map(|_| text.to_owned()),
+        None => count(text).map(|_| text.to_owned()),
+    }
+}
 
 pub(crate) fn usage(error: WireError) -> anyhow::Error {
     let text = error.under("options").to_string();

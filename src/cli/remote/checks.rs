@@ -67,7 +67,10 @@ impl Expected {
                 }
                 // Of a byte or of eight.
                 Ok(AttributeKind::Colours) => expected.add(ArrayKind::Colours, 0, Room::of(4, 8 * vertices)),
-                Ok(AttributeKind::Scalar) => expected.add(ArrayKind::Scalars, place, Room::of(4, 2 * vertices)),
+                Ok(AttributeKind::Scalar) => {
+                    let numbers = u64::from(header.components.max(1));
+                    expected.add(ArrayKind::Scalars, place, Room::of(1, 8 * numbers * vertices));
+                }
                 Ok(AttributeKind::Unspecified) | Err(_) => {}
             }
         }
@@ -131,7 +134,7 @@ impl Expected {
             let (values, _) = counts.array_kinds();
             let place = if values == ArrayKind::Scalars { place } else { 0 };
             let (came, _) = self.came.get(&(values.into(), place)).copied().unwrap_or_default();
-            let said = counts.values.saturating_mul(counts.numbers * counts.number_bytes);
+            let said = counts.values.saturating_mul(counts.numbers * counts.number.bytes() as u64);
             if came != said {
                 let name = values.as_str_name();
                 return Err(wrong(format!("{name} has {came} bytes, but {said} were announced")));
@@ -152,6 +155,7 @@ fn most(mesh: &TriMesh, options: &RemeshOptions) -> (u64, u64) {
             of_length(sizes.iter().copied().fold(f64::INFINITY, f64::min))
         }
         (Seeds::Implied { .. }, _) => options.density.edge_length.map_or(MOST, of_length),
+        (Seeds::Share { of, .. }, _) => of.points(mesh) as u64,
     };
     let points = points.max(options.refine.map_or(0, |refine| refine.max_points.unwrap_or(0) as u64)).min(MOST);
     let input = (mesh.positions().len() + mesh.facets().len()) as u64;

@@ -7,6 +7,7 @@
 
 use super::edges::{EdgeGroups, Half};
 use super::{TriMesh, coincident};
+use crate::token::{Pace, Stopped, Token};
 
 /// Kind of an edge, seen from one of its facets.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -24,7 +25,7 @@ pub enum EdgeKind {
 }
 
 /// Edges of a surface. Half-edge `3 * facet + e` runs from corner `e` to corner `(e + 1) % 3`.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub struct Adjacency {
     representative: Vec<u32>,
     kinds: Vec<EdgeKind>,
@@ -43,28 +44,43 @@ const NONE: usize = usize::MAX;
 
 /// For each vertex the lowest vertex at exactly the same position (0 and -0 are the same).
 pub fn weld(mesh: &TriMesh) -> Vec<u32> {
+    weld_unless(mesh, &Token::default()).unwrap_or_default()
+}
+
+/// As [`weld`], unless it is stopped.
+pub fn weld_unless(mesh: &TriMesh, token: &Token) -> Result<Vec<u32>, Stopped> {
     let mut representative: Vec<u32> = (0..mesh.positions().len() as u32).collect();
-    for (later, earliest) in coincident::find(mesh.positions()) {
+    for (later, earliest) in coincident::find_unless(mesh.positions(), token)? {
         representative[later as usize] = earliest;
     }
-    representative
+    Ok(representative)
 }
 
 impl Adjacency {
     /// Finds the edges of `mesh`.
     pub fn new(mesh: &TriMesh) -> Self {
-        let representative = weld(mesh);
+        Self::unless(mesh, &Token::default()).unwrap_or_default()
+    }
+
+    /// As [`Self::new`], unless it is stopped.
+    pub fn unless(mesh: &TriMesh, token: &Token) -> Result<Self, Stopped> {
+        let representative = weld_unless(mesh, token)?;
         let halves = 3 * mesh.facets().len();
         let welded = |corners: &[u32; 3]| corners.map(|c| representative[c as usize]);
         let facets = mesh.facets().iter().map(welded).enumerate();
         let different = facets.filter(|(_, v)| v[0] != v[1] && v[1] != v[2] && v[2] != v[0]);
-        let groups = EdgeGroups::new(representative.len(), different);
+        let groups = EdgeGroups::unless(representative.len(), different, token)?;
         let forward = |low: u32, half: Half| welded(&mesh.facets()[half.facet as usize])[half.side] == low;
         let number = |half: Half| 3 * half.facet as usize + half.side;
         let mut kinds = vec![EdgeKind::Collapsed; halves];
         let mut opposites = vec![NONE; halves];
         let [mut edges, mut boundary_edges, mut inconsistent_edges, mut non_manifold_edges] = [0; 4];
+        let mut pace = Pace::default();
         groups.for_each(|low, edge| {
+            // What is there then is not used.
+            if token.is_stopped_after(1, &mut pace) || token.is_told_to_stop() {
+                return;
+            }
             edges += 1;
             let kind = match *edge {
                 [_] => EdgeKind::Boundary,
@@ -83,7 +99,8 @@ impl Adjacency {
                 EdgeKind::Manifold | EdgeKind::Collapsed => {}
             }
         });
-        Self { representative, kinds, opposites, edges, boundary_edges, inconsistent_edges, non_manifold_edges }
+        token.check()?;
+        Ok(Self { representative, kinds, opposites, edges, boundary_edges, inconsistent_edges, non_manifold_edges })
     }
 
     /// The half-edge across an edge with exactly two facets, whichever way they run.

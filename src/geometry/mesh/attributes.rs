@@ -6,6 +6,7 @@
 
 use glam::{DVec2, DVec3};
 
+use super::numbers::NumberType;
 use super::{MAX_ELEMENTS, TriMesh};
 
 /// Values by corner, so that facets around a vertex may have different ones; such edges are seams.
@@ -45,14 +46,31 @@ pub struct Colours {
     pub depth: ColourDepth,
 }
 
-/// A named number of each vertex.
+/// A named number of each vertex, or a vector or tensor.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Scalar {
     /// Name: ASCII letters, digits, `_` and `-`, not a digit or `-` first, as in PLY. At most [`MAX_NAME_BYTES`].
     pub name: String,
-    /// One for each vertex, any unit.
+    /// Type in the source. A remesh interpolates numbers with fractions, and takes whole ones from the nearest vertex.
+    pub number: NumberType,
+    /// Numbers of each vertex, 1 to [`MAX_COMPONENTS`].
+    pub components: usize,
+    /// `components` for each vertex, any unit.
     pub values: Vec<f64>,
 }
+
+impl Scalar {
+    /// One number with fractions for each vertex.
+    pub fn new(name: impl Into<String>, values: Vec<f64>) -> Self {
+        Self { name: name.into(), number: NumberType::F64, components: 1, values }
+    }
+}
+
+/// The most numbers that a scalar has at each vertex.
+pub const MAX_COMPONENTS: usize = 64;
+
+/// Doubles hold all whole numbers up to this one.
+const LARGEST_EXACT: f64 = 9_007_199_254_740_992.0;
 
 /// The longest name of a scalar, bytes.
 pub const MAX_NAME_BYTES: usize = 128;
@@ -110,6 +128,22 @@ pub enum AttributeError {
         /// The defect.
         reason: &'static str,
     },
+    /// A vertex has no number, or too many.
+    #[error("scalar {name:?} has {components} numbers a vertex; 1 to {MAX_COMPONENTS} are possible")]
+    Components {
+        /// The scalar's name.
+        name: String,
+        /// How many were given.
+        components: usize,
+    },
+    /// A whole number that double precision rounds.
+    #[error("scalar {name:?}: value {index} is beyond 2^53, where whole numbers are rounded; give smaller ones")]
+    Inexact {
+        /// The scalar's name.
+        name: String,
+        /// Which of its values, from 0.
+        index: usize,
+    },
     /// A file holds it in a way that cannot be understood.
     #[error("{attribute}: {message}")]
     Unreadable {
@@ -131,12 +165,12 @@ pub enum AttributeError {
 /// The attributes of a mesh, empty at first. What would break the invariant is refused, with its name and the value's index.
 ///
 /// ```
-/// use tessera::mesh::attributes::{AttributeError, Attributes};
+/// use tessera::mesh::attributes::{AttributeError, Attributes, Scalar};
 /// use tessera::mesh::shapes::Shape;
 /// let mesh = Shape::Square.build(2);
 /// let mut attributes = Attributes::new(&mesh);
-/// attributes.add_scalar("height", vec![0.0; 4])?;
-/// let short = attributes.add_scalar("width", vec![0.0; 3]);
+/// attributes.add_scalar(Scalar::new("height", vec![0.0; 4]))?;
+/// let short = attributes.add_scalar(Scalar::new("width", vec![0.0; 3]));
 /// assert!(matches!(short, Err(AttributeError::Count { count: 3, expected: 4, .. })));
 /// # Ok::<(), AttributeError>(())
 /// ```
@@ -197,17 +231,31 @@ impl Attributes {
         Ok(())
     }
 
-    /// Takes one more scalar. Values may be NaN, where nothing was measured, and not infinite.
-    pub fn add_scalar(&mut self, name: impl Into<String>, values: Vec<f64>) -> Result<(), AttributeError> {
-        let name = name.into();
-        check_name(&name)?;
-        if self.scalars.iter().any(|s| s.name == name) {
-            return Err(AttributeError::Name { name, reason: "another scalar has this name" });
+    /// Takes one more scalar. Values may be NaN, where nothing was measured, and not infinite. Single precision becomes double,
+    /// and so does a type of whole numbers that does not hold all values.
+    pub fn add_scalar(&mut self, mut scalar: Scalar) -> Result<(), AttributeError> {
+        let Scalar { name, components, values, .. } = &scalar;
+        check_name(name)?;
+        let name = || name.clone();
+        if self.scalars.iter().any(|other| other.name == scalar.name) {
+            return Err(AttributeError::Name { name: name(), reason: "another scalar has this name" });
         }
-        let attribute = format!("scalar {name:?}");
-        check_count(&attribute, values.len(), self.vertices, "vertices")?;
-        check_finite(&attribute, &values, |x| !x.is_infinite())?;
-        self.scalars.push(Scalar { name, values });
+        if !(1..=MAX_COMPONENTS).contains(components) {
+            return Err(AttributeError::Components { name: name(), components: *components });
+        }
+        let attribute = format!("scalar {:?}", scalar.name);
+        if !values.len().is_multiple_of(*components) {
+            let (count, expected) = (values.len(), components * self.vertices);
+            return Err(AttributeError::Count { attribute, count, expected, of: "vertices" });
+        }
+        check_count(&attribute, values.len() / components, self.vertices, "vertices")?;
+        check_finite(&attribute, values, |x| !x.is_infinite())?;
+        if scalar.number.is_float() || !values.iter().all(|&x| scalar.number.has(x)) {
+            scalar.number = NumberType::F64;
+        } else if let Some(index) = values.iter().position(|x| x.abs() > LARGEST_EXACT) {
+            return Err(AttributeError::Inexact { name: name(), index });
+        }
+        self.scalars.push(scalar);
         Ok(())
     }
 
@@ -357,10 +405,13 @@ mod tests {
         values[2][3] = f64::NAN;
         let nan = attributes.set_colours(Colours { values, depth: ColourDepth::Float }).unwrap_err();
         assert!(matches!(nan, AttributeError::NonFinite { index: 2, .. }));
-        attributes.add_scalar("a", vec![0.0; 4]).unwrap();
-        attributes.add_scalar("gaps", vec![0.0, f64::NAN, 1.0, 2.0]).unwrap();
+        attributes.add_scalar(Scalar::new("a", vec![0.0; 4])).unwrap();
+        attributes.add_scalar(Scalar::new("gaps", vec![0.0, f64::NAN, 1.0, 2.0])).unwrap();
         for name in ["", "a", "a b", "ä", "1a", "a/b", &"x".repeat(129)] {
-            assert!(matches!(attributes.add_scalar(name, vec![0.0; 4]), Err(AttributeError::Name { .. })), "{name}");
+            assert!(
+                matches!(attributes.add_scalar(Scalar::new(name, vec![0.0; 4])), Err(AttributeError::Name { .. })),
+                "{name}"
+            );
         }
         assert!(attributes.check_mesh(&mesh).is_ok());
         assert!(attributes.check_mesh(&Shape::Plane.build(500)).is_err());

@@ -38,12 +38,7 @@ type Box = ([f32; 3], [f32; 3]);
 impl Bvh {
     /// Around items with these corners, neighbours side by side.
     pub(crate) fn new<const N: usize>(items: &[[DVec3; N]]) -> Self {
-        let bounds = |corners: &[DVec3; N]| -> Box {
-            let low = corners.iter().fold(DVec3::INFINITY, |low, &p| low.min(p));
-            let high = corners.iter().fold(DVec3::NEG_INFINITY, |high, &p| high.max(p));
-            (low.to_array().map(below), high.to_array().map(above))
-        };
-        let lowest = |eight: &[[DVec3; N]]| Node::of(eight.iter().map(bounds));
+        let lowest = |eight: &[[DVec3; N]]| Node::of(eight.iter().map(|corners| bounds(corners)));
         let mut level: Vec<Node> = items.par_chunks(WIDTH).map(lowest).collect();
         let mut levels = Vec::new();
         while level.len() > 1 {
@@ -103,6 +98,34 @@ impl Bvh {
             }
         }
     }
+
+    /// Calls `visit` with items whose boxes meet that of `corners`, until it returns true.
+    pub(crate) fn overlapping(&self, corners: &[DVec3], mut visit: impl FnMut(usize) -> bool) {
+        let (low, high) = bounds(corners);
+        let mut waiting = vec![(self.levels.len() - 1, 0)];
+        while let Some((level, index)) = waiting.pop() {
+            let Some(node) = self.levels[level].get(index) else { continue };
+            for lane in 0..WIDTH {
+                let meets = |axis: usize| node.low[axis][lane] <= high[axis] && low[axis] <= node.high[axis][lane];
+                if !(0..3).all(meets) {
+                    continue;
+                }
+                let below = index * WIDTH + lane;
+                if level > 0 {
+                    waiting.push((level - 1, below));
+                } else if visit(below) {
+                    return;
+                }
+            }
+        }
+    }
+}
+
+/// The box around points.
+fn bounds(corners: &[DVec3]) -> Box {
+    let low = corners.iter().fold(DVec3::INFINITY, |low, &p| low.min(p));
+    let high = corners.iter().fold(DVec3::NEG_INFINITY, |high, &p| high.max(p));
+    (low.to_array().map(below), high.to_array().map(above))
 }
 
 /// Sorts items so that neighbours are adjacent: each eight of a node, each eight such nodes, and so on, are one part of items that

@@ -13,6 +13,11 @@ use crate::token::{Stopped, Token};
 
 /// `(later, earliest)` for every point that lies exactly on an earlier one, in order of `later`.
 pub fn find(points: &[DVec3]) -> Vec<(u32, u32)> {
+    find_unless(points, &Token::default()).unwrap_or_default()
+}
+
+/// As [`find`], unless it is stopped.
+pub fn find_unless(points: &[DVec3], token: &Token) -> Result<Vec<(u32, u32)>, Stopped> {
     const EMPTY: u32 = u32::MAX;
     let mask = (points.len() * 2).next_power_of_two() - 1;
     let mut slots = vec![EMPTY; mask + 1];
@@ -20,6 +25,7 @@ pub fn find(points: &[DVec3]) -> Vec<(u32, u32)> {
     // A random key, so that no input can make all points collide. The result does not depend on it.
     let key = RandomState::new().hash_one(points.len());
     for (i, point) in points.iter().enumerate() {
+        token.check_at(i)?;
         let mut slot = hash(*point, key) & mask;
         while slots[slot] != EMPTY && points[slots[slot] as usize] != *point {
             slot = (slot + 1) & mask;
@@ -29,7 +35,7 @@ pub fn find(points: &[DVec3]) -> Vec<(u32, u32)> {
             j => pairs.push((i as u32, j)),
         }
     }
-    pairs
+    Ok(pairs)
 }
 
 /// Returns `(later, earlier, distance)` for each of the points `numbers` within `reach` of an earlier one: the nearest of

@@ -130,8 +130,7 @@ pub(crate) fn lost_parts(mesh: &TriMesh, result: &TriMesh, apart: &[f64], token:
     if !(0..apart.len() as u32).any(far) {
         return Ok(LostParts::default());
     }
-    let adjacency = Adjacency::new(mesh);
-    token.check()?;
+    let adjacency = Adjacency::unless(mesh, token)?;
     let vertex = |v: u32| adjacency.representative()[v as usize] as usize;
     // Connected components of the lost facets, and of all.
     let (mut lost, mut all) = (DisjointSets::new(apart.len()), DisjointSets::new(apart.len()));

@@ -6,6 +6,7 @@
 //! threads. The root of a set is its lowest member. Must not know: coincident vertices, kinds of edges.
 
 use super::MAX_ELEMENTS;
+use crate::token::{Stopped, Token};
 use rayon::prelude::*;
 
 /// Vertices that are one task.
@@ -37,10 +38,21 @@ pub(crate) struct Half {
 impl EdgeGroups {
     /// Groups the half-edges of `facets`, each given with its number and its corners, which are below `vertices`.
     pub(crate) fn new(vertices: usize, facets: impl Iterator<Item = (usize, [u32; 3])> + Clone) -> Self {
+        let nothing = |_| Self { first: vec![0; vertices + 1], halves: Vec::new() };
+        Self::unless(vertices, facets, &Token::default()).unwrap_or_else(nothing)
+    }
+
+    /// As [`Self::new`], unless it is stopped.
+    pub(crate) fn unless(
+        vertices: usize,
+        facets: impl Iterator<Item = (usize, [u32; 3])> + Clone,
+        token: &Token,
+    ) -> Result<Self, Stopped> {
         // Vertices and facets have numbers of 31 bits.
         const { assert!(MAX_ELEMENTS < 1 << 31) };
         let mut first = vec![0usize; vertices + 1];
-        for (_, corners) in facets.clone() {
+        for (facet, corners) in facets.clone() {
+            token.check_at(facet)?;
             sides(corners).iter().for_each(|&[a, b]| first[a.min(b) as usize + 1] += 1);
         }
         // Where each vertex' half-edges begin; they are filled in from there, which moves all by one.
@@ -51,6 +63,7 @@ impl EdgeGroups {
         }
         let mut halves = vec![0u64; total];
         for (facet, corners) in facets {
+            token.check_at(facet)?;
             for (side, &[a, b]) in sides(corners).iter().enumerate() {
                 let next = &mut first[a.min(b) as usize];
                 halves[*next] = u64::from(a.max(b)) << 33 | (facet as u64) << 2 | side as u64;
@@ -67,13 +80,17 @@ impl EdgeGroups {
             rest = after;
         }
         runs.into_par_iter().for_each(|(first, mut rest)| {
+            if token.is_stopped() {
+                return;
+            }
             for pair in first.windows(2) {
                 let (here, after) = rest.split_at_mut(pair[1] - pair[0]);
                 here.sort_unstable();
                 rest = after;
             }
         });
-        Self { first, halves }
+        token.check()?;
+        Ok(Self { first, halves })
     }
 
     /// Calls `visit` as [`Self::for_each`] does, on all threads. Each run of vertices has a list; the lists are in order.

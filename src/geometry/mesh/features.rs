@@ -140,8 +140,7 @@ impl Features {
         token: &Token,
     ) -> Result<Self, FeatureError> {
         check_angle(options.crease_angle_deg)?;
-        let adjacency = Adjacency::new(mesh);
-        token.check()?;
+        let adjacency = Adjacency::unless(mesh, token)?;
         let class = adjacency.representative();
         let metric = Metric { positions, resolution: &options.resolution };
         let angles = DihedralAngles::new(mesh, metric, &adjacency);

@@ -54,8 +54,7 @@ pub struct InputFigures {
 impl InputFigures {
     /// Measures the input surface.
     pub fn of(mesh: &TriMesh, token: &Token) -> Result<Self, Stopped> {
-        let adjacency = Adjacency::new(mesh);
-        token.check()?;
+        let adjacency = Adjacency::unless(mesh, token)?;
         Self::with(mesh, &adjacency, token)
     }
 
@@ -107,6 +106,7 @@ pub(crate) fn stitch_boundaries(
     let place = |v: u32| mesh.positions()[v as usize];
     let boundary = (0..3 * mesh.facets().len()).filter(|&h| adjacency.kind(h) == EdgeKind::Boundary);
     let vertices = ascending(boundary.flat_map(ends));
+    token.check()?;
     let pairs = coincident::near(mesh.positions(), vertices, (origin, tolerance), token)?;
     if pairs.is_empty() {
         return Ok(None);
@@ -140,8 +140,7 @@ pub(crate) fn stitch_boundaries(
 
 /// `mesh` with each component oriented as most of its area, and the number of flipped facets; `None` for 0. Linear time.
 pub(crate) fn make_consistent(mesh: &TriMesh, token: &Token) -> Result<Option<(TriMesh, usize)>, Stopped> {
-    let adjacency = Adjacency::new(mesh);
-    token.check()?;
+    let adjacency = Adjacency::unless(mesh, token)?;
     if adjacency.inconsistent_edges == 0 {
         return Ok(None);
     }

@@ -431,7 +431,8 @@ pub fn encode(format: Format, mesh: &TriMesh) -> Result<Vec<u8>, DataError> {
 }
 
 /// The bytes of a file that holds `mesh` and of `attributes` what the format can hold, and the names of the others. STL and
-/// glTF have single precision, which is among the others if it moves a vertex by more than 1 % of an edge.
+/// glTF have single precision, which is among the others if it moves a vertex by more than 1 % of an edge. In glTF the place
+/// of a surface far from the origin is that of its node, so that nothing is lost there.
 ///
 /// | | normals | texture coordinates | colours | scalars |
 /// | --- | --- | --- | --- | --- |
@@ -450,9 +451,12 @@ pub fn encode_with_attributes(
     attributes.check_mesh(mesh)?;
     let mut held = Held::of(&format.codec().holds, mesh, attributes);
     let bytes = (format.codec().encode)(mesh, &held)?;
-    if matches!(format, Format::Stl | Format::Glb | Format::Gltf) {
-        held.left_out.extend(held::rounding(mesh));
-    }
+    let centred = || held::centred(mesh).map_or_else(|| held::rounding(mesh), |(moved, _)| held::rounding(&moved));
+    held.left_out.extend(match format {
+        Format::Stl => held::rounding(mesh),
+        Format::Glb | Format::Gltf => centred(),
+        _ => None,
+    });
     Ok((bytes, held.left_out))
 }
 

@@ -12,6 +12,7 @@ use rand_chacha::rand_core::{Rng, SeedableRng};
 use super::TriMesh;
 use super::bvh::morton;
 use super::closest_point::SurfacePoint;
+use crate::token::{Stopped, Token};
 
 /// `count` random points on `mesh`, ∝ area times √weight (linear in each facet), from `seed`. `weights` has a value a vertex;
 /// without it, or with another length or no positive value, points are uniform. Values negative or not finite count as 0.
@@ -138,14 +139,28 @@ pub fn spread(
     count: usize,
     seed: u64,
 ) -> Vec<SurfacePoint> {
-    let Some(masses) = Masses::weighted_or_not(mesh, weights) else { return Vec::new() };
-    let curve = Curve::through(&masses, regions);
+    spread_unless(mesh, (weights, regions), count, seed, &Token::default()).unwrap_or_default()
+}
+
+/// As [`spread`], unless it is stopped.
+pub fn spread_unless(
+    mesh: &TriMesh,
+    (weights, regions): (Option<&[f64]>, Option<&[u32]>),
+    count: usize,
+    seed: u64,
+    token: &Token,
+) -> Result<Vec<SurfacePoint>, Stopped> {
+    let Some(masses) = Masses::weighted_or_not(mesh, weights) else { return Ok(Vec::new()) };
+    token.check()?;
+    let curve = Curve::through(&masses, regions, token)?;
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let mut place = 0;
     let point = |k: usize| {
+        // Each takes up to 20 quarterings.
+        token.check_at(8 * k)?;
         let share = (k as f64 + uniform(&mut rng)) / count as f64;
         place = curve.place_after(place, share);
-        curve.point(place, share, count, &mut rng)
+        Ok(curve.point(place, share, count, &mut rng))
     };
     (0..count).map(point).collect()
 }
@@ -164,7 +179,7 @@ struct Curve<'a> {
 }
 
 impl<'a> Curve<'a> {
-    fn through(masses: &'a Masses<'a>, regions: Option<&[u32]>) -> Self {
+    fn through(masses: &'a Masses<'a>, regions: Option<&[u32]>, token: &Token) -> Result<Self, Stopped> {
         let mesh = masses.mesh;
         let (low, high) = mesh.bounds();
         // Halves first: bounds may be as far apart as numbers go.
@@ -176,7 +191,9 @@ impl<'a> Curve<'a> {
         let with_mass = (0..mesh.facets().len() as u32).filter(|&f| masses.most(f as usize) > 0.0);
         let region = |f: u32| regions.and_then(|r| r.get(f as usize)).copied().unwrap_or(0);
         let mut order: Vec<(u32, u64, u32)> = with_mass.map(|f| (region(f), place(f), f)).collect();
+        token.check()?;
         order.sort_unstable();
+        token.check()?;
         let facets: Vec<u32> = order.into_iter().map(|(_, _, f)| f).collect();
         let mut total = 0.0;
         let sum = |&f: &u32| {
@@ -184,7 +201,7 @@ impl<'a> Curve<'a> {
             total
         };
         let sums = facets.iter().map(sum).collect();
-        Self { masses, facets, sums }
+        Ok(Self { masses, facets, sums })
     }
 
     fn total(&self) -> f64 {

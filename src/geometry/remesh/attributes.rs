@@ -1,8 +1,8 @@
 //! Attributes of the input, carried to the remesh.
 //!
 //! Purpose: [`provenance`] tells where on the input the vertices of the result lie, [`carry`] brings its attributes there.
-//! Invariant: what is given per vertex is interpolated in the facet and stays between its corners' values. What is given
-//! per corner comes from one side of a seam for each result facet. The result depends on the meshes alone, not on threads.
+//! Invariant: what is given per vertex is interpolated in the facet and stays between its corners' values; whole numbers are
+//! those of the nearest corner. What is given per corner comes from one side of a seam for each result facet. The result depends on the meshes alone, not on threads.
 //! Must not know: how the result came about, files, messages.
 
 mod seams;
@@ -11,7 +11,7 @@ use glam::DVec3;
 use rayon::prelude::*;
 
 use crate::mesh::TriMesh;
-use crate::mesh::attributes::{AttributeError, Attributes, Colours, Normals, PerCorner, unit};
+use crate::mesh::attributes::{AttributeError, Attributes, Colours, Normals, PerCorner, Scalar, unit};
 use crate::mesh::closest_point::{ClosestPoint, SurfacePoint};
 use crate::mesh::coincident;
 use crate::remesh::constants::{ROUNDING_SQUARED, SAME_NORMAL};
@@ -88,11 +88,31 @@ pub fn carry(
         let values = provenance.par_iter().map(colour).collect();
         carried.set_colours(Colours { values, depth: *depth })?;
     }
-    for scalar in attributes.scalars() {
-        let at = |p: &Provenance| between(facets[p.facet as usize].map(|v| scalar.values[v as usize]), p.barycentric);
-        carried.add_scalar(scalar.name.clone(), provenance.par_iter().map(at).collect())?;
+    for Scalar { name, number, components, values: given } in attributes.scalars() {
+        let (name, n) = (name.clone(), *components);
+        let of = |vertex: u32| &given[n * vertex as usize..][..n];
+        let mut values = vec![0.0; n * vertices];
+        values.par_chunks_exact_mut(n).zip(provenance).for_each(|(to, p)| {
+            if number.is_float() {
+                let [a, b, c] = facets[p.facet as usize].map(of);
+                to.iter_mut().enumerate().for_each(|(i, to)| *to = between([a[i], b[i], c[i]], p.barycentric));
+            } else {
+                to.copy_from_slice(of(nearest_corner(mesh, p)));
+            }
+        });
+        carried.add_scalar(Scalar { name, number: *number, components: n, values })?;
     }
     Ok(carried)
+}
+
+/// The vertex of the facet that is nearest; of equally near ones the first.
+fn nearest_corner(mesh: &TriMesh, place: &Provenance) -> u32 {
+    let corners = mesh.corners(place.facet as usize);
+    let point: DVec3 = corners.iter().zip(place.barycentric).map(|(&corner, weight)| corner * weight).sum();
+    let facet = mesh.facets()[place.facet as usize];
+    let distance = |&(_, corner): &(u32, DVec3)| corner.distance_squared(point);
+    let order = |a: &(u32, DVec3), b: &(u32, DVec3)| distance(a).total_cmp(&distance(b)).then(a.0.cmp(&b.0));
+    facet.into_iter().zip(corners).min_by(order).map_or(facet[0], |(vertex, _)| vertex)
 }
 
 /// Whether vertices in one place have different normals.

@@ -19,9 +19,9 @@ use crate::cvt::density::Plan;
 use crate::mesh::TriMesh;
 use crate::mesh::edges::undirected;
 use crate::mesh::features::{CurveKind, FeatureOptions, Features};
-use crate::mesh::sample::spread;
+use crate::mesh::sample::spread_unless;
 use crate::rvd::{Frame, Surface};
-use crate::token::Token;
+use crate::token::{Stopped, Token};
 use envelope::CurveSample;
 
 /// `count` of some points in an order, evenly spaced in it; all if there are fewer.
@@ -111,7 +111,13 @@ impl KeptCurves {
     }
 
     /// The curves' seeds and as many drawn ones as make `points`, clear of the curves; caller's coordinates.
-    pub(crate) fn with_others(&self, plan: &Plan<'_>, surface: &Surface, seed: u64) -> Vec<DVec3> {
+    pub(crate) fn with_others(
+        &self,
+        plan: &Plan<'_>,
+        surface: &Surface,
+        seed: u64,
+        token: &Token,
+    ) -> Result<Vec<DVec3>, Stopped> {
         let (mesh, points): (&TriMesh, usize) = (&plan.mesh, plan.points);
         let frame = surface.frame();
         let mut all: Vec<DVec3> = (0..self.seeds.len() as u32).map(|i| self.position(mesh, frame, i)).collect();
@@ -120,20 +126,21 @@ impl KeptCurves {
         let clear = |p: &DVec3| clearance.holds(frame.to_unit(*p));
         // Seeds do not cross curves, so each region gets its own share.
         let regions = self.features.regions(mesh);
-        let draw = |count: usize| -> (Vec<DVec3>, Vec<DVec3>) {
-            let drawn = spread(mesh, plan.weights.as_deref(), Some(&regions), count, seed);
-            drawn.par_iter().map(|s| s.position).partition(clear)
+        token.check()?;
+        let draw = |count: usize| -> Result<(Vec<DVec3>, Vec<DVec3>), Stopped> {
+            let drawn = spread_unless(mesh, (plan.weights.as_deref(), Some(&regions)), count, seed, token)?;
+            Ok(drawn.par_iter().map(|s| s.position).partition(clear))
         };
-        let (mut kept, mut rest) = draw(others + others / SPARE_POINTS);
+        let (mut kept, mut rest) = draw(others + others / SPARE_POINTS)?;
         if kept.len() < others {
             let share = (kept.len() as f64 / (others + others / SPARE_POINTS) as f64).max(LEAST_CLEAR);
-            (kept, rest) = draw((others as f64 / share) as usize + others / SPARE_POINTS + 1);
+            (kept, rest) = draw((others as f64 / share) as usize + others / SPARE_POINTS + 1)?;
         }
         // If curves cover nearly all of the surface, seeds begin near them.
         let lacking = others.saturating_sub(kept.len());
         all.extend(evenly(&rest, lacking));
         all.extend(evenly(&kept, others - lacking));
-        all
+        Ok(all)
     }
 
     /// Where a curve's seed lies, caller's coordinates: a corner exactly at its vertex.

@@ -41,6 +41,7 @@ use crate::mesh::apart::Apart;
 use crate::mesh::attributes::Attributes;
 use crate::mesh::closest_point::{ClosestPoint, SurfacePoint};
 use crate::mesh::comparison::{LostParts, lost_parts};
+use crate::mesh::crossings::crossings;
 use crate::mesh::input::{draw_in, outliers};
 use crate::mesh::measure::{Quality, Topology, coincident_vertices, quality_and_distances, topology_unless};
 use crate::rvd::{Backend, RvdError, elapsed_ms, on_threads_of};
@@ -60,9 +61,11 @@ pub fn remesh(
     observer: &mut dyn Observer,
     token: &Token,
 ) -> Result<Remesh, RemeshError> {
-    let measured = options.refine.map(|refine| {
-        let tolerance = Tolerance::Length(refine.tolerance.length(given));
-        RemeshOptions { refine: Some(Refine { tolerance, ..refine }), ..options.clone() }
+    let measured = (options.refine.is_some() || matches!(options.seeds, Seeds::Share { .. })).then(|| {
+        let mut options = options.clone();
+        options.seeds.resolve(given);
+        options.refine.iter_mut().for_each(|to| to.tolerance = Tolerance::Length(to.tolerance.length(given)));
+        options
     });
     let options = measured.as_ref().unwrap_or(options);
     let mut done = on_threads_of(backend, || match run_stages(given, options, backend, observer, token) {
@@ -211,22 +214,25 @@ fn measure(
     token.check()?;
     let result = &built.mesh;
     let quality = || options.measure.then(|| compare(clean, closest, result, token)).transpose();
+    let crossings = || options.measure.then(|| crossings(result, token)).transpose();
     // Only parts of one seed's cell, or of the surface, can be in one place.
     let touches = built.repair.extra_vertices > 0 || input.topology.components > 1;
     let topology = || -> Result<_, Stopped> {
         let coincident_vertices = if touches { coincident_vertices(result, token)? } else { 0 };
-        Ok((topology_unless(result, &Adjacency::new(result), token)?, coincident_vertices))
+        Ok((topology_unless(result, &Adjacency::unless(result, token)?, token)?, coincident_vertices))
     };
-    let (topology, quality) = rayon::join(topology, quality);
+    let ((topology, crossings), quality) = rayon::join(|| rayon::join(topology, crossings), quality);
+    let crossings = crossings?;
     let ((topology, coincident_vertices), (quality, lost)) = (topology?, quality?.unzip());
     let (vertices, facets) = (result.positions().len(), result.facets().len());
     let repair = built.repair;
-    let result = ResultFigures { vertices, facets, topology, coincident_vertices, quality, lost, repair };
+    let result = ResultFigures { vertices, facets, topology, coincident_vertices, quality, lost, crossings, repair };
     laps.end(|t| &mut t.measure);
     laps.timings.total = elapsed_ms(laps.begin);
     let reason = match options.refine {
-        Some(_) => None,
-        None => optimize::count_reason((vertices, result.topology.components), asked, &options.seeds, &input.topology),
+        // A tolerance decides how many points there are, and not how many vertices share one.
+        Some(_) if vertices <= asked => None,
+        _ => optimize::count_reason((vertices, result.topology.components), asked, &options.seeds, &input.topology),
     };
     let vertex_count = CountFigures { asked, seeds: seeds.len(), reason };
     let report = Report {

@@ -11,6 +11,7 @@ use serde::Serialize;
 use crate::cvt::density::DensityFigures;
 pub use crate::cvt::figures::{DeviceFigures, FinalFigures, IterationFigures};
 pub use crate::mesh::comparison::{LostPart, LostParts, LostReason};
+pub use crate::mesh::crossings::Crossings;
 pub use crate::mesh::duplicates::InputKind;
 pub use crate::mesh::input::InputFigures;
 use crate::mesh::measure::{Quality, Topology};
@@ -152,7 +153,8 @@ pub struct CountFigures {
     pub asked: usize,
     /// How many seeds there are: fewer where cells have several components.
     pub seeds: usize,
-    /// Why there are more or fewer vertices than that, by over 1.5 %; absent if there are not, or with a tolerance.
+    /// Why there are more or fewer vertices than that, by over 1.5 %; absent if there are not. With a
+    /// tolerance, for more alone.
     pub reason: Option<CountReason>,
 }
 
@@ -252,6 +254,8 @@ pub struct ResultFigures {
     pub quality: Option<Quality>,
     /// What it lacks of the input; absent if not measured.
     pub lost: Option<LostParts>,
+    /// Facets that cross others; absent if not measured.
+    pub crossings: Option<Crossings>,
     /// What the repair had to do.
     pub repair: RepairFigures,
 }

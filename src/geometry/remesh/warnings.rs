@@ -64,7 +64,11 @@ fn of_count(report: &Report, all: &mut Vec<Warning>) {
             CountReason::NoThickness => "parts of the input have no thickness",
         };
         let (asked, vertices) = (count.asked, report.result.vertices);
-        let text = format!("{asked} vertices were asked for, and the result has {vertices}: {why}");
+        let asked = match report.refine.ended {
+            Some(_) => format!("there are {asked} points"),
+            None => format!("{asked} vertices were asked for"),
+        };
+        let text = format!("{asked}, and the result has {vertices} vertices: {why}");
         all.push(Warning::new("vertex_count", Some(vertices), text));
     }
     let features = report.features;
@@ -143,6 +147,16 @@ fn of_shape(report: &Report, all: &mut Vec<Warning>) {
         let why = if odd { "the input is no manifold, as the result is" } else { "more points keep more" };
         let text = format!("the topology changed: {}; {why}", report.topology_changes.join(", "));
         all.push(Warning::new("topology_changed", None, text));
+    }
+    if let Some(crossings) = report.result.crossings.as_ref().filter(|crossings| crossings.count > 0) {
+        let [x, y, z] = crossings.places.first().copied().unwrap_or_default();
+        let text = format!(
+            "{} facets of the result cross others, the first at {x:.4} {y:.4} {z:.4}: parts are nearer to each other than an \
+             edge there, or cross in the input; more points keep them apart",
+            crossings.count
+        );
+        let places = crossings.places.clone();
+        all.push(Warning { places, ..Warning::new("crossing_facets", Some(crossings.count), text) });
     }
     let refine = &report.refine;
     let why = match refine.ended {

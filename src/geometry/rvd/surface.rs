@@ -8,7 +8,8 @@ use glam::DVec3;
 use rayon::prelude::*;
 
 use super::RvdError;
-use crate::mesh::{TriMesh, adjacency::weld, closest_point::ClosestPoint};
+use crate::mesh::{TriMesh, adjacency::weld_unless, closest_point::ClosestPoint};
+use crate::token::Token;
 
 /// The map between the caller's coordinates and the unit frame: unit = (p - centre) * scale.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -72,6 +73,11 @@ impl Surface {
     /// Takes a mesh and, if the density is not uniform, one weight per vertex (linear in each facet; edge length h needs
     /// w ∝ h⁻⁴). Errors: `WeightCount`, `BadWeight`, `NoArea`.
     pub fn new(mesh: &TriMesh, weights: Option<&[f64]>) -> Result<Self, RvdError> {
+        Self::unless(mesh, weights, &Token::default())
+    }
+
+    /// As [`Self::new`]. Errors: `Stopped` too.
+    pub fn unless(mesh: &TriMesh, weights: Option<&[f64]>, token: &Token) -> Result<Self, RvdError> {
         let (low, high) = mesh.bounds();
         let frame = Frame::of_bounds(low, high);
         let vertices = mesh.positions().len();
@@ -99,8 +105,9 @@ impl Surface {
         };
         // A vertex that no facet uses may be so far away that the unit frame cannot hold it.
         let held = |p: DVec3| if p.is_finite() { p } else { DVec3::ZERO };
-        let (positions, class): (Vec<DVec3>, Vec<u32>) =
-            rayon::join(|| mesh.positions().par_iter().map(|&p| held(snap(frame.to_unit(p)))).collect(), || weld(mesh));
+        let unit = || mesh.positions().par_iter().map(|&p| held(snap(frame.to_unit(p)))).collect();
+        let (positions, class): (Vec<DVec3>, _) = rayon::join(unit, || weld_unless(mesh, token));
+        let class = class?;
         // On the grid a facet may lose what area it had, by the same measure as in the mesh.
         let flat = |f: usize| {
             let [a, b, c] = mesh.facets()[f].map(|v| positions[v as usize]);
@@ -109,6 +116,7 @@ impl Surface {
         };
         let skip: Vec<bool> =
             (0..mesh.facets().len()).into_par_iter().map(|f| mesh.is_degenerate(f) || flat(f)).collect();
+        token.check()?;
         if skip.iter().all(|&skipped| skipped) {
             return Err(RvdError::NoArea);
         }
@@ -124,9 +132,12 @@ impl Surface {
             mass: 0.0,
             root_mass: 0.0,
         };
+        token.check()?;
         surface.area =
             (0..surface.facets.len()).filter(|&f| !surface.skip[f]).map(|f| surface.facet_area(f as u32)).sum();
+        token.check()?;
         surface.mass = surface.integral(|w| w);
+        token.check()?;
         surface.root_mass = surface.integral(f64::sqrt);
         Ok(surface)
     }

@@ -9,22 +9,23 @@ use std::collections::HashMap;
 use std::sync::{Arc, Mutex};
 
 use futures_util::TryStreamExt;
-use tokio::sync::Semaphore;
 
 use super::{JobApiError, Memory};
 use crate::admission::estimate::{Counts, Need, need};
 use crate::blob::{BlobError, BlobStore, Digest, Owner};
 use crate::engine::Engine;
 use crate::lock;
+use crate::places::Places;
 use crate::record::{ArrayRef, Arrays, AttributeRef, Bytes, MeshSource, Operation, Spec, steps};
 use geometry::cvt::density::Count;
 use geometry::mesh::io::{self, DataError, Format};
+use geometry::remesh::Seeds;
 use geometry::rvd::{BackendChoice, BackendKind};
 use wire::proto::ArrayForm;
 
 /// Larger blobs are not read for their counts, nor such in which more is packed.
 const READ_BYTES: u64 = 64 << 20;
-/// Blobs that are read at once.
+/// Blobs that are read at once, one of a tenant.
 const AT_ONCE: usize = 2;
 /// Bytes of a point in a text, at the least.
 const TEXT_BYTES: u64 = 6;
@@ -43,14 +44,14 @@ pub struct Forecast {
     engine: Engine,
     max_seeds: u64,
     /// Blobs that are read for their counts: they lie in memory meanwhile.
-    reading: Semaphore,
+    reading: Places,
     known: Mutex<HashMap<(Digest, Format), File>>,
 }
 
 impl Forecast {
     /// Predicts with what `engine` may use; `max_seeds` bounds a job.
     pub fn new(blobs: Arc<dyn BlobStore>, engine: Engine, max_seeds: u64) -> Self {
-        Self { blobs, engine, max_seeds, reading: Semaphore::new(AT_ONCE), known: Mutex::default() }
+        Self { blobs, engine, max_seeds, reading: Places::new(AT_ONCE), known: Mutex::default() }
     }
 
     pub fn need(&self, counts: &Counts) -> Need {
@@ -75,7 +76,14 @@ impl Forecast {
             (MeshSource::File { blob, format, .. }, None) => self.of_file(owner, *blob, *format).await?,
         };
         let backend = self.engine.backend(task.backend).map_or(BackendKind::Parallel, |by| by.kind);
-        let points = self.points(owner, task.operation.seeds().count(), task.arrays.seeds, facets).await;
+        let points = match task.operation.seeds() {
+            // By the vertices, of which as many may be there as corners.
+            Seeds::Share { of, .. } => {
+                let vertices = usize::try_from(vertices).unwrap_or(usize::MAX);
+                (of.of_vertices(vertices) as u64).min(self.max_seeds)
+            }
+            seeds => self.points(owner, seeds.count(), task.arrays.seeds, facets).await,
+        };
         let counts = Counts::new(task.operation.kind(), backend, vertices, facets, points);
         let attributes = match &task.mesh {
             MeshSource::Arrays { attributes, .. } => attributes.iter().map(numbers_of).fold(0, u64::saturating_add),
@@ -135,6 +143,8 @@ impl Forecast {
         if let Some(File { counts, bytes }) = known {
             return Ok((counts, bytes));
         }
+        let _place = self.reading.wait(&owner.to_string()).await;
+        let _mark = self.engine.mark();
         let file = self.look_at(blob, format, size_bytes).await?;
         let mut known = lock(&self.known);
         if known.len() >= REMEMBERED {
@@ -157,7 +167,6 @@ impl Forecast {
             DataError::TooLong { limit } => JobApiError::Packed { limit_bytes: limit as u64 },
             error => JobApiError::Input { field: "spec.mesh.file".to_owned(), problem: error.to_string() },
         };
-        let _turn = self.reading.acquire().await;
         let whole = size_bytes <= READ_BYTES;
         let mut pieces =
             self.blobs.read(blob, 0..if whole { u64::MAX } else { MAGIC_BYTES.min(size_bytes) }).await?.bytes;

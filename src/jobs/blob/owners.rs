@@ -5,13 +5,14 @@
 //! name cannot be read from an owner. An owner's bytes are the sum of the sizes of its blobs. A blob has at most [`MOST`]
 //! owners. Forgetting a blob forgets all its owners. Must not know: keys, where blobs and marks lie, pins, quotas.
 
+use std::cmp::Reverse;
 use std::collections::{BTreeMap, HashMap};
 
 use super::Digest;
 use super::digest::hex_name;
 
-/// Owners of one blob. One more replaces the oldest owner, which can upload the blob again: a caller that invents names
-/// fills no more than this.
+/// Owners of one blob. One more replaces an owner, which can upload the blob again: a caller that invents names fills no more
+/// than this, and replaces these names: see [`Owners::add`].
 pub(super) const MOST: usize = 256;
 
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -41,8 +42,15 @@ struct Held {
 }
 
 impl Owners {
-    /// Adds an owner. Returns the one that it replaces, if any.
-    pub(super) fn add(&mut self, digest: Digest, size_bytes: u64, owner: Owner) -> Option<Owner> {
+    /// Adds an owner. Returns the one that it replaces, if any: of those that `needs` does not name the one with the fewest
+    /// blobs, and of several the latest. An owner of this blob alone that came last is most likely an invented name.
+    pub(super) fn add(
+        &mut self,
+        digest: Digest,
+        size_bytes: u64,
+        owner: Owner,
+        needs: impl Fn(Owner) -> bool,
+    ) -> Option<Owner> {
         self.last += 1;
         let owners = self.of_blob.entry(digest).or_default();
         if owners.insert(owner, self.last).is_none() {
@@ -53,9 +61,12 @@ impl Owners {
         if owners.len() <= MOST {
             return None;
         }
-        let longest = owners.iter().min_by_key(|(_, since)| **since).map(|(owner, _)| *owner)?;
-        self.take(&digest, longest);
-        Some(longest)
+        let others = owners.iter().filter(|(other, _)| **other != owner && !needs(**other));
+        let blobs = |owner: &Owner| self.of_owner.get(owner).map_or(0, |held| held.sizes.len());
+        let (replaced, _) = others.min_by_key(|(other, since)| (blobs(other), Reverse(**since)))?;
+        let replaced = *replaced;
+        self.take(&digest, replaced);
+        Some(replaced)
     }
 
     pub(super) fn has(&self, digest: &Digest, owner: Owner) -> bool {
@@ -110,17 +121,23 @@ impl Owners {
 mod tests {
     use super::*;
 
+    fn add(owners: &mut Owners, digest: Digest, size_bytes: u64, owner: Owner) -> Option<Owner> {
+        owners.add(digest, size_bytes, owner, |_| false)
+    }
+
     #[test]
     fn the_index_adds_up_and_forgets() {
         let (mut owners, a, b) = (Owners::default(), Owner::of("a"), Owner::of("b"));
         let [one, two] = [b"1", b"2"].map(|bytes| Digest::of(bytes));
         assert!(
-            owners.add(one, 10, a).is_none() && owners.add(two, 5, a).is_none() && owners.add(one, 10, b).is_none()
+            add(&mut owners, one, 10, a).is_none()
+                && add(&mut owners, two, 5, a).is_none()
+                && add(&mut owners, one, 10, b).is_none()
         );
-        assert!(owners.add(one, 10, b).is_none(), "twice is once");
+        assert!(add(&mut owners, one, 10, b).is_none(), "twice is once");
         assert_eq!((owners.bytes(a), owners.bytes(b)), (15, 10));
         // What was taken anew is the youngest.
-        owners.add(one, 10, a);
+        add(&mut owners, one, 10, a);
         assert_eq!(owners.oldest(a), [(two, 5), (one, 10)]);
         assert!(owners.take(&one, a) && !owners.take(&one, a) && owners.has_owner(&one));
         owners.forget(&one);
@@ -130,11 +147,22 @@ mod tests {
     }
 
     #[test]
-    fn a_blob_has_so_many_owners_and_the_longest_goes() {
+    fn invented_names_replace_each_other() {
         let (mut owners, digest) = (Owners::default(), Digest::of(b"1"));
         let name = |i: usize| Owner::of(&i.to_string());
-        let gone: Vec<_> = (0..MOST + 3).filter_map(|i| owners.add(digest, 1, name(i))).collect();
-        assert_eq!(gone, [name(0), name(1), name(2)]);
+        let [early, late, needed] = ["early", "late", "needed"].map(Owner::of);
+        add(&mut owners, digest, 1, early);
+        for i in 0..3 * MOST {
+            if i == 2 * MOST {
+                // One that has something else too, and one that a job needs.
+                add(&mut owners, Digest::of(b"2"), 1, late);
+                add(&mut owners, digest, 1, late);
+                add(&mut owners, digest, 1, needed);
+            }
+            owners.add(digest, 1, name(i), |owner| owner == needed);
+            assert!(owners.has(&digest, name(i)), "who has just sent it has it");
+        }
         assert_eq!((owners.of_blob[&digest].len(), owners.of_owner.len()), (MOST, MOST));
+        assert!([early, late, needed].iter().all(|owner| owners.has(&digest, *owner)));
     }
 }

@@ -3,7 +3,7 @@
 //! Purpose: a bounded queue between many callers and several workers, in two lanes. Jobs are taken by fair shares of their
 //! tenants ([`schedule`](super::schedule)); short pieces of admitted work (a session's next step, a diagram's next batch)
 //! have workers of their own and never wait for a whole job.
-//! Invariant: at most `limit` new jobs wait or hold a reservation; what was admitted always gets in. A reservation counts
+//! Invariant: at most `limit` new jobs wait or hold a reservation, shared between tenants; what was admitted always gets in. A reservation counts
 //! for [`RESERVATION_TTL`], so a slow upload does not keep others out. Closing refuses what is new and keeps what waits; nothing
 //! gets in once all workers have gone. Must not know: what the work is.
 
@@ -12,6 +12,7 @@ use std::sync::{Arc, Condvar, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 use crate::engine::schedule::{AdmissionRequest, Schedule, Slots};
+use crate::places::may_take;
 use crate::record::JobId;
 use crate::{JobError, lock};
 use geometry::token::Token;
@@ -71,7 +72,7 @@ pub(crate) struct Queue<T> {
 struct State<T> {
     jobs: Schedule<T>,
     short: VecDeque<T>,
-    reservations: BTreeMap<u64, Instant>,
+    reservations: BTreeMap<u64, (Instant, Arc<str>)>,
     tickets: u64,
     running: HashMap<u64, Running>,
     kept: Kept,
@@ -130,14 +131,14 @@ impl<T: Item> Queue<T> {
     }
 
     /// Reserves a place for a new job. The number is for [`Self::release`]. Errors: `QueueFull`, `Draining`.
-    pub(crate) fn reserve(&self) -> Result<u64, JobError> {
+    pub(crate) fn reserve(&self, tenant: &str) -> Result<u64, JobError> {
         let mut state = lock(&self.state);
         if state.closed {
             return Err(JobError::Draining);
         }
-        state.make_room(self.limit)?;
+        state.make_room(self.limit, tenant)?;
         let ticket = state.number();
-        state.reservations.insert(ticket, Instant::now());
+        state.reservations.insert(ticket, (Instant::now(), tenant.into()));
         Ok(ticket)
     }
 
@@ -153,8 +154,8 @@ impl<T: Item> Queue<T> {
         if state.ended || (state.closed && is_new) {
             return Err(JobError::Draining);
         }
-        if matches!(admission, Admission::New(_)) {
-            state.make_room(self.limit)?;
+        if let Admission::New(request) = &admission {
+            state.make_room(self.limit, &request.tenant)?;
         }
         let position = match admission {
             Admission::New(request) | Admission::Reserved(request) => {
@@ -276,6 +277,11 @@ impl<T: Item> Queue<T> {
         gone.iter().for_each(Token::cancel);
     }
 
+    /// Cancels the jobs of the store, whether they wait or are at work.
+    pub(crate) fn cancel_kept(&self) {
+        lock(&self.state).kept.jobs.values().for_each(|(_, token)| token.cancel());
+    }
+
     /// Takes the waiting jobs of the store out of the line: the store has them.
     pub(crate) fn release_kept(&self) {
         lock(&self.state).release_kept();
@@ -321,21 +327,25 @@ impl<T: Item> State<T> {
         }
     }
 
-    /// New jobs that wait, and places that are kept for others.
-    fn new_jobs(&self) -> usize {
-        let waiting = self.jobs.iter().filter(|(_, request)| request.kept.is_none()).count();
-        waiting + self.reservations.values().filter(|since| since.elapsed() < RESERVATION_TTL).count()
+    /// New jobs that wait, and places that are kept for others: a tenant's, and all.
+    fn new_jobs(&self, tenant: &str) -> (usize, usize) {
+        let waiting =
+            self.jobs.iter().filter(|(_, request)| request.kept.is_none()).map(|(_, request)| &request.tenant);
+        let reserved = self.reservations.values().filter(|(since, _)| since.elapsed() < RESERVATION_TTL);
+        let all = waiting.chain(reserved.map(|(_, tenant)| tenant));
+        all.fold((0, 0), |(own, all), other| (own + usize::from(**other == *tenant), all + 1))
     }
 
-    /// Sees to it that fewer than `limit` new jobs wait, or says that there is no room.
-    fn make_room(&mut self, limit: usize) -> Result<(), JobError> {
-        if self.new_jobs() < limit {
+    /// Sees to it that there is room for one more new job of a tenant, or says that there is none.
+    fn make_room(&mut self, limit: usize, tenant: &str) -> Result<(), JobError> {
+        let has_room = |(own, waiting)| may_take(own, waiting, limit);
+        if has_room(self.new_jobs(tenant)) {
             return Ok(());
         }
         // Jobs whose callers have gone hold a place until it is needed.
         self.jobs.retain(T::is_wanted);
-        let waiting = self.new_jobs();
-        if waiting < limit {
+        let (own, waiting) = self.new_jobs(tenant);
+        if has_room((own, waiting)) {
             return Ok(());
         }
         let seconds = (self.mean_s * waiting as f64 * 0.5).clamp(0.1, 30.0);
@@ -360,7 +370,8 @@ mod tests {
     }
 
     fn queue(limit: usize) -> Queue<Ticket> {
-        Queue::new(limit, Slots { regular: 1, memory: Bytes::MAX })
+        // One tenant leaves a place.
+        Queue::new(limit + 1, Slots { regular: 1, memory: Bytes::MAX })
     }
 
     fn new() -> Admission {
@@ -405,17 +416,17 @@ mod tests {
     #[test]
     fn a_place_is_kept_and_always_let_in() {
         let queue = queue(2);
-        let first = queue.reserve().unwrap();
+        let first = queue.reserve("").unwrap();
         queue.push(new(), ticket(0, true)).unwrap();
-        assert!(matches!(queue.reserve(), Err(JobError::QueueFull { waiting: 2, .. })));
+        assert!(matches!(queue.reserve(""), Err(JobError::QueueFull { waiting: 2, .. })));
         assert!(matches!(queue.push(new(), ticket(1, true)), Err(JobError::QueueFull { .. })));
         queue.push(reservations(), ticket(2, true)).unwrap();
         queue.release(first);
-        assert!(matches!(queue.reserve(), Err(JobError::QueueFull { waiting: 2, .. })));
+        assert!(matches!(queue.reserve(""), Err(JobError::QueueFull { waiting: 2, .. })));
         assert_eq!(pop(&queue, Lane::Jobs).map(|t| t.0), Some(0));
-        let slow = queue.reserve().unwrap();
+        let slow = queue.reserve("").unwrap();
         // A slow upload keeps no other job out, and gets in all the same.
-        lock(&queue.state).reservations.insert(slow, Instant::now().checked_sub(RESERVATION_TTL).unwrap());
+        lock(&queue.state).reservations.insert(slow, (Instant::now().checked_sub(RESERVATION_TTL).unwrap(), "".into()));
         queue.push(new(), ticket(3, true)).unwrap();
         queue.push(reservations(), ticket(4, true)).unwrap();
         // So does a job of a store, and it takes no place.
@@ -429,7 +440,7 @@ mod tests {
             )
             .unwrap();
         queue.close();
-        assert!(matches!(queue.reserve(), Err(JobError::Draining)));
+        assert!(matches!(queue.reserve(""), Err(JobError::Draining)));
     }
 
     #[test]

@@ -11,12 +11,13 @@ use std::any::Any;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::mpsc::SyncSender;
-use std::sync::{Arc, Mutex, PoisonError, RwLock};
+use std::sync::{Arc, Mutex, OnceLock, PoisonError, RwLock};
 use std::thread::Builder;
 use std::time::{Duration, Instant};
 
 use tokio::sync::{oneshot, watch};
 
+use crate::beside::Beside;
 use crate::engine::gate::{Gate, TOKEN_POLL};
 use crate::engine::pools::Pools;
 use crate::engine::queue::{Dequeued, Item, Lane, Popped, Queue};
@@ -126,6 +127,8 @@ pub(super) struct Shared {
     loss: LossPolicy,
     loss_patience: Duration,
     pub(super) losses: AtomicU64,
+    /// Counts the work of streams, if a store wants to know of it.
+    pub(super) beside: OnceLock<Beside>,
 }
 
 struct BackendFactory {
@@ -227,6 +230,7 @@ impl Shared {
             loss: options.loss,
             loss_patience: options.loss_patience,
             losses: AtomicU64::new(0),
+            beside: OnceLock::new(),
         })
     }
 

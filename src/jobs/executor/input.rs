@@ -17,6 +17,7 @@ use geometry::cvt::density::Count;
 use geometry::mesh::attributes::{AttributeError, Attributes};
 use geometry::mesh::io::lists::{FileVertices, most_edges, points};
 use geometry::mesh::io::{self, DataError, Loaded};
+use geometry::mesh::numbers::Order;
 use geometry::mesh::{MeshError, TriMesh};
 use geometry::remesh::{RemeshOptions, Seeds};
 use geometry::token::Token;
@@ -119,10 +120,8 @@ impl Reader<'_> {
     /// The bytes of an array, as many as its count says.
     fn bytes(&self, field: &str, array: &ArrayRef, numbers: u64) -> Result<Vec<u8>, WorkError> {
         let each = match array.form {
-            ArrayForm::F64 => 8,
-            ArrayForm::F32 | ArrayForm::U32 => 4,
-            ArrayForm::U8 => 1,
             ArrayForm::Text | ArrayForm::Unspecified => return self.blobs.read(field, array.blob),
+            form => attributes::number_of(form).bytes() as u64,
         };
         let expected = array.count.saturating_mul(numbers * each);
         // Before it takes memory that no estimate has.
@@ -149,12 +148,7 @@ impl Reader<'_> {
     }
 
     fn numbers(&self, field: &str, array: &ArrayRef, each: u64) -> Result<Vec<f64>, WorkError> {
-        let bytes = self.bytes(field, array, each)?;
-        Ok(match array.form {
-            ArrayForm::F32 => bytes.as_chunks::<4>().0.iter().map(|b| f64::from(f32::from_le_bytes(*b))).collect(),
-            ArrayForm::U8 => bytes.iter().map(|&b| f64::from(b) / 255.0).collect(),
-            _ => bytes.as_chunks::<8>().0.iter().map(|b| f64::from_le_bytes(*b)).collect(),
-        })
+        Ok(attributes::number_of(array.form).floats(&self.bytes(field, array, each)?, Order::Little))
     }
 
     /// Points; of a text one more than `most`, at most.
@@ -291,6 +285,7 @@ impl Reader<'_> {
         mut options: RemeshOptions,
     ) -> Result<(TriMesh, RemeshOptions, Vec<AttributeError>), WorkError> {
         let Surface { mesh, attributes, creases, left_aside, vertices } = self.surface(task)?;
+        options.seeds.resolve(&mesh);
         self.fill(&mut options, task, &vertices)?;
         let (steps, most) = (options.lloyd + options.newton, self.bounds.max_iterations);
         if steps > most as usize {

@@ -19,12 +19,13 @@ use crate::{BackendInfo, Backends};
 use geometry::cvt::{Cvt, StepKind};
 use geometry::mesh::attributes::{Attributes, ColourDepth, Colours, Normals};
 use geometry::mesh::io::{self, Format};
+use geometry::mesh::numbers::{NumberType, Order};
 use geometry::remesh::report::{IterationFigures, to_json};
 use geometry::remesh::{Observer, Remesh, RemeshOptions, Warning, remesh};
 use geometry::rvd::cells::CellWriter;
 use geometry::token::Token;
-use wire::options;
 use wire::proto::SeedsWanted;
+use wire::{attributes, options};
 
 /// What a job gives: bytes, each part under its name.
 pub(crate) type Parts = Vec<(String, Bytes)>;
@@ -133,7 +134,13 @@ fn carried(attributes: &Attributes, parts: &mut Parts) {
         );
     }
     for scalar in attributes.scalars() {
-        push(&format!("scalar.{}", scalar.name), numbers(&scalar.values));
+        let mut bytes = Vec::with_capacity(scalar.number.bytes() * scalar.values.len());
+        scalar.values.iter().for_each(|&x| scalar.number.put(x, Order::Little, &mut bytes));
+        let mut name = format!("scalar.{}", scalar.name);
+        if (scalar.number, scalar.components) != (NumberType::F64, 1) {
+            name.push_str(&format!(".{}.{}", attributes::word_of(scalar.number), scalar.components));
+        }
+        push(&name, bytes.into());
     }
 }
 

@@ -61,7 +61,7 @@ impl Prepared {
         let start = Instant::now();
         let Input { mesh, density, seeds, .. } = input;
         let plan = density::plan(&mesh, &density, seeds.count(), token).map_err(RemeshError::from)?;
-        let mut surface = Arc::new(Surface::new(&plan.mesh, plan.weights.as_deref())?);
+        let mut surface = Arc::new(Surface::unless(&plan.mesh, plan.weights.as_deref(), token)?);
         token.check()?;
         let figures = InputFigures::of(&mesh, token)?;
         token.check()?;
@@ -70,7 +70,7 @@ impl Prepared {
         // Before facets are divided: the same number draws the same seeds for every kind of job.
         let (seeds, random_seed) = match seeds {
             Seeds::Given(seeds) => (seeds, None),
-            Seeds::Sample { seed, .. } | Seeds::Implied { seed } => {
+            Seeds::Sample { seed, .. } | Seeds::Implied { seed } | Seeds::Share { seed, .. } => {
                 let points = sample(&plan.mesh, plan.weights.as_deref(), plan.points, seed);
                 (points.into_iter().map(|p| p.position).collect(), Some(seed))
             }
@@ -81,7 +81,7 @@ impl Prepared {
             let facets = plan.mesh.facets().len();
             let plan = plan.divided(token)?;
             if plan.mesh.facets().len() != facets {
-                surface = Arc::new(Surface::new(&plan.mesh, plan.weights.as_deref())?);
+                surface = Arc::new(Surface::unless(&plan.mesh, plan.weights.as_deref(), token)?);
             }
         }
         prepare += start.elapsed();

@@ -16,7 +16,7 @@ use geometry::rvd::BackendChoice;
 use wire::attributes::AttributeCounts;
 use wire::counts::{Bounds, MeshCounts};
 use wire::options::{self, Beside, Diagram, Session, choice, within};
-use wire::proto::{self, ArrayForm, AttributeType, SeedsWanted, cvt_job_command, job_mesh, job_spec, result_format};
+use wire::proto::{self, ArrayForm, SeedsWanted, cvt_job_command, job_mesh, job_spec, result_format};
 use wire::{WireError, attributes, codec};
 
 const MAX_LABELS: u64 = 64;
@@ -329,10 +329,8 @@ impl MeshSource {
         let counts = attributes::check(&headers, counts).map_err(of_header)?;
         let attribute = |(i, (counts, given)): (usize, (AttributeCounts, &proto::AttributeArrays))| {
             let read = || {
-                let forms: &[_] =
-                    if counts.number_bytes == 1 { &[ArrayForm::U8] } else { &[ArrayForm::F32, ArrayForm::F64] };
                 let values = need("values", given.values.as_ref(), "name a blob")?;
-                let values = ArrayRef::of("values", values, forms, Some(counts.values))?;
+                let values = ArrayRef::of("values", values, &[values.form()], Some(counts.values))?;
                 let corners = match (counts.by_corner, &given.corners) {
                     (true, corners) => {
                         let corners = need("corners", corners.as_ref(), "texture coordinates are given by corner")?;
@@ -355,17 +353,15 @@ impl MeshSource {
 /// The header that a stream would have for an attribute.
 fn header(given: &proto::AttributeArrays) -> proto::AttributeHeader {
     let form = given.values.as_ref().map_or(ArrayForm::Unspecified, proto::ArrayRef::form);
-    let r#type = match form {
-        ArrayForm::F32 => AttributeType::F32,
-        ArrayForm::U8 => AttributeType::U8,
-        _ => AttributeType::F64,
-    };
+    // A form that is none of numbers has a type of no message.
+    let r#type = attributes::type_of(form).map_or(-1, i32::from);
     proto::AttributeHeader {
         kind: given.kind,
         name: given.name.clone(),
-        r#type: r#type.into(),
+        r#type,
         values: given.values.as_ref().map_or(0, |values| values.count),
         by_corner: given.corners.is_some(),
+        components: given.components,
     }
 }
 

@@ -14,6 +14,7 @@ use super::{
     Answer, Clock, Created, JobStore, NewJob, Offer, Orphans, Page, Query, Recovered, Retention, StoreError, Swept,
     operations as ops,
 };
+use crate::beside::Beside;
 use crate::blob::index::{BlobIndex, LocalIndex};
 use crate::lock;
 use crate::record::event::{Events, Log, Progress};
@@ -37,6 +38,9 @@ pub(crate) trait Container: Send + Sync {
     fn waiters(&self) -> &Waiters;
 
     fn index(&self) -> &Arc<LocalIndex>;
+
+    /// The count of work beside the jobs, and whether there was some when the last process went down.
+    fn beside(&self) -> (Beside, bool);
 }
 
 impl<C: Container> JobStore for C {
@@ -97,7 +101,12 @@ impl<C: Container> JobStore for C {
     }
 
     fn recover(&self, orphans: Orphans, max_crashes: u32) -> Answer<'_, Recovered> {
-        self.write(move |tables, live, now| ops::recover(tables, live, now, orphans, max_crashes))
+        let (_, had_others) = Container::beside(self);
+        self.write(move |tables, live, now| ops::recover(tables, live, now, orphans, (max_crashes, had_others)))
+    }
+
+    fn beside(&self) -> Beside {
+        Container::beside(self).0
     }
 }
 
@@ -201,5 +210,10 @@ impl Container for MemoryStore {
 
     fn index(&self) -> &Arc<LocalIndex> {
         &self.index
+    }
+
+    // Nothing outlives the process.
+    fn beside(&self) -> (Beside, bool) {
+        (Beside::default(), false)
     }
 }

@@ -26,6 +26,7 @@ use tokio::sync::{mpsc, oneshot};
 use super::container::Container;
 use super::tables::{Live, Order, Table, Tables, TablesMut, Visit, Waiters};
 use super::{Answer, Clock, StoreError};
+use crate::beside::Beside;
 use crate::blob::index::LocalIndex;
 use crate::lock;
 use crate::record::event::Log;
@@ -76,6 +77,7 @@ struct Shared {
     waiters: Waiters,
     clock: Clock,
     index: Arc<LocalIndex>,
+    beside: (Beside, bool),
     /// Held after the database, so dropped after it.
     _directory: Option<Directory>,
 }
@@ -106,7 +108,9 @@ impl RedbStore {
         directory: Option<Directory>,
     ) -> Result<Self, StoreError> {
         let (progress, waiters, index) = (Mutex::default(), Waiters::default(), Arc::default());
-        let shared = Arc::new(Shared { database, path, progress, waiters, clock, index, _directory: directory });
+        let beside = directory.as_ref().map(Directory::beside).transpose()?.unwrap_or_default();
+        let shared =
+            Arc::new(Shared { database, path, progress, waiters, clock, index, beside, _directory: directory });
         shared.make_tables()?;
         let (commands, waiting) = mpsc::channel(WAITING);
         let writer = Writer { shared: Arc::clone(&shared), live: Live::new(Arc::clone(&shared.index)), broken: None };
@@ -167,6 +171,10 @@ impl Container for RedbStore {
 
     fn index(&self) -> &Arc<LocalIndex> {
         &self.shared.index
+    }
+
+    fn beside(&self) -> (Beside, bool) {
+        self.shared.beside.clone()
     }
 }
 

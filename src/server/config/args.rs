@@ -104,7 +104,7 @@ pub struct ServeArgs {
     /// Jobs of JobService that may wait; one more is refused with RESOURCE_EXHAUSTED.
     #[arg(long, value_name = "N", default_value_t = 100_000, value_parser = whole::<usize>, env = "TESSERA_WAITING_JOBS")]
     pub waiting_jobs: usize,
-    /// Server crashes that a job may survive; after one more it fails.
+    /// Server crashes after which a job that was at work fails, if nothing else was; else it is tried once more, alone.
     #[arg(long, value_name = "N", default_value_t = 2, value_parser = whole::<u32>, env = "TESSERA_MAX_CRASHES")]
     pub max_crashes: u32,
     /// Jobs at work at once; one more may be of a tenant that has none at work. A quarter of the cores, but 2 to 8, if not

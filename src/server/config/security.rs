@@ -7,6 +7,7 @@ use std::net::{IpAddr, SocketAddr};
 use std::path::PathBuf;
 
 use clap::Args;
+use http::Uri;
 use transport::TlsFiles;
 
 use super::values::{ConfigError, seconds};
@@ -35,10 +36,13 @@ pub struct SecurityArgs {
     /// Ask for a key for health too, where keys are required; without, probes need none.
     #[arg(long, env = "TESSERA_HEALTH_NEEDS_KEY")]
     pub health_needs_key: bool,
-    /// Answer requests to this host, or of its pages, too. Without keys and on loopback a server answers localhost alone, so
-    /// that no web page in a browser on this machine can use it. For a proxy on this machine that passes its own name on.
-    #[arg(long = "allow-host", value_name = "NAME", value_delimiter = ',', env = "TESSERA_ALLOW_HOST")]
-    pub allow_host: Vec<String>,
+    /// A name of this server, as a proxy passes it on; may be repeated. Without keys a server answers requests to its own
+    /// address alone, so that no web page in a browser can use it.
+    #[arg(long, value_name = "NAME", value_delimiter = ',', env = "TESSERA_PUBLIC_HOST")]
+    pub public_host: Vec<String>,
+    /// A site whose pages may use the HTTP port, as https://app.example.com; may be repeated.
+    #[arg(long, value_name = "ORIGIN", value_delimiter = ',', env = "TESSERA_CORS_ORIGIN")]
+    pub cors_origin: Vec<String>,
     /// Let other machines reach the server without TLS or without keys. For a network that you trust.
     #[arg(long, env = "TESSERA_INSECURE")]
     pub insecure: bool,
@@ -51,9 +55,13 @@ impl SecurityArgs {
             host.ends_with(|c: char| c.is_ascii_alphanumeric())
                 && host.chars().all(|c| c.is_ascii_alphanumeric() || ['-', '_', '.'].contains(&c))
         };
-        if let Some(host) = self.allow_host.iter().find(|host| !is_name(host) && host.parse::<IpAddr>().is_err()) {
+        if let Some(host) = self.public_host.iter().find(|host| !is_name(host) && host.parse::<IpAddr>().is_err()) {
             let must = "a name or an address without scheme and port, as tessera.example";
-            return Err(ConfigError::new("--allow-host", format!("{host:?}"), must));
+            return Err(ConfigError::new("--public-host", format!("{host:?}"), must));
+        }
+        if let Some(site) = self.cors_origin.iter().find(|site| !is_origin(site)) {
+            let must = "a scheme, a host and, if need be, a port, as https://app.example.com; * is no site";
+            return Err(ConfigError::new("--cors-origin", format!("{site:?}"), must));
         }
         let without = |option, other: &str, must: &'static str| {
             Err(ConfigError::new(option, format!("not given, though {other} is"), must))
@@ -96,6 +104,14 @@ impl SecurityArgs {
     }
 }
 
+/// Whether browsers send this as `Origin`.
+fn is_origin(text: &str) -> bool {
+    let Ok(uri) = text.parse::<Uri>() else { return false };
+    let is_bare = uri.path() == "/" && !text.ends_with('/') && uri.query().is_none();
+    let has_user = uri.authority().is_some_and(|authority| authority.as_str().contains('@'));
+    is_bare && !has_user && matches!(uri.scheme_str(), Some("http" | "https"))
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -110,7 +126,8 @@ mod tests {
             require_keys: given.contains(&"keys"),
             reflection: true,
             health_needs_key: false,
-            allow_host: Vec::new(),
+            public_host: Vec::new(),
+            cors_origin: Vec::new(),
             insecure: given.contains(&"insecure"),
         }
     }
@@ -127,13 +144,26 @@ mod tests {
     }
 
     #[test]
-    fn an_allowed_host_has_neither_scheme_nor_port() {
-        let with = |host: &str| SecurityArgs { allow_host: vec![host.to_owned()], ..args(&[]) }.check();
+    fn a_public_host_has_neither_scheme_nor_port() {
+        let with = |host: &str| SecurityArgs { public_host: vec![host.to_owned()], ..args(&[]) }.check();
         for good in ["tessera.example", "tessera", "10.0.0.1", "::1", "a-b.c_d"] {
             assert_eq!(with(good), Ok(None), "{good}");
         }
         for bad in ["", "tessera.example:8080", "http://tessera", "[::1]", "tessera.", "a b"] {
-            assert_eq!(with(bad).unwrap_err().option, "--allow-host", "{bad}");
+            assert_eq!(with(bad).unwrap_err().option, "--public-host", "{bad}");
+        }
+    }
+
+    #[test]
+    fn a_site_is_what_browsers_send() {
+        let with = |site: &str| SecurityArgs { cors_origin: vec![site.to_owned()], ..args(&[]) }.check();
+        for good in ["https://app.example.com", "http://localhost:5173", "http://[::1]:1"] {
+            assert_eq!(with(good), Ok(None), "{good}");
+        }
+        for bad in
+            ["*", "null", "", "app.example.com", "https://a/", "https://a/b", "https://a?b", "ftp://a", "https://u@a"]
+        {
+            assert_eq!(with(bad).unwrap_err().option, "--cors-origin", "{bad}");
         }
     }
 

@@ -8,6 +8,8 @@ use std::net::{SocketAddr, ToSocketAddrs};
 use std::ops::RangeInclusive;
 use std::time::Duration;
 
+use wire::fields;
+
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[error("{option} is {value}; it must be {must}")]
 pub struct ConfigError {
@@ -78,11 +80,11 @@ pub(super) fn addresses(option: &'static str, listen: &str) -> Result<Vec<Socket
     }
 }
 
-/// A whole number as people write it: `10000`, `1e4`.
+/// A whole number as people write it: `10000`, `1e4`, `10k`, `10,000`.
 pub fn whole<N: TryFrom<u64>>(text: &str) -> Result<N, String> {
-    number(text).and_then(|n| n.try_into().ok()).ok_or_else(|| {
-        let words = "a whole number is needed, as 10000 or 1e4";
-        if number(text).is_some() { format!("{words}, and a smaller one") } else { words.to_owned() }
+    fields::whole(text).and_then(|n| n.try_into().ok()).ok_or_else(|| {
+        let words = "a whole number is needed, as 10000, 1e4 or 10k";
+        if fields::whole(text).is_some() { format!("{words}, and a smaller one") } else { words.to_owned() }
     })
 }
 
@@ -90,15 +92,8 @@ pub fn whole<N: TryFrom<u64>>(text: &str) -> Result<N, String> {
 pub fn count(text: &str) -> Result<u32, String> {
     match whole(text) {
         Ok(number) if number > 0 => Ok(number),
-        _ => Err(format!("a whole number from 1 to {} is needed, as 10000 or 1e4", u32::MAX)),
+        _ => Err(format!("a whole number from 1 to {} is needed, as 10000, 1e4 or 10k", u32::MAX)),
     }
-}
-
-fn number(text: &str) -> Option<u64> {
-    /// Up to here every whole number is one of double precision.
-    const EXACT: f64 = (1u64 << 53) as f64;
-    let real = || text.parse::<f64>().ok().filter(|x| (0.0..=EXACT).contains(x) && x.fract() == 0.0);
-    text.parse().ok().or_else(|| real().map(|x| x as u64))
 }
 
 pub(super) fn seconds(option: &'static str, value: f64) -> Result<Duration, ConfigError> {

@@ -21,6 +21,7 @@ use serde::Serialize;
 use serde_json::json;
 
 use super::body::{Arriving, Coding, coding, length, whole};
+use super::form::one_file;
 use super::guard::Whose;
 use super::options::Asked;
 use super::problem::{Answered, wrong};
@@ -48,7 +49,7 @@ pub(super) async fn upload(State(desk): State<Desk>, Extension(client): Whose, r
     let mut asked = Asked::of_query(request.uri().query())?;
     let named = asked.digest("digest")?;
     asked.finish()?;
-    let (parts, body) = request.into_parts();
+    let (parts, body) = one_file(&desk, request).await?.into_parts();
     // The length of what is packed is not known.
     let length = length(&parts.headers).filter(|_| matches!(coding(&parts.headers), Ok(Coding::Plain)));
     let info = match (named, length) {
@@ -93,7 +94,6 @@ async fn stream(
     let info = BlobInfo { digest: upload.digest, size_bytes: upload.size_bytes };
     let mut status = timely(desk.blobs.begin_within(upload, client.bytes)).await?;
     if status.complete {
-        arriving.pass_over().await;
         return Ok(info);
     }
     let _empty = EmptyUpload::new(&desk.blobs, upload);

@@ -1,17 +1,23 @@
 //! The body of a request, as it comes.
 //!
-//! Purpose: [`Arriving`] reads a body within the limits of uploads; [`whole`] has all of it in memory. Invariant: what is held
+//! Purpose: [`Arriving`] reads a body within the limits of uploads; [`whole`] has all of it in memory; [`read_to_the_end`]
+//! keeps connections good for the answers of refused uploads. Invariant: what is held
 //! is counted in the memory that all uploads share, byte by byte as it is unpacked where `Content-Encoding` says gzip. A body
 //! that stalls, takes too long or comes while the server drains is refused. Must not know: what the bytes say.
 
 use std::error::Error;
 use std::io::{self, ErrorKind, Write};
+use std::pin::Pin;
+use std::task::{Context, Poll};
 use std::time::Duration;
 
 use axum::body::{Body, BodyDataStream, Bytes};
-use axum::http::HeaderMap;
-use axum::http::header::{CONTENT_ENCODING, CONTENT_LENGTH};
+use axum::extract::Request;
+use axum::http::header::{CONTENT_ENCODING, CONTENT_LENGTH, EXPECT};
+use axum::http::{HeaderMap, Version};
 use futures_util::StreamExt as _;
+use http_body::{Body as _, Frame, SizeHint};
+use tokio::runtime::Handle;
 use tokio::time::Instant;
 
 use super::problem::wrong;
@@ -29,11 +35,6 @@ pub(super) struct Arriving<'a> {
 impl<'a> Arriving<'a> {
     pub(super) fn new(desk: &'a Desk, body: Body) -> Self {
         Self { desk, stream: body.into_data_stream(), deadline: Instant::now() + desk.limits.upload }
-    }
-
-    /// As [`pass_over`], of what is still to come.
-    pub(super) async fn pass_over(self) {
-        pass_over(Body::from_stream(self.stream)).await;
     }
 
     /// The next bytes; `None` at the end.
@@ -63,21 +64,68 @@ fn broken(error: &(dyn Error + 'static)) -> RequestError {
     }
 }
 
-/// Discards a body, for a client that reads no answer before it has sent everything: to close a connection
-/// while bytes are unread would reset it, and the answer would be lost. Within limits: the rest is the client's loss.
-pub(super) async fn pass_over(body: Body) {
-    const BYTES: usize = 64 << 20;
-    const TIME: Duration = Duration::from_secs(5);
-    let mut stream = body.into_data_stream();
-    let reading = async {
-        let mut left = BYTES;
-        while let Some(Ok(bytes)) = stream.next().await
-            && left > bytes.len()
-        {
-            left -= bytes.len();
+/// A body of HTTP/1 whose rest is discarded once nothing reads it any more, beside the answer: a client may read no answer
+/// before it has sent everything, and to close a connection while bytes are unread would reset it. Within limits: the rest is
+/// the client's loss.
+struct Tail {
+    body: Body,
+    /// The client waits for `100 Continue`, which the first read sends.
+    waits: bool,
+    ended: bool,
+}
+
+/// See [`Tail`].
+pub(super) async fn read_to_the_end(request: Request) -> Request {
+    if request.version() >= Version::HTTP_2 {
+        return request;
+    }
+    let waits = request.headers().contains_key(EXPECT);
+    request.map(|body| Body::new(Tail { ended: body.is_end_stream(), body, waits }))
+}
+
+impl http_body::Body for Tail {
+    type Data = Bytes;
+    type Error = axum::Error;
+
+    fn poll_frame(
+        mut self: Pin<&mut Self>,
+        context: &mut Context<'_>,
+    ) -> Poll<Option<Result<Frame<Self::Data>, Self::Error>>> {
+        self.waits = false;
+        let frame = Pin::new(&mut self.body).poll_frame(context);
+        self.ended |= matches!(frame, Poll::Ready(None | Some(Err(_))));
+        frame
+    }
+
+    fn is_end_stream(&self) -> bool {
+        self.body.is_end_stream()
+    }
+
+    fn size_hint(&self) -> SizeHint {
+        self.body.size_hint()
+    }
+}
+
+impl Drop for Tail {
+    fn drop(&mut self) {
+        const BYTES: usize = 64 << 20;
+        const TIME: Duration = Duration::from_secs(5);
+        // Without a runtime the process ends.
+        let Ok(runtime) = Handle::try_current() else { return };
+        if self.ended || self.waits || self.body.is_end_stream() {
+            return;
         }
-    };
-    let _ = tokio::time::timeout(TIME, reading).await;
+        let mut stream = std::mem::take(&mut self.body).into_data_stream();
+        let reading = async move {
+            let mut left = BYTES;
+            while let Some(Ok(bytes)) = stream.next().await
+                && left > bytes.len()
+            {
+                left -= bytes.len();
+            }
+        };
+        runtime.spawn(tokio::time::timeout(TIME, reading));
+    }
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -103,19 +151,6 @@ pub(super) fn length(headers: &HeaderMap) -> Option<u64> {
 /// A whole body, unpacked, and its memory.
 pub(super) async fn whole(desk: &Desk, headers: &HeaderMap, body: Body) -> Result<(Bytes, Share), RequestError> {
     let mut arriving = Arriving::new(desk, body);
-    let gathered = gather(desk, headers, &mut arriving).await;
-    match &gathered {
-        Ok(_) => {}
-        Err(
-            RequestError::ClientGone | RequestError::Idle(_) | RequestError::UploadTime(_) | RequestError::Draining,
-        ) => {}
-        // The client still sends, and is to hear why in vain.
-        Err(_) => arriving.pass_over().await,
-    }
-    gathered
-}
-
-async fn gather(desk: &Desk, headers: &HeaderMap, arriving: &mut Arriving<'_>) -> Result<(Bytes, Share), RequestError> {
     let mut kept = Kept { all: Vec::new(), share: desk.budget.share(), limit: usize::MAX, refusal: None };
     if coding(headers)? == Coding::Plain {
         while let Some(bytes) = arriving.next().await? {

@@ -15,13 +15,13 @@ use axum::http::{HeaderMap, StatusCode};
 use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
 use http_body::{Frame, SizeHint};
-use tokio::sync::OwnedSemaphorePermit;
 use tracing::{Span, field, info_span};
 
 use super::Route;
 use super::problem::Problem;
 use crate::metrics::{Metrics, Refused};
 use crate::service::{Caller, DESK_TIME, Desk, Fault, FaultKind, Kind, Pass, Refusal, RequestError, tenant_of};
+use jobs::places::Place;
 use telemetry::trace::{self, TraceContext};
 use transport::{Exchange, Phase};
 
@@ -77,19 +77,19 @@ pub(super) async fn guard(State(guard): State<Guard>, request: Request, next: Ne
     let Guard { desk, route } = guard;
     let method = if request.method() == "HEAD" { "HEAD" } else { route.method };
     let mut counted = Counted::new(&desk.metrics, method, route.path);
-    let (permit, pass, answered) = match enter(&desk, route, request) {
-        Ok((request, permit, pass)) => {
+    let (place, pass, answered) = match enter(&desk, route, request) {
+        Ok((request, place, pass)) => {
             let (span, context) = span(method, route.path, request.headers());
             let answering = answer(&desk, route.kind, pass.as_ref(), next.run(request));
             let response = trace::within(context, span, answering).await;
-            (Some(permit), pass, response)
+            (Some(place), pass, response)
         }
         Err(error) => (None, None, Err(error)),
     };
     let response = answered.unwrap_or_else(|error| Problem::from(error).into_response());
     counted.answered(&response);
     let cut = until_cut(&desk, pass.as_ref());
-    response.map(|body| Body::new(Held { body, cut: Box::pin(cut), _pass: pass, _permit: permit, _counted: counted }))
+    response.map(|body| Body::new(Held { body, cut: Box::pin(cut), _pass: pass, _place: place, _counted: counted }))
 }
 
 /// What the guard of a path that is open to everybody knows.
@@ -107,16 +107,18 @@ pub(super) async fn open(State(open): State<Open>, request: Request, next: Next)
     let method = if request.method() == "HEAD" { "HEAD" } else { "GET" };
     let mut counted = Counted::new(&desk.metrics, method, path);
     let entered = desk.access.check_host(&request).map_err(RequestError::from);
-    let (permit, response) = match entered.and_then(|()| desk.gate.admit(Kind::Call)) {
-        Ok(permit) => {
+    let tenant = tenant_of(request.headers(), request.extensions());
+    let admit = || desk.gate.admit(Kind::Call, &tenant?);
+    let (place, response) = match entered.and_then(|()| admit()) {
+        Ok(place) => {
             Exchange::admit(request.extensions());
-            (Some(permit), next.run(request).await)
+            (Some(place), next.run(request).await)
         }
         Err(error) => (None, Problem::from(error).into_response()),
     };
     counted.answered(&response);
     let cut = until_cut(&desk, None);
-    response.map(|body| Body::new(Held { body, cut: Box::pin(cut), _pass: None, _permit: permit, _counted: counted }))
+    response.map(|body| Body::new(Held { body, cut: Box::pin(cut), _pass: None, _place: place, _counted: counted }))
 }
 
 /// What a request does is done in this span, of the trace that its caller names.
@@ -135,16 +137,16 @@ fn span(method: &'static str, route: &'static str, headers: &HeaderMap) -> (Span
     (span, context)
 }
 
-type Entered = (Request, OwnedSemaphorePermit, Option<Pass>);
+type Entered = (Request, Place, Option<Pass>);
 
 fn enter(desk: &Desk, route: Route, mut request: Request) -> Result<Entered, RequestError> {
     let pass = desk.access.admit(&mut request, Some(route.role))?;
-    let permit = desk.gate.admit(route.kind)?;
-    Exchange::admit(request.extensions());
     let tenant = tenant_of(request.headers(), request.extensions())?;
+    let place = desk.gate.admit(route.kind, &tenant)?;
+    Exchange::admit(request.extensions());
     let bytes = request.extensions().get::<Caller>().and_then(|caller| caller.bytes);
     request.extensions_mut().insert(Caller { tenant, bytes });
-    Ok((request, permit, pass))
+    Ok((request, place, pass))
 }
 
 /// Waits for an answer, as long as that may take.
@@ -217,7 +219,7 @@ struct Held {
     body: Body,
     cut: Pin<Box<dyn Future<Output = RequestError> + Send>>,
     _pass: Option<Pass>,
-    _permit: Option<OwnedSemaphorePermit>,
+    _place: Option<Place>,
     _counted: Counted,
 }
 

@@ -136,7 +136,11 @@ fn operation(route: &Route, schemas: &mut SchemaGenerator) -> Value {
         "parameters": parameters,
         "responses": responses,
     });
-    let body = route.body.by_media_type(schemas);
+    let mut body = route.body.by_media_type(schemas);
+    if matches!(route.body, Content::Mesh | Content::Plain(_)) {
+        let file = json!({ "type": "object", "properties": { "file": { "type": "string", "format": "binary" } } });
+        body.insert("multipart/form-data".to_owned(), json!({ "schema": file }));
+    }
     if !body.is_empty() {
         operation["requestBody"] = json!({ "required": true, "content": body });
     }

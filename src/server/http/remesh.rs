@@ -7,7 +7,7 @@
 use std::sync::Arc;
 
 use axum::extract::{Extension, Request, State};
-use axum::http::header::{ACCEPT, CONTENT_TYPE, EXPECT};
+use axum::http::header::{ACCEPT, CONTENT_TYPE};
 use axum::http::request::Parts;
 use axum::http::{HeaderMap, HeaderValue};
 use bytes::Bytes;
@@ -16,7 +16,8 @@ use serde::Deserialize;
 use tokio::runtime::Handle;
 
 use super::blobs::store;
-use super::body::{coding, pass_over};
+use super::body::coding;
+use super::form::one_file;
 use super::guard::Whose;
 use super::jobs::{MESH, REPORT, send_result};
 use super::options::{Asked, format_names, format_of_types};
@@ -31,17 +32,8 @@ use transport::Phase;
 use wire::proto::{self, JobSpec, job_mesh, result_format};
 
 pub(super) async fn remesh(State(desk): State<Desk>, Extension(client): Whose, request: Request) -> Answered {
-    let (parts, body) = request.into_parts();
-    let wanted = match wanted(&parts, &client) {
-        Ok(wanted) => wanted,
-        Err(error) => {
-            // A client that waits for `100 Continue` has sent nothing yet.
-            if !parts.headers.contains_key(EXPECT) {
-                pass_over(body).await;
-            }
-            return Err(error.into());
-        }
-    };
+    let (parts, body) = one_file(&desk, request).await?.into_parts();
+    let wanted = wanted(&parts, &client)?;
     let (info, bytes) = store(&desk, &client, &parts.headers, body).await?;
     let spec = wanted.of(info.digest, &bytes)?;
     drop(bytes);

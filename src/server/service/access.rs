@@ -6,7 +6,6 @@
 //! A key that is revoked or ends takes its open calls with it. Secrets are taken out of a request here, and go nowhere.
 //! Must not know: messages, connections, what a tenant has.
 
-mod hosts;
 mod methods;
 mod table;
 
@@ -29,6 +28,7 @@ use self::table::Held;
 pub(crate) use self::table::Pass;
 use self::table::Table;
 use super::RequestError;
+use crate::hosts::{self, Foreign, Hosts, Reach};
 use crate::keys::{KeyFile, KeysError, Role, Secret, Stamp, now};
 use jobs::Weights;
 use telemetry::Seldom;
@@ -44,13 +44,13 @@ pub struct AccessOptions {
     pub require_keys: bool,
     pub reflection: bool,
     pub health_needs_key: bool,
-    /// Hosts of requests, besides this machine, that a server without keys on loopback answers.
-    pub hosts: Vec<String>,
+    /// What a server without keys answers besides its own addresses.
+    pub hosts: Hosts,
 }
 
 impl Default for AccessOptions {
     fn default() -> Self {
-        Self { require_keys: false, reflection: true, health_needs_key: false, hosts: Vec::new() }
+        Self { require_keys: false, reflection: true, health_needs_key: false, hosts: Hosts::default() }
     }
 }
 
@@ -58,8 +58,8 @@ impl Default for AccessOptions {
 #[derive(Clone)]
 pub struct Access {
     shared: Arc<Shared>,
-    /// Whether requests come by a loopback address alone.
-    is_local: bool,
+    /// The hosts of requests by this listener.
+    reach: Reach,
 }
 
 struct Shared {
@@ -84,15 +84,19 @@ pub enum Refusal {
     #[error("this key may not do that; it needs the role {0}")]
     Role(Role),
     #[error(
-        "this server needs no key, so it answers requests to localhost alone; name it so, add this host with --allow-host, \
-         or require keys (--require-keys)"
+        "this server needs no key, so it answers requests to its own address alone, as localhost; name it so, add this host \
+         with --public-host, or require keys (--require-keys)"
     )]
     Host,
+    #[error("a request has one Host")]
+    Hosts,
     #[error(
-        "this server needs no key, so it answers no page of another site; add the site's host with --allow-host, or require \
-         keys (--require-keys)"
+        "this server needs no key, so it answers no page of another site; allow the site with --cors-origin, or require keys \
+         (--require-keys)"
     )]
     Origin,
+    #[error("a page must send another Content-Type, as application/json, application/octet-stream or that of a mesh")]
+    MediaType,
     #[error("this key is its own tenant's; leave out {TENANT}")]
     Tenant,
     #[error("{TENANT} is no name, or is there twice: take 1 to 128 printable ASCII characters without spaces, once")]
@@ -105,6 +109,17 @@ pub enum Refusal {
     InFlight { limit: u32 },
     #[error("this key has {used_bytes} bytes of blobs, and may have {limit_bytes}; delete blobs or jobs first")]
     Bytes { used_bytes: u64, limit_bytes: u64 },
+}
+
+impl From<Foreign> for Refusal {
+    fn from(foreign: Foreign) -> Self {
+        match foreign {
+            Foreign::Host => Self::Host,
+            Foreign::Hosts => Self::Hosts,
+            Foreign::Origin => Self::Origin,
+            Foreign::MediaType => Self::MediaType,
+        }
+    }
 }
 
 /// The caller, for handlers. A call without a key has none.
@@ -148,13 +163,12 @@ impl Access {
 
     fn new(file: Option<KeyFile>, options: AccessOptions, table: Table) -> Self {
         let shared = Shared { options, file, table: RwLock::new(table), log: Seldom::default() };
-        Self { shared: Arc::new(shared), is_local: false }
+        Self { shared: Arc::new(shared), reach: Reach::Anywhere }
     }
 
-    /// The same for the requests of one listener.
-    pub fn of(&self, listener: &TcpListener) -> Self {
-        let is_local = listener.local_addr().is_ok_and(|address| address.ip().to_canonical().is_loopback());
-        Self { shared: Arc::clone(&self.shared), is_local }
+    /// The same for the requests of one listener; one that other machines reach has the hosts of `wide`.
+    pub fn of(&self, listener: &TcpListener, wide: Reach) -> Self {
+        Self { shared: Arc::clone(&self.shared), reach: hosts::reach(listener, wide) }
     }
 
     pub fn options(&self) -> &AccessOptions {
@@ -228,11 +242,13 @@ impl Access {
     /// Refuses requests that come from the pages of other sites, where no key is needed.
     pub fn check_host<B>(&self, request: &Request<B>) -> Result<(), Refusal> {
         let options = &self.shared.options;
-        if self.is_local && !options.require_keys { hosts::check(request, &options.hosts) } else { Ok(()) }
+        // A page has no key, so that it can use nothing where one is needed.
+        if options.require_keys { Ok(()) } else { Ok(options.hosts.check(request, self.reach)?) }
     }
 
     /// Checks a request. Returns the right of the call if it has a key.
     fn enter<B>(&self, request: &mut Request<B>, needs: Option<Needs>) -> Result<Option<Pass>, Refusal> {
+        hosts::check_once(request.headers())?;
         let presented = presented(request.headers());
         // No handler needs it.
         request.headers_mut().remove(header::AUTHORIZATION);

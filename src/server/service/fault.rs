@@ -148,6 +148,8 @@ fn of_refusal(refusal: Refusal) -> Fault {
             Fault::new(Kind::PermissionDenied, text)
         }
         Refusal::TenantName => invalid(text.clone(), TENANT.to_owned(), text),
+        Refusal::Hosts => invalid(text.clone(), "host".to_owned(), text),
+        Refusal::MediaType => invalid(text.clone(), "content-type".to_owned(), text),
         Refusal::Unknown => Fault::new(Kind::Unimplemented, text),
         Refusal::Rate { wait, .. } => quota("rate", wait),
         Refusal::InFlight { .. } => quota("in-flight", Duration::from_secs(1)),

@@ -25,7 +25,6 @@ mod remesh;
 use std::sync::Arc;
 
 use prost::Message as _;
-use tokio::sync::Semaphore;
 use tonic::{Request, Response, Status, Streaming};
 
 use super::RequestError;
@@ -37,6 +36,7 @@ use ::jobs::admission::forecast::must_fit;
 use ::jobs::executor::prepared::{Input, Prepared};
 use ::jobs::executor::streams::Place;
 use ::jobs::observe::activity::Origin;
+use ::jobs::places::Places;
 pub(super) use ::jobs::{AdmissionRequest, BackendInfo, CancelOnDrop, Engine, JobError, admission};
 use geometry::cvt::density::Count;
 use geometry::mesh::TriMesh;
@@ -66,14 +66,15 @@ struct Shared {
     limits: Limits,
     budget: Budget,
     gate: Gate,
-    /// Surfaces prepared at once: as many as there are cores.
-    preparing: Arc<Semaphore>,
+    /// Surfaces prepared at once: as many as there are cores, and two at least.
+    preparing: Places,
 }
 
 impl Handlers {
     pub(super) fn new(engine: Engine, limits: Limits, budget: Budget, gate: Gate) -> Self {
         let cores = std::thread::available_parallelism().map_or(1, usize::from);
-        let preparing = Arc::new(Semaphore::new(cores));
+        // One tenant leaves a place.
+        let preparing = Places::new(cores.max(2));
         Self { shared: Arc::new(Shared { engine, limits, budget, gate, preparing }) }
     }
 
@@ -86,9 +87,9 @@ impl Handlers {
     ) -> Reply<Answers<T>> {
         let (metadata, extensions, stream) = request.into_parts();
         let (shared, tenant) = (Arc::clone(&self.shared), tenant_of(metadata.as_ref(), &extensions)?);
-        let places = (&self.shared.gate, &self.shared.budget);
+        let (name, places) = (tenant.clone(), (&self.shared.gate, &self.shared.budget));
         let handle = |out| handle(shared, tenant, Inbox::new(stream), out);
-        Ok(respond((method, Kind::Stream), &metadata, &extensions, places, handle)?)
+        Ok(respond((method, Kind::Stream, &name), &metadata, &extensions, places, handle)?)
     }
 }
 
@@ -151,7 +152,7 @@ async fn upload<M: Into<Incoming<H>>, H: Needs>(
             (None, header) => {
                 // Nothing can come before the header.
                 let request = header.map(|header| admission_request::<H>(shared, tenant, header)).transpose()?;
-                Place { request: request.unwrap_or_default(), reservation: shared.engine.reserve()? }
+                Place { request: request.unwrap_or_default(), reservation: shared.engine.reserve(tenant)? }
             }
         };
         if let Some((header, arrays)) = complete {
@@ -193,6 +194,12 @@ fn input(received: Received, options: &mut dyn Start, token: &Token) -> Result<(
         false => Some(attributes::collect(&mesh, attributes).map_err(|error| error.under("mesh"))?),
     };
     let (seeds, density) = options.start();
+    seeds.resolve(&mesh);
+    let most = density.max_points;
+    if let Some(points) = seeds.drawn().filter(|points| *points > most) {
+        let text = format!("come to {points} for this surface; this server takes at most {most}");
+        return Err(wire::WireError::field("options.points", text).into());
+    }
     let (seeds, density) = (std::mem::replace(seeds, Seeds::Given(Vec::new())), std::mem::take(density));
     Ok((Input { mesh, density, seeds, creases, attributes }, share))
 }
@@ -200,15 +207,15 @@ fn input(received: Received, options: &mut dyn Start, token: &Token) -> Result<(
 /// Does long work that needs no backend, on a thread that may block. When the caller goes, the work is cancelled, and
 /// its place is free once it has: work that went on without a place would be as many threads as there are such callers.
 async fn apart<R: Send + 'static>(
-    shared: &Shared,
+    (shared, tenant): (&Shared, &str),
     token: &Token,
     work: impl FnOnce(&Token) -> Result<R, RequestError> + Send + 'static,
 ) -> Result<R, RequestError> {
-    let Ok(permit) = Arc::clone(&shared.preparing).acquire_owned().await else { return Err(RequestError::Draining) };
+    let place = shared.preparing.wait(tenant).await;
     let cancel = CancelOnDrop::new(token);
     let (engine, token) = (shared.engine.clone(), token.clone());
     let work = move || {
-        let (_permit, _watched) = (permit, engine.watch(&token));
+        let (_place, _watched, _mark) = (place, engine.watch(&token), engine.mark());
         engine.on_threads(|| work(&token))
     };
     let span = tracing::Span::current();
@@ -222,13 +229,13 @@ async fn apart<R: Send + 'static>(
 
 /// Checks an upload, and prepares it `by` one of the ways there are.
 async fn prepare(
-    shared: &Shared,
+    (shared, tenant): (&Shared, &str),
     received: Received,
     mut options: impl Start + Send + 'static,
     by: fn(Input, &Token) -> Result<Prepared, JobError>,
     token: &Token,
 ) -> Result<(Arc<Prepared>, Share), RequestError> {
-    apart(shared, token, move |token| {
+    apart((shared, tenant), token, move |token| {
         let (input, share) = input(received, &mut options, token)?;
         Ok((Arc::new(by(input, token)?), share))
     })
@@ -326,11 +333,12 @@ fn admission_request<H: Needs>(
 ) -> Result<AdmissionRequest, RequestError> {
     let by = shared.engine.backend(header.backend)?;
     let Checked { mesh, options, attributes, .. } = header;
-    let points = match options.seeds().count() {
+    let points = match (options.seeds(), options.seeds().count()) {
         _ if mesh.seeds > 0 => mesh.seeds,
-        Count::Points(points) => points as u64,
+        (_, Count::Points(points)) => points as u64,
+        (Seeds::Share { of, .. }, _) => of.of_vertices(usize::try_from(mesh.vertices).unwrap_or(usize::MAX)) as u64,
         // Nothing is known yet: seldom more than half as many as facets.
-        Count::Implied => (mesh.facets / 2).clamp(1, shared.limits.max_seeds.max(1)),
+        (_, Count::Implied) => (mesh.facets / 2).clamp(1, shared.limits.max_seeds.max(1)),
     };
     let counts = H::counts(Counts::new(H::KIND, by.kind, mesh.vertices, mesh.facets, points), options);
     let attributes = attributes.iter().fold(0, |sum, array| array.values.saturating_mul(3).saturating_add(sum));

@@ -12,7 +12,7 @@ use std::sync::Arc;
 use std::task::{Context, Poll};
 use std::time::{Duration, Instant};
 
-use tokio::sync::{OwnedSemaphorePermit, Semaphore, mpsc, oneshot, watch};
+use tokio::sync::{mpsc, oneshot, watch};
 use tokio_stream::Stream;
 use tonic::metadata::MetadataMap;
 use tonic::{Extensions, Response, Status, Streaming};
@@ -21,6 +21,7 @@ use super::RequestError;
 use super::fault::refusal;
 use crate::config::Limits;
 use crate::metrics::Metrics;
+use jobs::places::{Place, Places};
 use telemetry::trace;
 use transport::{Budget, Exchange, Phase, Share};
 
@@ -44,10 +45,10 @@ pub enum Kind {
 /// Counts streams and sessions, and knows whether the server is on its way out.
 #[derive(Clone, Debug)]
 pub struct Gate {
-    streams: Arc<Semaphore>,
-    calls: Arc<Semaphore>,
-    watches: Arc<Semaphore>,
-    sessions: Arc<Semaphore>,
+    streams: Places,
+    calls: Places,
+    watches: Places,
+    sessions: Places,
     limits: Limits,
     phase: watch::Receiver<Phase>,
     metrics: Metrics,
@@ -55,8 +56,8 @@ pub struct Gate {
 
 impl Gate {
     pub fn new(limits: Limits, phase: watch::Receiver<Phase>, metrics: Metrics) -> Self {
-        let [streams, calls, watches] = [(); 3].map(|()| Arc::new(Semaphore::new(limits.max_streams)));
-        let sessions = Arc::new(Semaphore::new(limits.max_sessions));
+        let [streams, calls, watches] = [(); 3].map(|()| Places::new(limits.max_streams));
+        let sessions = Places::new(limits.max_sessions);
         Self { streams, calls, watches, sessions, limits, phase, metrics }
     }
 
@@ -64,7 +65,8 @@ impl Gate {
         refusal(error).into_iter().for_each(|reason| self.metrics.refused(reason));
     }
 
-    pub fn admit(&self, kind: Kind) -> Result<OwnedSemaphorePermit, RequestError> {
+    /// A place for a call of a tenant.
+    pub fn admit(&self, kind: Kind, tenant: &str) -> Result<Place, RequestError> {
         if *self.phase.borrow() != Phase::Serving {
             return Err(RequestError::Draining);
         }
@@ -73,20 +75,18 @@ impl Gate {
             Kind::Call => (&self.calls, "calls"),
             Kind::Watch => (&self.watches, "watches of jobs"),
         };
-        let full = |_| RequestError::TooMany { what, limit: self.limits.max_streams };
-        Arc::clone(places).try_acquire_owned().map_err(full)
+        places.take(tenant).ok_or(RequestError::TooMany { what, limit: self.limits.max_streams })
     }
 
-    pub fn admit_session(&self) -> Result<OwnedSemaphorePermit, RequestError> {
-        let full = |_| RequestError::TooMany { what: "sessions", limit: self.limits.max_sessions };
-        Arc::clone(&self.sessions).try_acquire_owned().map_err(full)
+    pub fn admit_session(&self, tenant: &str) -> Result<Place, RequestError> {
+        let full = RequestError::TooMany { what: "sessions", limit: self.limits.max_sessions };
+        self.sessions.take(tenant).ok_or(full)
     }
 
     /// Ready once no stream and no call is open.
     pub async fn idle(&self) {
-        let all = u32::try_from(self.limits.max_streams).unwrap_or(u32::MAX);
         for places in [&self.streams, &self.calls, &self.watches] {
-            let _ = places.acquire_many(all).await;
+            places.idle().await;
         }
     }
 
@@ -154,7 +154,7 @@ pub(super) struct Answers<T> {
     receiver: mpsc::Receiver<Waiting<T>>,
     end: Option<oneshot::Receiver<Option<Status>>>,
     /// Given back when both the work and the answer are over.
-    permit: Option<Arc<OwnedSemaphorePermit>>,
+    place: Option<Arc<Place>>,
 }
 
 impl<T> Stream for Answers<T> {
@@ -175,7 +175,7 @@ impl<T> Stream for Answers<T> {
         };
         self.end = None;
         // Before the client has the last message: it may begin anew at once.
-        self.permit = None;
+        self.place = None;
         Poll::Ready(status.map(Err))
     }
 }
@@ -183,14 +183,14 @@ impl<T> Stream for Answers<T> {
 /// Runs `work`, which gives one message, until it ends or the deadline passes, the server cuts, or `most` is over. If the
 /// client goes, the transport drops all of it.
 pub(super) async fn answer<T>(
-    (method, kind): (&'static str, Kind),
+    (method, kind, tenant): (&'static str, Kind, &str),
     metadata: &MetadataMap,
     extensions: &Extensions,
     gate: &Gate,
     most: Option<Duration>,
     work: impl Future<Output = Result<T, RequestError>>,
 ) -> Result<Response<T>, Status> {
-    let _permit = gate.admit(kind).inspect_err(|error| gate.note(error))?;
+    let _place = gate.admit(kind, tenant).inspect_err(|error| gate.note(error))?;
     Exchange::admit(extensions);
     let start = Instant::now();
     let result = tokio::select! {
@@ -214,7 +214,7 @@ pub(super) async fn answer<T>(
 
 /// Runs `handle` on a task of its own.
 pub(super) fn respond<T, F>(
-    (method, kind): (&'static str, Kind),
+    (method, kind, tenant): (&'static str, Kind, &str),
     metadata: &MetadataMap,
     extensions: &Extensions,
     (gate, budget): (&Gate, &Budget),
@@ -224,7 +224,7 @@ where
     T: Send + 'static,
     F: Future<Output = Result<(), RequestError>> + Send + 'static,
 {
-    let permit = Arc::new(gate.admit(kind).inspect_err(|error| gate.note(error))?);
+    let place = Arc::new(gate.admit(kind, tenant).inspect_err(|error| gate.note(error))?);
     Exchange::admit(extensions);
     let exchange = extensions.get::<Arc<Exchange>>().cloned();
     let deadline = timeout(metadata);
@@ -232,7 +232,7 @@ where
     let (end, ended) = oneshot::channel();
     let watcher = sender.clone();
     let work = handle(Outbox { sender, budget: budget.clone() });
-    let answers = Answers { receiver, end: Some(ended), permit: Some(Arc::clone(&permit)) };
+    let answers = Answers { receiver, end: Some(ended), place: Some(Arc::clone(&place)) };
     let gate = gate.clone();
     tokio::spawn(trace::carry(async move {
         let start = Instant::now();
@@ -257,7 +257,7 @@ where
             None => tracing::info!(method, ms, "done"),
             Some(status) => tracing::info!(method, ms, code = ?status.code(), message = status.message(), "ended"),
         }
-        drop(permit);
+        drop(place);
         let _ = end.send(status);
         drop(watcher);
     }));

@@ -12,7 +12,13 @@ export interface QualityFigures {
   readonly smallestAngle: number;
   /** Percent of the facets that have an angle below 30 degrees. */
   readonly under30: number;
+  /** Percent of the facets in each bin of Q from 0 to 1, and of the smallest angle from 0 to 60 degrees. */
+  readonly shares: { readonly q: readonly number[]; readonly angle: readonly number[] };
+  /** In squared units of the file. */
+  readonly area: number;
 }
+
+const BINS = 30;
 
 /** Q of each facet, and the figures. */
 export function quality(surface: Surface): { values: Float32Array; figures: QualityFigures } {
@@ -25,6 +31,8 @@ export function quality(surface: Surface): { values: Float32Array; figures: Qual
   let sum = 0;
   let largestCosine = -1;
   let under = 0;
+  let total = 0;
+  const [ofQ, ofAngle] = [new Float64Array(BINS), new Float64Array(BINS)];
   for (let facet = 0; facet < facets; facet++) {
     const i = 3 * indices[3 * facet];
     const j = 3 * indices[3 * facet + 1];
@@ -48,7 +56,11 @@ export function quality(surface: Surface): { values: Float32Array; figures: Qual
     const cosine = shortest > 0 ? (longest * longest + middle * middle - shortest * shortest) / (2 * longest * middle) : 1;
     largestCosine = Math.max(largestCosine, cosine);
     if (cosine > cos30) under++;
+    total += area;
+    ofQ[Math.min(Math.floor(BINS * q), BINS - 1)]++;
+    ofAngle[Math.min(Math.floor((BINS * 3 * Math.acos(Math.min(cosine, 1))) / Math.PI), BINS - 1)]++;
   }
+  const percent = (counts: Float64Array): number[] => Array.from(counts, (count) => (100 * count) / facets);
   const smallestAngle = (Math.acos(Math.min(largestCosine, 1)) * 180) / Math.PI;
-  return { values, figures: { least, mean: sum / facets, smallestAngle, under30: (100 * under) / facets } };
+  return { values, figures: { least, mean: sum / facets, smallestAngle, under30: (100 * under) / facets, shares: { q: percent(ofQ), angle: percent(ofAngle) }, area: total } };
 }

@@ -24,13 +24,14 @@ interface Read {
 
 const readers: Record<ShownFormat, (bytes: Uint8Array<ArrayBuffer>) => Read> = { obj: readObj, ply: readPly, stl: readStl, off: readOff };
 
-export function read(bytes: Uint8Array<ArrayBuffer>, format: ShownFormat): Surface {
+/** Corners of a loose file have vertices of their own. */
+export function read(bytes: Uint8Array<ArrayBuffer>, format: ShownFormat, isLoose = false): Surface {
   const { positions, indices } = parse(bytes, format);
   for (let i = 0; i < positions.length; i++) {
     if (!Number.isFinite(positions[i])) throw new BadFile("a coordinate is no finite number, or a face names a vertex that is not there");
   }
   if ((indices ?? positions).length === 0) throw new BadFile("the file has no facets");
-  const surface = indices ? used(positions, indices) : merged(positions);
+  const surface = indices && !isLoose ? used(positions, indices) : merged(indices ? cornersAt(positions, indices) : positions);
   if (surface.indices.length % 3 !== 0) throw new BadFile("a facet has fewer than three corners");
   return surface;
 }
@@ -141,6 +142,10 @@ function used(positions: Numbers, corners: Numbers): Surface {
   }
   for (let corner = 0; corner < indices.length; corner++) indices[corner] = places[indices[corner]!]!;
   return { positions: kept.slice(0, 3 * length), indices };
+}
+
+function cornersAt(positions: Numbers, indices: Numbers): Float64Array {
+  return Float64Array.from({ length: 3 * indices.length }, (_, i) => positions[3 * indices[Math.floor(i / 3)]! + (i % 3)]!);
 }
 
 /** Corners with equal coordinates become one vertex. Open addressing, since a map of texts would hold far more. */

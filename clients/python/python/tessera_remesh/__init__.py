@@ -14,6 +14,10 @@ from .calls import cvt, remesh, rvd
 from .meshes import Attributes, RemeshWarning, Surface, read
 from .progress import Progress
 from .results import CvtStep, Remesh, Report, Rvd
+from .surroundings import prepare
+
+prepare()
+del prepare
 
 __all__ = [
     "Attributes",

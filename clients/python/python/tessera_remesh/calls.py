@@ -57,7 +57,8 @@ def count(name: str, given: Any, vertices: int) -> Any:
         return int(given)
     if not isinstance(given, str):
         return given
-    found = re.fullmatch(r"([0-9][0-9,_]*\.?[0-9]*(?:e[0-9]+)?)\s*(k|m|%|)", given.strip().lower())
+    grouped = r"[0-9]{1,3}(?:,[0-9]{3})+|[0-9][0-9_]*\.?[0-9]*(?:e[0-9]+)?"
+    found = re.fullmatch(rf"({grouped})\s*(k|m|%|)", given.strip().lower())
     if found is None:
         raise _engine.InputError(f'{name} is {given!r}; a number is needed, as 10000, "10k" or "50%"')
     number = float(re.sub("[,_]", "", found[1]))
@@ -69,19 +70,19 @@ def count(name: str, given: Any, vertices: int) -> Any:
     return int(number)
 
 
-def _one_size(points: Any, edge_length: Any, sizes: Any) -> None:
-    """Edges have one length, or one for each vertex; `points` may come with the latter."""
-    if edge_length is not None and (points is not None or sizes is not None):
-        other = "points" if points is not None else "sizes"
-        raise _engine.InputError(f"{other} and edge_length are given; give one of them")
+def _one_size(edge_length: Any, **others: Any) -> None:
+    """Edges have one length, or one for each vertex; a number of points or of faces may come with the latter."""
+    for name, other in others.items():
+        if edge_length is not None and other is not None:
+            raise _engine.InputError(f"{name} and edge_length are given; give one of them")
 
 
 def remesh_options(surface: Surface, given: dict[str, Any]) -> tuple[dict[str, Any], Attributes | None]:
     """What the engine and the service take, and what the surface carries. `given` are the arguments of `remesh`."""
     given = dict(given)
-    for name in ("points", "max_points", "lloyd", "newton", "seed"):
+    for name in ("points", "facets", "max_points", "lloyd", "newton", "seed"):
         given[name] = count(name, given[name], len(surface.vertices))
-    _one_size(given["points"], given["edge_length"], given["sizes"])
+    _one_size(given["edge_length"], **{name: given[name] for name in ("points", "facets", "sizes")})
     named = None if given["attributes"] is False else surface.creases
     attributes = _carried(given.pop("attributes"), surface)
     given.update(_density(given.pop("density")))
@@ -96,6 +97,7 @@ def remesh(
     faces: ArrayLike | None = None,
     points: float | str | None = None,
     *,
+    facets: float | str | None = None,
     edge_length: float | None = None,
     density: Density | ArrayLike = "uniform",
     sizes: ArrayLike | None = None,
@@ -139,7 +141,8 @@ def remesh(
         mesh: vertices, (n, 3) float; the name of a file; or an object of trimesh, pyvista or meshio.
         faces: (m, 3) integer indices from 0, with vertices only.
         points: number of seeds, about the number of vertices of the result: 10000, 1e4, "10k", or "50%" of the vertices. This,
-            `edge_length`, `sizes` or `seeds` is needed.
+            `facets`, `edge_length`, `sizes` or `seeds` is needed.
+        facets: about how many faces the result has, instead of `points`.
         edge_length: length of the edges in the mesh's units, instead of `points`.
         density: where short edges go: "uniform", "curvature" (where the surface bends), "lfs" (where it is thin, hollow or
             sharp); or (n,) float, a weight for each vertex, at least 0: an edge length h needs a weight proportional to h**-4.
@@ -186,7 +189,8 @@ def remesh(
                 return client._remesh(surface, options, carried, listen)
         _no_server(server)
         options["attributes"] = None if carried is None else carried._to_engine()
-        return to_remesh(surface, _engine.remesh(surface.vertices, surface.faces, options, listen))
+        done = _engine.remesh(surface.vertices, surface.faces, options, listen)
+        return to_remesh(surface, carried, done)
 
 
 #: The keywords of `remesh` that say what it does, and their defaults.
@@ -197,16 +201,18 @@ OPTIONS = {
 }
 
 
-def to_remesh(surface: Surface, done: dict[str, Any]) -> Remesh:
-    """What the engine or a server gave back."""
+def to_remesh(surface: Surface, carried: Attributes | None, done: dict[str, Any]) -> Remesh:
+    """What the engine or a server gave back for `surface` with what it carries."""
     attributes = done.pop("attributes", None)
     report = Report.from_json(done.pop("report"))
     for warning in report.warnings:
         warn(warning["message"])
     return Remesh(
         report=report,
-        attributes=None if attributes is None else Attributes._from_engine(attributes),
+        attributes=None if attributes is None else Attributes._from_engine(attributes)._like(carried),
         library=surface.library,
+        # Given attributes take the place of all that the object carries.
+        face_data=meshes.below(surface, done["vertices"], done["faces"]) if carried is surface.attributes else {},
         **done,
     )
 
@@ -316,7 +322,7 @@ def cvt(
     Raises:
         As `remesh`, at the first step.
     """
-    _one_size(points, edge_length, sizes)
+    _one_size(edge_length, points=points, sizes=sizes)
     surface = meshes.surface(mesh, faces)
     options = {
         "points": points,

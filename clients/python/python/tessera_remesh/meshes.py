@@ -9,7 +9,7 @@ import os
 import sys
 import warnings
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -50,7 +50,8 @@ class Attributes:
     texture_corners: Array | None = None
     #: (n, 3) or (n, 4), red, green, blue and opacity of each vertex: float from 0 to 1, or uint8.
     colours: Array | None = None
-    #: (n,) float each, under a name: ASCII letters, digits, _ and -, a letter or _ first.
+    #: (n,) or (n, k) each, under a name: ASCII letters, digits, _ and -, a letter or _ first. Float is interpolated; integer
+    #: and bool are those of the nearest vertex, and keep their type.
     scalars: dict[str, Array] = field(default_factory=dict)
 
     def __repr__(self) -> str:
@@ -63,7 +64,7 @@ class Attributes:
             "normal_corners": self.normal_corners,
             "texture": _floats(self.texture),
             "texture_corners": self.texture_corners,
-            "scalars": {name: _floats(values) for name, values in self.scalars.items()},
+            "scalars": {name: _numbers(name, values) for name, values in self.scalars.items()},
         }
         if self.colours is not None:
             colours = np.asarray(self.colours)
@@ -80,7 +81,15 @@ class Attributes:
         given = dict(given)
         if given.pop("colours_of_eight_bits", False):
             given["colours"] = np.rint(np.clip(given["colours"], 0, 1) * 255).astype(np.uint8)
+        given["scalars"] = {name: _array(*scalar) for name, scalar in given["scalars"].items()}
         return cls(**given)
+
+    def _like(self, given: Attributes | None) -> Attributes:
+        """With bool where `given` has it: the engine knows bytes."""
+        for name, values in (given.scalars if given is not None else {}).items():
+            if np.asarray(values).dtype == bool and name in self.scalars:
+                self.scalars[name] = self.scalars[name].astype(bool)
+        return self
 
 
 @dataclass(repr=False)
@@ -92,6 +101,8 @@ class Surface:
     attributes: Attributes | None
     #: "arrays", "trimesh", "pyvista" or "meshio".
     library: str = "arrays"
+    #: (m, ...) each: what each face has. A face of a remesh takes it from the face below its centroid.
+    face_data: dict[str, Array] = field(default_factory=dict)
     #: (k, 2) integer: edges that its file names, as ridges of Medit, which a remesh keeps.
     creases: Array | None = None
 
@@ -122,6 +133,23 @@ def save(path: str | os.PathLike[str], surface: Surface) -> None:
     left_out = _engine.write(path, surface.vertices, surface.faces, carried)
     if left_out:
         warn(f"{os.fspath(path)}: this format cannot hold: {', '.join(left_out)}")
+
+
+def _numbers(name: str, values: ArrayLike) -> tuple[Array, str, int]:
+    """A scalar as the engine takes it: all numbers, their type as "F64" or "I32", how many a vertex has."""
+    array = np.asarray(values)
+    if array.dtype.kind not in "fiub" or array.ndim not in (1, 2):
+        raise InputError(f"scalar {name} has the type {array.dtype} and the shape {array.shape}; (n,) or (n, k) is needed")
+    letter = {"f": "F", "i": "I", "u": "U", "b": "U"}[array.dtype.kind]
+    form = "F64" if letter == "F" else f"{letter}{8 * array.dtype.itemsize}"
+    components = array.shape[1] if array.ndim == 2 else 1
+    # A row of one number is told from a number by the shape alone.
+    return np.ascontiguousarray(array, dtype=np.float64).reshape(-1), form, components
+
+
+def _array(values: Array, form: str, components: int) -> Array:
+    array = values.astype(f"{form[0].lower()}{int(form[1:]) // 8}", copy=False)
+    return array if components == 1 else array.reshape(-1, components)
 
 
 def _floats(array: ArrayLike | None) -> Array | None:
@@ -192,14 +220,19 @@ def _from_trimesh(mesh: Any, trimesh: Any) -> Surface | None:
         attributes.texture = np.asarray(visual.uv, dtype=np.float64)
     for name, values in mesh.vertex_attributes.items():
         _take_scalars(attributes, str(name), np.asarray(values), len(mesh.vertices))
-    return Surface(np.asarray(mesh.vertices), np.asarray(mesh.faces), attributes, "trimesh")
+    face_data = {str(name): np.asarray(values) for name, values in mesh.face_attributes.items()}
+    if visual.kind == "face":
+        face_data[FACE_COLOURS] = np.asarray(visual.face_colors)
+    return _surface(np.asarray(mesh.vertices), np.asarray(mesh.faces), attributes, "trimesh", face_data)
 
 
 def _from_pyvista(mesh: Any, pyvista: Any) -> Surface | None:
     if not isinstance(mesh, pyvista.DataSet):
         return None
+    given, added = {*mesh.point_data.keys(), *mesh.cell_data.keys()}, set()
     if not isinstance(mesh, pyvista.PolyData):
         mesh = mesh.extract_surface(algorithm="dataset_surface")
+        added = {"vtkOriginalPointIds", "vtkOriginalCellIds"} - given
     if not mesh.is_all_triangles:
         mesh = mesh.triangulate()
     attributes = Attributes()
@@ -211,29 +244,57 @@ def _from_pyvista(mesh: Any, pyvista: Any) -> Surface | None:
             attributes.normals = values
         elif texture is not None and name == texture.GetName() and values.ndim == 2:
             attributes.texture = values[:, :2]
-        else:
+        elif name not in added:
             _take_scalars(attributes, name, values, mesh.n_points)
-    return Surface(np.asarray(mesh.points), mesh.regular_faces, attributes, "pyvista")
+    # Numbers that a filter of VTK adds are not the caller's.
+    face_data = {name: np.asarray(mesh.cell_data[name]) for name in mesh.cell_data.keys() if name not in added}
+    return _surface(np.asarray(mesh.points), mesh.regular_faces, attributes, "pyvista", face_data)
 
 
 def _from_meshio(mesh: Any, meshio: Any) -> Surface | None:
     if not isinstance(mesh, meshio.Mesh):
         return None
-    split = (_split(block.type, np.asarray(block.data)) for block in mesh.cells)
-    faces = [block for block in split if block is not None]
+    blocks = [_triangles(block.type, np.asarray(block.data)) for block in mesh.cells]
+    faces = [block for block in blocks if block is not None]
     if not faces:
         kinds = ", ".join(sorted({block.type for block in mesh.cells})) or "nothing"
         raise InputError(f"the meshio mesh has no triangles and no quadrilaterals, but {kinds}")
-    points = np.asarray(mesh.points)
+    points = np.asarray(mesh.points, dtype=np.float64)
     if points.shape[1] == 2:
         points = np.column_stack([points, np.zeros(len(points))])
     attributes = Attributes()
     for name, values in mesh.point_data.items():
         _take_scalars(attributes, name, np.asarray(values), len(points))
-    return Surface(points, np.concatenate(faces), attributes, "meshio")
+    face_data = {}
+    for name, given in mesh.cell_data.items():
+        kept = [
+            np.concatenate([values] * (len(block) // len(values))) if len(values) else np.asarray(values)
+            for values, block in zip(given, blocks)
+            if block is not None
+        ]
+        face_data[name] = np.concatenate(kept)
+    return _surface(points, np.concatenate(faces), attributes, "meshio", face_data)
 
 
-def _split(kind: str, cells: Array) -> Array | None:
+#: The name of colours by face, which trimesh keeps apart.
+FACE_COLOURS = "face_colors"
+
+
+def _surface(vertices: Array, faces: Array, attributes: Attributes, library: str, face_data: dict[str, Array]) -> Surface:
+    for name in [name for name, values in face_data.items() if len(values) != len(faces)]:
+        warn(f"left aside: {name}: it has {len(face_data.pop(name))} values for {len(faces)} faces")
+    return Surface(vertices, faces, attributes, library, face_data)
+
+
+def below(surface: Surface, vertices: Array, faces: Array) -> dict[str, Array]:
+    """The data of faces, for other faces: each takes those of the face of `surface` that is nearest to its centroid."""
+    if not surface.face_data:
+        return {}
+    nearest = _engine.nearest_faces(surface.vertices, surface.faces, vertices[faces].mean(axis=1))
+    return {name: np.asarray(values)[nearest] for name, values in surface.face_data.items()}
+
+
+def _triangles(kind: str, cells: Array) -> Array | None:
     if kind == "triangle":
         return cells
     if kind == "quad":
@@ -241,26 +302,42 @@ def _split(kind: str, cells: Array) -> Array | None:
     return None
 
 
+#: The most numbers that a scalar has at each vertex, and the greatest whole number that a double holds.
+MAX_COMPONENTS, LARGEST_EXACT = 64, 2**53
+
+
 def _take_scalars(attributes: Attributes, name: str, values: Array, vertices: int) -> None:
-    """Numbers of each vertex; vectors become one scalar for each of their coordinates."""
-    if len(values) != vertices or values.dtype.kind not in "fiub":
-        return
-    if values.ndim == 1:
-        attributes.scalars[scalar_name(name)] = _scalar(name, values)
-    elif values.ndim == 2 and values.dtype == np.uint8 and values.shape[1] in (3, 4) and attributes.colours is None:
+    """Numbers or vectors of each vertex. What cannot be carried is a warning."""
+
+    def aside(why: str) -> None:
+        warn(f"left aside: {name}: {why}")
+
+    if len(values) != vertices:
+        return aside(f"it has {len(values)} values for {vertices} vertices")
+    if values.dtype.kind not in "fiub":
+        return aside(f"it has the type {values.dtype}")
+    if values.ndim > 2 and values.size == vertices * np.prod(values.shape[1:]):
+        values = values.reshape(vertices, -1)
+    if values.ndim == 2 and values.dtype == np.uint8 and values.shape[1] in (3, 4) and attributes.colours is None:
         attributes.colours = values
-    elif values.ndim == 2:
-        for i in range(values.shape[1]):
-            attributes.scalars[scalar_name(f"{name}_{i}")] = _scalar(name, values[:, i])
+        return None
+    if values.ndim == 2 and not 1 <= values.shape[1] <= MAX_COMPONENTS:
+        return aside(f"it has {values.shape[1]} numbers a vertex, and 1 to {MAX_COMPONENTS} are carried")
+    if values.dtype.kind == "f":
+        infinite = np.isinf(values)
+        if infinite.any():
+            warn(f"scalar {name}: {infinite.sum()} infinite values are NaN")
+            values = np.where(infinite, np.nan, values)
+    elif values.size and values.dtype.itemsize == 8 and max(-int(values.min()), int(values.max())) > LARGEST_EXACT:
+        return aside("whole numbers beyond 2**53 are rounded")
+    attributes.scalars[_unlike(attributes.scalars, scalar_name(name))] = values
+    return None
 
 
-def _scalar(name: str, values: Array) -> Array:
-    floats = np.asarray(values, dtype=np.float64)
-    infinite = np.isinf(floats)
-    if infinite.any():
-        warn(f"scalar {name}: {infinite.sum()} infinite values are NaN")
-        floats = np.where(infinite, np.nan, floats)
-    return floats
+def _unlike(taken: dict[str, Array], name: str) -> str:
+    """The name, or one after it: two arrays whose names differ in other characters are two all the same."""
+    names = [name, *(f"{name[:120]}_{i}" for i in range(2, len(taken) + 3))]
+    return next(free for free in names if free not in taken)
 
 
 def scalar_name(name: str) -> str:
@@ -269,36 +346,78 @@ def scalar_name(name: str) -> str:
     return taken if taken[:1].isalpha() or taken[:1] == "_" else f"_{taken}"
 
 
-def to_trimesh(vertices: Array, faces: Array, attributes: Attributes | None) -> Any:
+def _split(surface: Surface, attributes: Attributes) -> tuple[Surface, Attributes]:
+    """With a vertex for each normal and each texture coordinate that it has: what libraries hold goes by vertices."""
+    by_corner = [corners for corners in (attributes.normal_corners, attributes.texture_corners) if corners is not None]
+    columns = np.column_stack([np.asarray(corners).reshape(-1) for corners in (surface.faces, *by_corner)])
+    rows, of_corner = np.unique(columns, axis=0, return_inverse=True)
+    vertex = rows[:, 0]
+    split = Attributes(
+        colours=None if attributes.colours is None else np.asarray(attributes.colours)[vertex],
+        scalars={name: np.asarray(values)[vertex] for name, values in attributes.scalars.items()},
+    )
+    if attributes.normals is not None:
+        split.normals = np.asarray(attributes.normals)[vertex if attributes.normal_corners is None else rows[:, 1]]
+    if attributes.texture is not None:
+        split.texture = np.asarray(attributes.texture)[vertex if attributes.texture_corners is None else rows[:, -1]]
+    faces = of_corner.reshape(-1, 3).astype(surface.faces.dtype)
+    return replace(surface, vertices=surface.vertices[vertex], faces=faces), split
+
+
+def _by_vertex(surface: Surface) -> tuple[Surface, Attributes]:
+    """The surface as a library holds it. Vertices are split along seams of texture, and where normals differ."""
+    attributes = surface.attributes or Attributes()
+    if attributes.normal_corners is None and attributes.texture_corners is None:
+        return surface, attributes
+    return _split(surface, attributes)
+
+
+def to_trimesh(surface: Surface) -> Any:
     import trimesh
 
-    mesh = trimesh.Trimesh(vertices, faces, process=False)
-    if attributes is not None:
+    surface, attributes = _by_vertex(surface)
+    mesh = trimesh.Trimesh(surface.vertices, surface.faces, vertex_normals=attributes.normals, process=False)
+    if attributes.texture is not None:
+        mesh.visual = trimesh.visual.TextureVisuals(uv=attributes.texture)  # type: ignore[no-untyped-call]
         if attributes.colours is not None:
-            mesh.visual = trimesh.visual.ColorVisuals(mesh, vertex_colors=attributes.colours)
-        for name, values in attributes.scalars.items():
-            mesh.vertex_attributes[name] = values
+            mesh.vertex_attributes["color"] = attributes.colours
+    elif attributes.colours is not None:
+        mesh.visual = trimesh.visual.ColorVisuals(mesh, vertex_colors=attributes.colours)
+    for name, values in attributes.scalars.items():
+        mesh.vertex_attributes[name] = values
+    for name, values in surface.face_data.items():
+        if name != FACE_COLOURS:
+            mesh.face_attributes[name] = values
+        elif attributes.texture is None and attributes.colours is None:
+            mesh.visual = trimesh.visual.ColorVisuals(mesh, face_colors=values)
     return mesh
 
 
-def to_pyvista(vertices: Array, faces: Array, attributes: Attributes | None) -> Any:
+def to_pyvista(surface: Surface) -> Any:
     import pyvista
 
-    mesh = pyvista.PolyData.from_regular_faces(vertices, faces)
-    if attributes is not None:
-        for name, values in attributes.scalars.items():
-            mesh.point_data[name] = values
-        if attributes.colours is not None:
-            mesh.point_data["RGBA"] = attributes.colours
-        if attributes.normals is not None and attributes.normal_corners is None:
-            mesh.point_data.active_normals = attributes.normals
+    surface, attributes = _by_vertex(surface)
+    mesh = pyvista.PolyData.from_regular_faces(surface.vertices, surface.faces)
+    for name, values in attributes.scalars.items():
+        mesh.point_data[name] = values
+    if attributes.colours is not None:
+        mesh.point_data["RGBA"] = attributes.colours
+    if attributes.normals is not None:
+        mesh.point_data.active_normals = attributes.normals
+    if attributes.texture is not None:
+        mesh.active_texture_coordinates = attributes.texture
+    for name, values in surface.face_data.items():
+        mesh.cell_data[name] = values
     return mesh
 
 
-def to_meshio(vertices: Array, faces: Array, attributes: Attributes | None) -> Any:
+def to_meshio(surface: Surface) -> Any:
     import meshio
 
-    data = dict(attributes.scalars) if attributes is not None else {}
-    if attributes is not None and attributes.colours is not None:
-        data["RGBA"] = attributes.colours
-    return meshio.Mesh(vertices, [("triangle", faces)], point_data=data)
+    surface, attributes = _by_vertex(surface)
+    data = dict(attributes.scalars)
+    for name, values in (("RGBA", attributes.colours), ("Normals", attributes.normals), ("UV", attributes.texture)):
+        if values is not None:
+            data[name] = values
+    cell_data = {name: [values] for name, values in surface.face_data.items()}
+    return meshio.Mesh(surface.vertices, [("triangle", surface.faces)], point_data=data, cell_data=cell_data)

@@ -124,6 +124,8 @@ class Remesh:
     source_barycentric: Array | None = None
     #: The library that the input came from: "arrays", "trimesh", "pyvista" or "meshio".
     library: str = "arrays"
+    #: (m, ...) each: what each face has, from the face of the input below its centroid.
+    face_data: dict[str, Array] = field(default_factory=dict)
 
     def __iter__(self) -> Iterator[Array]:
         return iter((self.vertices, self.faces))
@@ -136,7 +138,10 @@ class Remesh:
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Writes it to a file, in the format of the name's ending. Warns of what the format cannot hold."""
-        meshes.save(path, meshes.Surface(self.vertices, self.faces, self.attributes))
+        meshes.save(path, self._surface())
+
+    def _surface(self) -> meshes.Surface:
+        return meshes.Surface(self.vertices, self.faces, self.attributes, self.library, self.face_data)
 
     @property
     def mesh(self) -> Any:
@@ -146,16 +151,16 @@ class Remesh:
         return getattr(self, f"to_{self.library}")()
 
     def to_trimesh(self) -> Any:
-        """As a `trimesh.Trimesh`, with colours and scalars."""
-        return meshes.to_trimesh(self.vertices, self.faces, self.attributes)
+        """As a `trimesh.Trimesh`, with all that it carries. Vertices are split along seams of texture and of normals."""
+        return meshes.to_trimesh(self._surface())
 
     def to_pyvista(self) -> Any:
-        """As a `pyvista.PolyData`, with normals, colours and scalars."""
-        return meshes.to_pyvista(self.vertices, self.faces, self.attributes)
+        """As a `pyvista.PolyData`, with all that it carries. Vertices are split along seams of texture and of normals."""
+        return meshes.to_pyvista(self._surface())
 
     def to_meshio(self) -> Any:
-        """As a `meshio.Mesh`, with colours and scalars."""
-        return meshes.to_meshio(self.vertices, self.faces, self.attributes)
+        """As a `meshio.Mesh`, with all that it carries. Vertices are split along seams of texture and of normals."""
+        return meshes.to_meshio(self._surface())
 
     def plot(self, ax: Any = None, **kwargs: Any) -> Any:
         """Draws the remesh with matplotlib (`pip install tessera-remesh[plot]`) and returns the axes.

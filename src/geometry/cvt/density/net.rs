@@ -41,8 +41,7 @@ pub struct Net {
 impl Net {
     /// Reads `mesh`.
     pub fn new(mesh: &TriMesh, token: &Token) -> Result<Self, Stopped> {
-        let adjacency = Adjacency::new(mesh);
-        token.check()?;
+        let adjacency = Adjacency::unless(mesh, token)?;
         let outline = Outline::of(mesh, &adjacency, token)?;
         token.check()?;
         let class = adjacency.representative().to_vec();
@@ -57,7 +56,9 @@ impl Net {
         let mut area = vec![0.0; vertices];
         let mut boundary = Vec::new();
         let mut edges: Vec<(u32, u32)> = Vec::with_capacity(6 * mesh.facets().len());
+        token.check()?;
         for (f, corners) in mesh.facets().iter().enumerate() {
+            token.check_at(f)?;
             let v = corners.map(|c| class[c as usize]);
             for e in 0..3 {
                 let (from, to) = (v[e], v[(e + 1) % 3]);
@@ -83,6 +84,7 @@ impl Net {
         let mut starts = vec![0u32; vertices + 1];
         edges.iter().for_each(|&(from, _)| starts[from as usize + 1] += 1);
         (0..vertices).for_each(|v| starts[v + 1] += starts[v]);
+        token.check()?;
         let length = |(from, to): (u32, u32)| (points[from as usize] - points[to as usize]).length();
         let ends = edges.iter().map(|&edge| (edge.1, length(edge))).collect();
         Ok(Self { outline, low, class, points, facets, boundary, area, starts, ends })

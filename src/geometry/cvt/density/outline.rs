@@ -31,8 +31,7 @@ pub struct Outline {
 impl Outline {
     /// Measures `mesh`.
     pub fn new(mesh: &TriMesh, token: &Token) -> Result<Self, Stopped> {
-        let adjacency = Adjacency::new(mesh);
-        token.check()?;
+        let adjacency = Adjacency::unless(mesh, token)?;
         Self::of(mesh, &adjacency, token)
     }
 

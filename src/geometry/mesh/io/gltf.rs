@@ -23,7 +23,7 @@ use glam::{DMat4, DVec2, DVec3};
 
 use self::document::{Document, Primitive, Skin, Text};
 use self::numbers::{Numbers, Source};
-use super::held::{By, Held, Holds, check_single, eight_bit, firsts, numbered};
+use super::held::{By, Held, Holds, centred, check_single, eight_bit, firsts, numbered};
 use super::numbers::{Cursor, Encoding, Kind, Order, cut};
 use super::packed::Room;
 use super::{Codec, Counts, DataError, Soup, VertexNumbers, unpacked_limit};
@@ -437,6 +437,11 @@ fn add<T: Copy + Default + Sync, K: Ord>(
 
 /// JSON without its end, and the bytes that it names.
 fn scene(mesh: &TriMesh, held: &Held<'_>) -> Result<(String, Vec<u8>), DataError> {
+    let moved = centred(mesh);
+    let (mesh, node) = match &moved {
+        Some((moved, DVec3 { x, y, z })) => (moved, format!(",\"translation\":[{x:?},{y:?},{z:?}]")),
+        None => (mesh, String::new()),
+    };
     check_single(mesh)?;
     // A vertex for each normal and place in the texture that its corners have; the first of each keeps its number.
     let corner = |f: usize, k: usize| {
@@ -514,7 +519,7 @@ fn scene(mesh: &TriMesh, held: &Held<'_>) -> Result<(String, Vec<u8>), DataError
     let number = add(34963, "5125", indices.len(), "\"SCALAR\"", &index);
     let json = format!(
         "{{\"asset\":{{\"version\":\"2.0\",\"generator\":\"tessera\"}},\"scene\":0,\"scenes\":[{{\"nodes\":[0]}}],\
-         \"nodes\":[{{\"mesh\":0}}],\"meshes\":[{{\"primitives\":[{{\"attributes\":{{{}}},\"indices\":{number},\
+         \"nodes\":[{{\"mesh\":0{node}}}],\"meshes\":[{{\"primitives\":[{{\"attributes\":{{{}}},\"indices\":{number},\
          \"mode\":4}}]}}],\"accessors\":[{}],\"bufferViews\":[{}],\"buffers\":[{{\"byteLength\":{}",
         names.join(","),
         accessors.join(","),

@@ -11,7 +11,7 @@ use super::held::{By, Held, Holds};
 use super::numbers::{Cursor, Encoding, Kind, Order, cut, shown};
 use super::{Codec, Counts, DataError, Soup, VertexNumbers, volumes};
 use crate::mesh::TriMesh;
-use crate::mesh::attributes::Scalar;
+use crate::mesh::attributes::{MAX_COMPONENTS, Scalar};
 
 pub(super) const CODEC: Codec = Codec {
     extension: "msh",
@@ -392,26 +392,24 @@ impl Reader<'_> {
         }
         let [_, components, count] = given;
         self.cursor.begin_data();
-        let keep = self.wanted && components == 1 && count == self.soup.positions.len();
-        let mut values = vec![f64::NAN; if keep { count } else { 0 }];
+        let keep = self.wanted && (1..=MAX_COMPONENTS).contains(&components) && count == self.soup.positions.len();
         let left = self.cursor.rest.len();
-        // A row has a digit at least.
-        if count > left {
+        // A row has a digit for each number at least.
+        if count.saturating_mul(components) > left {
             return Err(DataError::Truncated(format!("{count} nodes with data are declared and {left} bytes follow")));
         }
+        let mut values = vec![f64::NAN; if keep { components * count } else { 0 }];
         for _ in 0..count {
             let tag = self.int("a node")?;
-            if components != 1 {
-                self.cursor.pass(components, Kind::F64, "$NodeData")?;
-                continue;
-            }
-            let number = self.cursor.any_float(Kind::F64, "$NodeData")?;
-            if let Some(value) = self.tags.vertex(tag).and_then(|v| values.get_mut(v as usize)) {
-                *value = number;
+            let numbers = self.cursor.lenient(components, Kind::F64, "$NodeData")?;
+            if let Some(vertex) = self.tags.vertex(tag)
+                && let Some(to) = values.get_mut(components * vertex as usize..).and_then(|v| v.get_mut(..components))
+            {
+                to.copy_from_slice(&numbers);
             }
         }
         if keep {
-            self.soup.raw.scalars.push(Scalar { name, values });
+            self.soup.raw.scalars.push(Scalar { components, ..Scalar::new(name, values) });
         } else if self.wanted {
             let text = "a surface carries a number for every node, and nothing else of a Gmsh file".to_owned();
             self.soup.raw.unreadable(&format!("$NodeData {:?}", shown(name.as_bytes())), text);
@@ -422,7 +420,9 @@ impl Reader<'_> {
 
 fn encode(mesh: &TriMesh, held: &Held<'_>) -> Result<Vec<u8>, DataError> {
     let (vertices, facets) = (mesh.positions().len(), mesh.facets().len());
-    let mut out = Vec::with_capacity(256 + NODE * vertices + 24 * facets + 12 * vertices * held.scalars.len());
+    let mut out = Vec::with_capacity(
+        256 + NODE * vertices + 24 * facets + (4 * held.scalars.len() + 8 * held.components()) * vertices,
+    );
     let int = |out: &mut Vec<u8>, n: u32| out.extend_from_slice(&n.to_le_bytes());
     out.extend_from_slice(b"$MeshFormat\n2.2 1 8\n");
     int(&mut out, 1);
@@ -441,11 +441,15 @@ fn encode(mesh: &TriMesh, held: &Held<'_>) -> Result<Vec<u8>, DataError> {
     out.extend_from_slice(b"\n$EndElements");
     for scalar in held.scalars {
         // A name, a time, and three numbers: the step, how many numbers a node has, how many nodes.
-        let head = format!("\n$NodeData\n1\n\"{}\"\n1\n0\n3\n0\n1\n{vertices}\n", scalar.name);
+        let (name, n) = (&scalar.name, scalar.components);
+        // Gmsh knows nodes of one, three and nine numbers.
+        let wide = [1, 3, 9].into_iter().find(|wide| *wide >= n).unwrap_or(n);
+        let head = format!("\n$NodeData\n1\n\"{name}\"\n1\n0\n3\n0\n{wide}\n{vertices}\n");
         out.extend_from_slice(head.as_bytes());
-        for (tag, value) in (1..).zip(&scalar.values) {
+        for (tag, values) in (1..).zip(scalar.values.chunks_exact(n)) {
             int(&mut out, tag);
-            out.extend_from_slice(&value.to_le_bytes());
+            let padded = values.iter().copied().chain(std::iter::repeat(0.0)).take(wide);
+            padded.for_each(|value| out.extend_from_slice(&value.to_le_bytes()));
         }
         out.extend_from_slice(b"\n$EndNodeData");
     }

@@ -96,9 +96,7 @@ impl Raw {
             let message = format!("{more} are more than the {MOST_SCALARS} that a surface carries");
             left_aside.push(AttributeError::Unreadable { attribute: "scalars".to_owned(), message });
         }
-        for Scalar { name, values } in self.scalars.into_iter().take(MOST_SCALARS) {
-            left_aside.extend(attributes.add_scalar(name, values).err());
-        }
+        left_aside.extend(self.scalars.into_iter().take(MOST_SCALARS).filter_map(|s| attributes.add_scalar(s).err()));
         (attributes, left_aside)
     }
 }
@@ -170,9 +168,26 @@ impl<'a> Held<'a> {
         held
     }
 
+    /// Numbers of all scalars at a vertex.
+    pub(super) fn components(&self) -> usize {
+        self.scalars.iter().map(|scalar| scalar.components).sum()
+    }
+
     fn leave_out(&mut self, what: &str) {
         self.left_out.push(what.to_owned());
     }
+}
+
+/// A surface around the origin and the place that was its middle, if it lies far from the origin beside its size: there single
+/// precision is coarse. The place is one of single precision, as readers hold it.
+pub(super) fn centred(mesh: &TriMesh) -> Option<(TriMesh, DVec3)> {
+    let (low, high) = mesh.bounds();
+    let middle = (0.5 * low + 0.5 * high).as_vec3().as_dvec3();
+    if middle.abs().max_element() <= (high - low).max_element() || !middle.is_finite() {
+        return None;
+    }
+    let positions = mesh.positions().iter().map(|&p| p - middle).collect();
+    TriMesh::new(positions, mesh.facets().to_vec()).ok().map(|moved| (moved, middle))
 }
 
 /// The share of an edge by which rounding may move a vertex unsaid.

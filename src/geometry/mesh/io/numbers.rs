@@ -4,95 +4,14 @@
 //! checked against the bytes that are left before room is made for it. Must not know: formats.
 
 use super::{DataError, syntax};
-
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub(super) enum Kind {
-    I8,
-    U8,
-    I16,
-    U16,
-    I32,
-    U32,
-    I64,
-    U64,
-    F32,
-    #[default]
-    F64,
-}
-
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub(super) enum Order {
-    #[default]
-    Little,
-    Big,
-}
+use crate::mesh::numbers::next;
+pub(super) use crate::mesh::numbers::{NumberType as Kind, Order, numbers};
 
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) enum Encoding {
     #[default]
     Text,
     Binary(Order),
-}
-
-/// Calls `read` with its arguments and a function that makes a number, as one of another type, of bytes, the lowest first.
-macro_rules! numbers {
-    ($kind:expr, $as:ty, $read:ident($($argument:expr),*)) => {
-        match $kind {
-            Kind::I8 => $read($($argument,)* |b| i8::from_le_bytes(b) as $as),
-            Kind::U8 => $read($($argument,)* |b| u8::from_le_bytes(b) as $as),
-            Kind::I16 => $read($($argument,)* |b| i16::from_le_bytes(b) as $as),
-            Kind::U16 => $read($($argument,)* |b| u16::from_le_bytes(b) as $as),
-            Kind::I32 => $read($($argument,)* |b| i32::from_le_bytes(b) as $as),
-            Kind::U32 => $read($($argument,)* |b| u32::from_le_bytes(b) as $as),
-            Kind::I64 => $read($($argument,)* |b| i64::from_le_bytes(b) as $as),
-            Kind::U64 => $read($($argument,)* |b| u64::from_le_bytes(b) as $as),
-            Kind::F32 => $read($($argument,)* |b| f32::from_le_bytes(b) as $as),
-            Kind::F64 => $read($($argument,)* |b| f64::from_le_bytes(b) as $as),
-        }
-    };
-}
-pub(super) use numbers;
-
-fn all<const N: usize, T>(bytes: &[u8], order: Order, number: impl Fn([u8; N]) -> T) -> Vec<T> {
-    bytes.as_chunks::<N>().0.iter().map(|&b| number(lowest_first(b, order))).collect()
-}
-
-fn next<const N: usize, T>(rest: &mut &[u8], order: Order, number: impl Fn([u8; N]) -> T) -> Option<T> {
-    let (bytes, after) = rest.split_first_chunk::<N>()?;
-    *rest = after;
-    Some(number(lowest_first(*bytes, order)))
-}
-
-fn lowest_first<const N: usize>(mut bytes: [u8; N], order: Order) -> [u8; N] {
-    if order == Order::Big {
-        bytes.reverse();
-    }
-    bytes
-}
-
-impl Kind {
-    pub(super) fn bytes(self) -> usize {
-        match self {
-            Self::I8 | Self::U8 => 1,
-            Self::I16 | Self::U16 => 2,
-            Self::I32 | Self::U32 | Self::F32 => 4,
-            Self::I64 | Self::U64 | Self::F64 => 8,
-        }
-    }
-
-    pub(super) fn is_float(self) -> bool {
-        matches!(self, Self::F32 | Self::F64)
-    }
-
-    /// Bytes that do not fill a number are left out.
-    pub(super) fn floats(self, bytes: &[u8], order: Order) -> Vec<f64> {
-        numbers!(self, f64, all(bytes, order))
-    }
-
-    /// Fractions are cut off. What 64 bits with a sign cannot hold becomes negative or the greatest.
-    pub(super) fn integers(self, bytes: &[u8], order: Order) -> Vec<i64> {
-        numbers!(self, i64, all(bytes, order))
-    }
 }
 
 pub(super) fn parse<T: std::str::FromStr>(word: &[u8]) -> Option<T> {

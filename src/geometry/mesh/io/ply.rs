@@ -11,10 +11,10 @@ mod data;
 mod header;
 
 use super::held::{By, Held, Holds, eight_bit};
-use super::numbers::Encoding;
+use super::numbers::{Encoding, Order};
 use super::{Codec, Counts, DataError, Signature, Soup, VertexNumbers};
 use crate::mesh::TriMesh;
-use crate::mesh::attributes::{ColourDepth, Colours};
+use crate::mesh::attributes::{ColourDepth, Colours, Scalar};
 use carried::{Carried, PREFIX, TAKEN};
 use header::Header;
 
@@ -99,7 +99,13 @@ fn encode(mesh: &TriMesh, held: &Held<'_>) -> Result<Vec<u8>, DataError> {
         numbers.iter().for_each(|x| out.extend_from_slice(&x.to_le_bytes()));
     }
     let plain = |name: &str| format!("{}{name}", if TAKEN.contains(&name) { PREFIX } else { "" });
-    let names: Vec<String> = held.scalars.iter().map(|scalar| plain(&scalar.name)).collect();
+    // A vector is a property for each of its numbers.
+    let name = |scalar: &Scalar, i: usize| match scalar.components {
+        1 => plain(&scalar.name),
+        _ => format!("{}_{i}", scalar.name),
+    };
+    let names: Vec<String> =
+        held.scalars.iter().map(|s| (0..s.components).map(|i| name(s, i)).collect::<Vec<_>>().join(" ")).collect();
     let positions = |out: &mut Vec<u8>, v: usize| doubles(out, &mesh.positions()[v].to_array());
     let mut columns: Vec<Column<'_>> = vec![("x y z", "double", Box::new(positions))];
     if let Some(normals) = &held.normals {
@@ -118,7 +124,11 @@ fn encode(mesh: &TriMesh, held: &Held<'_>) -> Result<Vec<u8>, DataError> {
         columns.push(("s t", "double", Box::new(|out, v| doubles(out, &uv[v].to_array()))));
     }
     for (name, scalar) in names.iter().zip(held.scalars) {
-        columns.push((name, "double", Box::new(|out, v| doubles(out, &[scalar.values[v]]))));
+        let (kind, n) = (header::written(scalar), scalar.components);
+        let numbers = move |out: &mut Vec<u8>, v: usize| {
+            scalar.values[n * v..][..n].iter().for_each(|&x| kind.put(x, Order::Little, out));
+        };
+        columns.push((name, header::name(kind), Box::new(numbers)));
     }
     let mut head = format!("ply\nformat binary_little_endian 1.0\nelement vertex {vertices}\n");
     for (names, kind, _) in &columns {
@@ -130,7 +140,7 @@ fn encode(mesh: &TriMesh, held: &Held<'_>) -> Result<Vec<u8>, DataError> {
     }
     head.push_str("end_header\n");
     let mut out = head.into_bytes();
-    out.reserve((24 + 8 * held.scalars.len()) * vertices + 13 * faces);
+    out.reserve((24 + 8 * held.components()) * vertices + 13 * faces);
     for vertex in 0..vertices {
         columns.iter().for_each(|(.., write)| write(&mut out, vertex));
     }

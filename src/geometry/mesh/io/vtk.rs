@@ -1,8 +1,8 @@
 //! Files of the Visualization Toolkit: legacy `.vtk` ([`legacy`]) and XML, `.vtp` and `.vtu` ([`xml`]).
 //!
 //! Purpose: what they have in common: types of cells and of numbers, and what arrays of points are as attributes. An
-//! array of three or four bytes is a colour, and so is one of numbers that is named like one; one number for each point is a
-//! scalar. Arrays of cells, and vectors and tensors of points, are left aside. Must not know: how arrays are written.
+//! array of three or four bytes is a colour, and so is one of numbers that is named like one; others of points are scalars.
+//! Arrays of cells are left aside. Must not know: how arrays are written.
 
 pub(super) mod legacy;
 pub(super) mod xml;
@@ -10,11 +10,11 @@ pub(super) mod xml;
 use glam::{DVec2, DVec3};
 
 use super::held::{Held, eight_bit};
-use super::numbers::{Kind, plain};
+use super::numbers::Kind;
 use super::{DataError, Soup};
 use crate::mesh::attributes::{ColourDepth, Colours, Normals, PerCorner, Scalar};
 
-/// Names of numbers' types: legacy, in lower case, and XML. In binary legacy files a `vtkIdType` has 4 bytes.
+/// Names of numbers' types: legacy, in lower case, of which the first is written, and XML. In binary legacy files a `vtkIdType` has 4 bytes.
 const KINDS: [(&[&str], &str, Kind); 10] = [
     (&["char", "signed_char", "vtktypeint8"], "Int8", Kind::I8),
     (&["unsigned_char", "vtktypeuint8"], "UInt8", Kind::U8),
@@ -22,8 +22,8 @@ const KINDS: [(&[&str], &str, Kind); 10] = [
     (&["unsigned_short", "vtktypeuint16"], "UInt16", Kind::U16),
     (&["int", "vtktypeint32", "vtkidtype"], "Int32", Kind::I32),
     (&["unsigned_int", "vtktypeuint32"], "UInt32", Kind::U32),
-    (&["long", "long_long", "__int64", "vtktypeint64"], "Int64", Kind::I64),
-    (&["unsigned_long", "unsigned_long_long", "unsigned___int64", "vtktypeuint64"], "UInt64", Kind::U64),
+    (&["vtktypeint64", "long", "long_long", "__int64"], "Int64", Kind::I64),
+    (&["vtktypeuint64", "unsigned_long", "unsigned_long_long", "unsigned___int64"], "UInt64", Kind::U64),
     (&["float", "vtktypefloat32"], "Float32", Kind::F32),
     (&["double", "vtktypefloat64"], "Float64", Kind::F64),
 ];
@@ -33,6 +33,11 @@ const ON_POINTS: &str = "a surface carries numbers of points";
 
 /// What to do with a file of volume elements alone.
 const SURFACE_FIRST: &str = "extract the surface first, as ParaView's filter \"Extract Surface\" does";
+
+/// The names of a type: legacy, XML.
+fn names(kind: Kind) -> (&'static str, &'static str) {
+    KINDS.iter().find(|(.., known)| *known == kind).map_or(("double", "Float64"), |&(legacy, xml, _)| (legacy[0], xml))
+}
 
 const COLOURS: [&str; 6] = ["rgb", "rgba", "color", "colors", "colour", "colours"];
 
@@ -51,8 +56,8 @@ struct Array {
     name: String,
     role: Role,
     components: usize,
-    /// Whether these are bytes that stand for numbers of 0 to 1.
-    eight: bool,
+    /// Type in the file. Bytes of a colour stand for numbers of 0 to 1.
+    kind: Kind,
     values: Vec<f64>,
 }
 
@@ -60,7 +65,7 @@ impl Array {
     fn role(&self) -> Role {
         let named = |names: &[&str]| names.iter().any(|name| name.eq_ignore_ascii_case(&self.name));
         match (self.role, self.components) {
-            (Role::Any, 3 | 4) if self.eight || named(&COLOURS) => Role::Colours,
+            (Role::Any, 3 | 4) if self.kind == Kind::U8 || named(&COLOURS) => Role::Colours,
             (Role::Any, 3) if named(&["normals", "normal"]) => Role::Normals,
             (Role::Any, 2 | 3) if named(&["texture coordinates", "tcoords", "uv", "texcoords"]) => Role::Texture,
             (role, _) => role,
@@ -86,15 +91,15 @@ fn carried(arrays: Vec<Array>, soup: &mut Soup) {
                 raw.texture = Some(PerCorner { values, corners: facets.to_vec() });
             }
             Role::Colours if raw.colours.is_none() && (3..=4).contains(&n) => {
-                let (one, depth) = if array.eight { (255.0, ColourDepth::Eight) } else { (1.0, ColourDepth::Float) };
+                let eight = array.kind == Kind::U8;
+                let (one, depth) = if eight { (255.0, ColourDepth::Eight) } else { (1.0, ColourDepth::Float) };
                 let colour = |t: &[f64]| [t[0] / one, t[1] / one, t[2] / one, t.get(3).map_or(1.0, |a| a / one)];
                 raw.colours = Some(Colours { values: values.chunks_exact(n).map(colour).collect(), depth });
             }
             Role::None => {}
-            _ if n == 1 => raw.scalars.push(Scalar { name: array.name, values: array.values }),
             _ => {
-                let name = plain(&array.name, 60);
-                raw.unreadable(&format!("array {name:?}"), format!("a surface carries none of {n} numbers a point"));
+                let Array { name, kind: number, components, values, .. } = array;
+                raw.scalars.push(Scalar { name, number, components, values });
             }
         }
     }
@@ -103,14 +108,14 @@ fn carried(arrays: Vec<Array>, soup: &mut Soup) {
 
 fn written(held: &Held<'_>) -> Vec<Array> {
     let mut arrays = Vec::new();
-    let mut add = |name: &str, role, components, eight, values| {
-        arrays.push(Array { name: name.to_owned(), role, components, eight, values });
+    let mut add = |name: &str, role, components, kind, values| {
+        arrays.push(Array { name: name.to_owned(), role, components, kind, values });
     };
     if let Some(normals) = &held.normals {
-        add("Normals", Role::Normals, 3, false, normals.iter().flat_map(|n| n.to_array()).collect());
+        add("Normals", Role::Normals, 3, Kind::F64, normals.iter().flat_map(|n| n.to_array()).collect());
     }
     if let Some(uv) = &held.uv {
-        add("TCoords", Role::Texture, 2, false, uv.iter().flat_map(|t| t.to_array()).collect());
+        add("TCoords", Role::Texture, 2, Kind::F64, uv.iter().flat_map(|t| t.to_array()).collect());
     }
     if let Some(colours) = held.colours {
         let opaque = colours.values.iter().all(|c| c[3] == 1.0);
@@ -118,9 +123,13 @@ fn written(held: &Held<'_>) -> Vec<Array> {
         let eight = colours.depth == ColourDepth::Eight;
         let number = |&x: &f64| if eight { f64::from(eight_bit(x)) } else { x };
         let values = colours.values.iter().flat_map(|c| c[..n].iter().map(number)).collect();
-        add(name, Role::Colours, n, eight, values);
+        add(name, Role::Colours, n, if eight { Kind::U8 } else { Kind::F64 }, values);
     }
-    held.scalars.iter().for_each(|s| add(&s.name, Role::Any, 1, false, s.values.clone()));
+    for Scalar { name, number, components, values } in held.scalars {
+        // Three or four bytes would be a colour.
+        let kind = if *number == Kind::U8 && matches!(components, 3 | 4) { Kind::I16 } else { *number };
+        add(name, Role::Any, *components, kind, values.clone());
+    }
     arrays
 }
 

@@ -20,7 +20,7 @@ use crate::cvt::{Cvt, CvtOptions};
 use crate::mesh::TriMesh;
 use crate::mesh::closest_point::{ClosestPoint, SurfacePoint};
 use crate::mesh::measure::{self, Topology};
-use crate::mesh::sample::spread;
+use crate::mesh::sample::spread_unless;
 use crate::remesh::constants::*;
 use crate::remesh::features::KeptCurves;
 use crate::remesh::manifold::repair::{self, Repaired};
@@ -74,7 +74,7 @@ impl<'a> Job<'a, '_> {
         self.token.check()?;
 
         self.enter("sample");
-        let (first, seed) = first_seeds(&plan, &surface, &curves, &options.seeds);
+        let (first, seed) = first_seeds(&plan, &surface, &curves, &options.seeds, self.token)?;
         self.laps.end(|t| &mut t.sample);
         self.token.check()?;
 
@@ -217,15 +217,21 @@ pub(super) fn exact_dual(
 }
 
 /// The seeds that the options name, those of curves first, caller's coordinates; and the random seed they were drawn from.
-fn first_seeds(plan: &Plan<'_>, surface: &Surface, curves: &KeptCurves, seeds: &Seeds) -> (Vec<DVec3>, Option<u64>) {
-    match *seeds {
-        Seeds::Given(ref seeds) => (seeds.clone(), None),
-        Seeds::Sample { seed, .. } | Seeds::Implied { seed } if curves.seeds.is_empty() => {
-            let drawn = spread(&plan.mesh, plan.weights.as_deref(), None, plan.points, seed);
+fn first_seeds(
+    plan: &Plan<'_>,
+    surface: &Surface,
+    curves: &KeptCurves,
+    seeds: &Seeds,
+    token: &Token,
+) -> Result<(Vec<DVec3>, Option<u64>), Stopped> {
+    Ok(match (seeds, seeds.random_seed()) {
+        (Seeds::Given(seeds), _) => (seeds.clone(), None),
+        (_, seed) if curves.seeds.is_empty() => {
+            let drawn = spread_unless(&plan.mesh, (plan.weights.as_deref(), None), plan.points, seed, token)?;
             (drawn.iter().map(|p| p.position).collect(), Some(seed))
         }
-        Seeds::Sample { seed, .. } | Seeds::Implied { seed } => (curves.with_others(plan, surface, seed), Some(seed)),
-    }
+        (_, seed) => (curves.with_others(plan, surface, seed, token)?, Some(seed)),
+    })
 }
 
 /// Cells around which a dual has another topology than the surface.

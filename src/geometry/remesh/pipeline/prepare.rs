@@ -31,7 +31,7 @@ pub(super) struct Prepared<'a> {
 pub(super) fn prepare<'a>(separated: &'a TriMesh, options: &RemeshOptions, token: &Token) -> Result<Prepared<'a>> {
     let plan = density::plan(separated, &options.density, options.seeds.count(), token)?.divided(token)?;
     token.check()?;
-    let surface = Arc::new(Surface::new(&plan.mesh, plan.weights.as_deref())?);
+    let surface = Arc::new(Surface::unless(&plan.mesh, plan.weights.as_deref(), token)?);
     token.check()?;
     let find = || KeptCurves::find(separated, &plan, &surface, options, token);
     let (curves, closest) = rayon::join(find, || surface.closest_points());
@@ -64,8 +64,7 @@ pub(super) fn separation(clean: &TriMesh, components: usize, options: &RemeshOpt
 
 /// The figures of the input, and the changed surface if anything had to be changed.
 pub(super) fn preprocess(given: &TriMesh, token: &Token) -> Result<(InputFigures, Option<TriMesh>), Stopped> {
-    let adjacency = Adjacency::new(given);
-    token.check()?;
+    let adjacency = Adjacency::unless(given, token)?;
     let (mut figures, mut changed) = match stitch_boundaries(given, &adjacency, token)? {
         Some((stitched, moved)) => {
             (InputFigures { stitched_vertices: moved, ..InputFigures::of(&stitched, token)? }, Some(stitched))

@@ -286,7 +286,8 @@ impl Ledger {
     /// Adds an owner to a blob that is stored. Returns the owner that it replaces, if there were too many.
     pub(super) fn give(&mut self, digest: &Digest, owner: Owner) -> Option<Owner> {
         let size_bytes = self.entries.get(digest)?.size_bytes;
-        self.owners.add(*digest, size_bytes, owner)
+        let pinned_for = &self.pinned_for;
+        self.owners.add(*digest, size_bytes, owner, |owner| pinned_for.contains_key(&(owner, *digest)))
     }
 
     /// Takes a blob from its owner. Returns it if it has no owner left and no pin: it is out of the index then.

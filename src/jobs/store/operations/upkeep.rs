@@ -83,21 +83,26 @@ pub(crate) fn recover(
     live: &mut Live,
     now: Time,
     orphans: Orphans,
-    max_crashes: u32,
+    (max_crashes, had_others): (u32, bool),
 ) -> StoreResult<Recovered> {
     let mut recovered = Recovered::default();
+    let mut orphaned = Vec::new();
     for id in in_state(tables, State::Running)? {
         let status = head(tables, id)?.status;
-        if orphans == Orphans::LeaseOver && status.holder.is_some_and(|holder| holder.until > now) {
-            continue;
+        if orphans == Orphans::All || status.holder.as_ref().is_none_or(|holder| holder.until <= now) {
+            orphaned.push((id, status));
         }
-        if status.crashes + 1 < max_crashes {
+    }
+    // Of several pieces of work any one may be the cause: each job is tried once more, alone.
+    let is_sure = orphaned.len() == 1 && !had_others;
+    for (id, status) in orphaned {
+        if status.crashes + 1 < max_crashes || !is_sure {
             change(tables, live, (id, None), Change::Orphan, now)?;
             recovered.requeued.push(id);
         } else {
             let times = status.crashes + 1;
             let message =
-                format!("the server went down while this job was running, {times} times; it is not tried again");
+                format!("the server went down {times} times with this job, the last time with nothing else at work");
             let failure = Failure { kind: FailureKind::Crashed, message };
             change(tables, live, (id, None), Change::Fail(failure), now)?;
             recovered.failed.push(id);

@@ -5,6 +5,7 @@
 //! | `lock` | locked by the one process that uses the directory, whose number it holds |
 //! | `version` | the layout of the directory; written once the journal is there |
 //! | `journal.redb` | the journal |
+//! | `beside` | how many pieces of other work are under way |
 //!
 //! Purpose: [`Directory`]: one process, one layout, and no journal taken for empty that is not.
 //! Invariant: a journal appears under its name when it is whole. Where `version` is, a journal must be: one that is missing or
@@ -18,6 +19,7 @@ use std::path::{Path, PathBuf};
 use ::redb::{Builder, Database, DatabaseError, StorageError};
 
 use super::StoreError;
+use crate::beside::Beside;
 
 const LAYOUT: u32 = 1;
 
@@ -85,6 +87,12 @@ impl Directory {
 
     pub(super) fn journal(&self) -> PathBuf {
         self.path.join("journal.redb")
+    }
+
+    /// The count of work beside the jobs, and whether the last process went down with some.
+    pub(super) fn beside(&self) -> Result<(Beside, bool), StoreError> {
+        let path = self.path.join("beside");
+        Beside::open(&path).map_err(io("open", &path))
     }
 
     /// A journal without jobs, under its name once it is whole.

@@ -45,7 +45,7 @@ impl Blobs {
         let (metadata, extensions, message) = request.into_parts();
         let tenant = tenant_of(metadata.as_ref(), &extensions)?;
         let work = work(message, Owner::of(&tenant), Arc::clone(&self.store));
-        answer((method, Kind::Call), &metadata, &extensions, &self.gate, Some(STORE_TIME), work).await
+        answer((method, Kind::Call, &tenant), &metadata, &extensions, &self.gate, Some(STORE_TIME), work).await
     }
 
     /// Reads an upload until it finishes, its client ends it, or the blob is there. `most` is what its tenant may have, bytes.
@@ -120,7 +120,7 @@ impl proto::blob_service_server::BlobService for Blobs {
         let most = extensions.get::<Caller>().and_then(|caller| caller.bytes);
         let work = self.receive(Inbox::new(stream), &tenant, most);
         // No limit as a whole besides that of uploads.
-        answer(("Write", Kind::Stream), &metadata, &extensions, &self.gate, None, work).await
+        answer(("Write", Kind::Stream, &tenant), &metadata, &extensions, &self.gate, None, work).await
     }
 
     async fn query_write_status(
@@ -141,7 +141,7 @@ impl proto::blob_service_server::BlobService for Blobs {
         let (metadata, extensions, message) = request.into_parts();
         let tenant = tenant_of(metadata.as_ref(), &extensions)?;
         let (store, owner) = (Arc::clone(&self.store), Owner::of(&tenant));
-        Ok(respond(("Read", Kind::Stream), &metadata, &extensions, (&self.gate, &self.budget), |out| {
+        Ok(respond(("Read", Kind::Stream, &tenant), &metadata, &extensions, (&self.gate, &self.budget), |out| {
             send(store, owner, message, out)
         })?)
     }

@@ -22,11 +22,11 @@ pub(super) async fn handle(
     mut inbox: Inbox<CvtRequest>,
     outbox: Outbox<CvtResponse>,
 ) -> Result<(), RequestError> {
-    let _place = shared.gate.admit_session()?;
+    let _place = shared.gate.admit_session(&tenant)?;
     let Admitted { header, received, place } = upload(&shared, &tenant, &mut inbox).await?;
     let (wish, options) = (header.backend, header.options.options);
     let token = shared.engine.token();
-    let (prepared, _share) = prepare(&shared, received, header.options, Prepared::for_steps, &token).await?;
+    let (prepared, _share) = prepare((&shared, &tenant), received, header.options, Prepared::for_steps, &token).await?;
     let mut pending = CvtSession::open(&shared.engine, Arc::clone(&prepared), wish, options, place)?;
     let position = pending.position;
     let Timed { value, queue_ms, compute_ms } = pending.wait().await?;

@@ -29,7 +29,7 @@ pub(super) async fn handle(
     let Admitted { header, received, place } = upload(&shared, &tenant, &mut inbox).await?;
     let outputs = header.options.outputs;
     let work = StreamWork::new(&shared.engine, header.backend)?;
-    let (prepared, _share) = prepare(&shared, received, header.options, Prepared::new, work.token()).await?;
+    let (prepared, _share) = prepare((&shared, &tenant), received, header.options, Prepared::new, work.token()).await?;
     let mut pending = work.diagram(place, Arc::clone(&prepared), outputs.centroids || outputs.sums)?;
     outbox.send(wrap(response::Message::Accepted(accepted(pending.position, work.by())))).await?;
     let Timed { value: (mut diagram, sums), queue_ms, compute_ms } = pending.wait().await?;

@@ -42,8 +42,8 @@ impl Jobs {
     ) -> Reply<T> {
         let (metadata, extensions, message) = request.into_parts();
         let tenant = tenant_of(metadata.as_ref(), &extensions)?;
-        let work = work(message, tenant, Arc::clone(&self.api));
-        answer((method, Kind::Call), &metadata, &extensions, &self.gate, Some(DESK_TIME), work).await
+        let work = work(message, tenant.clone(), Arc::clone(&self.api));
+        answer((method, Kind::Call, &tenant), &metadata, &extensions, &self.gate, Some(DESK_TIME), work).await
     }
 }
 
@@ -81,15 +81,21 @@ impl proto::job_service_server::JobService for Jobs {
         let (metadata, extensions, message) = request.into_parts();
         let tenant = tenant_of(metadata.as_ref(), &extensions)?;
         let id = job_id(&message.id).map_err(RequestError::from)?;
-        let (api, gate) = (Arc::clone(&self.api), self.gate.clone());
-        Ok(respond(("WatchJob", Kind::Watch), &metadata, &extensions, (&self.gate, &self.budget), |out| async move {
-            tokio::select! {
-                biased;
-                result = desk::follow(&*api, &tenant, id, message.after, |event| tell(&out, event)) => result,
-                // The job goes on, and can be watched again from where this ends.
-                () = gate.reached(Phase::Draining) => Err(RequestError::Draining),
-            }
-        })?)
+        let (api, gate, name) = (Arc::clone(&self.api), self.gate.clone(), tenant.clone());
+        Ok(respond(
+            ("WatchJob", Kind::Watch, &name),
+            &metadata,
+            &extensions,
+            (&self.gate, &self.budget),
+            |out| async move {
+                tokio::select! {
+                    biased;
+                    result = desk::follow(&*api, &tenant, id, message.after, |event| tell(&out, event)) => result,
+                    // The job goes on, and can be watched again from where this ends.
+                    () = gate.reached(Phase::Draining) => Err(RequestError::Draining),
+                }
+            },
+        )?)
     }
 
     async fn cancel_job(&self, request: Request<proto::CancelJobRequest>) -> Reply<proto::CancelJobResponse> {

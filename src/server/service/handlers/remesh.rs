@@ -50,7 +50,7 @@ pub(super) async fn handle(
     let Admitted { header, received, place } = upload(&shared, &tenant, &mut inbox).await?;
     let Checked { backend, mut options, attributes: announced, .. } = header;
     let work = StreamWork::new(&shared.engine, backend)?;
-    let (mesh, options, mut share) = apart(&shared, work.token(), move |token| {
+    let (mesh, options, mut share) = apart((&shared, &tenant), work.token(), move |token| {
         let (input, share) = input(received, &mut options, token)?;
         let Input { mesh, density, seeds, creases, attributes } = input;
         Ok((mesh, RemeshOptions { density, seeds, creases, attributes, ..options }, share))

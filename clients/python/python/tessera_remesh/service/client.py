@@ -135,7 +135,7 @@ class Client:
             JobFailed: it has no result.
         """
         with listener(progress) as listen:
-            return to_remesh(_NOBODYS, self._run(_fetch(job, listen, self._patience)))
+            return to_remesh(_NOBODYS, None, self._run(_fetch(job, listen, self._patience)))
 
     def cancel(self, job: str) -> None:
         """Cancels a job."""
@@ -150,7 +150,7 @@ class Client:
     ) -> Remesh:
         started: list[str] = []
         flow = flows.remesh(surface, options, carried, listen, started.append, self._patience)
-        return to_remesh(surface, self._job(flow, started))
+        return to_remesh(surface, carried, self._job(flow, started))
 
     def _rvd(self, surface: Surface, options: dict[str, Any]) -> Rvd:
         started: list[str] = []
@@ -254,7 +254,7 @@ class AsyncClient:
         started: list[str] = []
         with listener(progress) as listen:
             flow = flows.remesh(surface, given, carried, listen, started.append, self._patience)
-            return to_remesh(surface, await self._job(flow, started))
+            return to_remesh(surface, carried, await self._job(flow, started))
 
     async def rvd(self, mesh: Any, faces: ArrayLike | None = None, **options: Any) -> Rvd:
         """As `tessera_remesh.rvd`, by this server."""
@@ -286,7 +286,7 @@ class AsyncClient:
     async def result(self, job: str, progress: ProgressLike = None) -> Remesh:
         """As `Client.result`."""
         with listener(progress) as listen:
-            return to_remesh(_NOBODYS, await self._run(_fetch(job, listen, self._patience)))
+            return to_remesh(_NOBODYS, None, await self._run(_fetch(job, listen, self._patience)))
 
     async def cancel(self, job: str) -> None:
         """Cancels a job."""

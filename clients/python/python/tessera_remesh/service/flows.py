@@ -224,8 +224,13 @@ def done(spec: Any, listen: Engine | None, started: Callable[[str], object], pat
     return blobs
 
 
+def _dtype(form: str) -> np.dtype[Any]:
+    """Of a word as "F64": packed, little-endian."""
+    return np.dtype(f"<{form[0].lower()}{int(form[1:]) // 8}")
+
+
 def _array(values: Any, form: str, patience: float) -> Flow:
-    array = np.ascontiguousarray(values, dtype={"F64": "<f8", "F32": "<f4", "U32": "<u4", "U8": "u1"}[form])
+    array = np.ascontiguousarray(values, dtype=_dtype(form))
     digest = yield from put(array.tobytes(), patience)
     count = len(array)
     return job_pb2.ArrayRef(digest=digest, form=job_pb2.ArrayForm.Value(f"ARRAY_FORM_{form}"), count=count)
@@ -254,8 +259,10 @@ def _mesh(surface: Surface, carried: Attributes | None, patience: float) -> Flow
     if carried is not None:
         given = carried._to_engine()
 
-        def add(kind: Any, name: str, values: Any, corners: Any) -> None:
-            arrays.attributes.append(job_pb2.AttributeArrays(kind=kind, name=name, values=values, corners=corners))
+        def add(kind: Any, name: str, values: Any, corners: Any, components: int = 0) -> None:
+            arrays.attributes.append(
+                job_pb2.AttributeArrays(kind=kind, name=name, values=values, corners=corners, components=components)
+            )
 
         if given["normals"] is not None:
             corners = None
@@ -273,9 +280,9 @@ def _mesh(surface: Surface, carried: Attributes | None, patience: float) -> Flow
             colours = np.rint(given["colours"] * 255) if eight else given["colours"]
             values = yield from (_array(colours, "U8", patience) if eight else _floats(colours, patience))
             add(remesh_pb2.ATTRIBUTE_KIND_COLOURS, "", values, None)
-        for name, scalar in given["scalars"].items():
-            values = yield from _doubles(scalar, patience)
-            add(remesh_pb2.ATTRIBUTE_KIND_SCALAR, name, values, None)
+        for name, (numbers, form, components) in given["scalars"].items():
+            values = yield from _array(numbers.reshape(-1, components), form, patience)
+            add(remesh_pb2.ATTRIBUTE_KIND_SCALAR, name, values, None, components)
     return job_pb2.JobMesh(arrays=arrays)
 
 
@@ -374,11 +381,12 @@ def remesh_arrays(blobs: dict[str, bytes]) -> dict[str, Any]:
         colours = _table(blobs["colours"], "u1" if eight else "<f8", 4)
         attributes["colours"] = colours / 255.0 if eight else colours
         attributes["colours_of_eight_bits"] = eight
-    scalars = {
-        name.removeprefix("scalar."): np.frombuffer(data, "<f8")
-        for name, data in blobs.items()
-        if name.startswith("scalar.")
-    }
+    scalars = {}
+    for name, data in blobs.items():
+        if name.startswith("scalar."):
+            # Its name, and where it is no double a vertex, the form and how many numbers a vertex has.
+            _, name, form, components = [*name.split("."), "F64", "1"][:4]
+            scalars[name] = (np.frombuffer(data, _dtype(form)), form, int(components))
     if attributes or scalars:
         made["attributes"] = {**attributes, "scalars": scalars}
     return made

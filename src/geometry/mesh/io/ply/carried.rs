@@ -118,7 +118,8 @@ impl Carried {
             Some(rest) if TAKEN.contains(&rest) => rest.to_owned(),
             _ => name,
         };
-        raw.scalars = self.columns.into_iter().map(|c| Scalar { name: plain(c.name), values: c.values }).collect();
+        let scalar = |c: Column| Scalar { number: c.kind, ..Scalar::new(plain(c.name), c.values) };
+        raw.scalars = self.columns.into_iter().map(scalar).collect();
         raw
     }
 }

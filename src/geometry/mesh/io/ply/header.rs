@@ -5,6 +5,7 @@
 
 use std::collections::HashMap;
 
+use crate::mesh::attributes::Scalar;
 use crate::mesh::io::numbers::{Encoding, Kind, Order, shown};
 use crate::mesh::io::{DataError, syntax};
 
@@ -13,18 +14,34 @@ const LONGEST: usize = 4096;
 /// Elements and properties of one header, together. Files in use have dozens.
 const MOST_NAMES: usize = 4096;
 
+/// Names of types: those that are written, and their newer ones.
+const KINDS: [(&str, &str, Kind); 8] = [
+    ("char", "int8", Kind::I8),
+    ("uchar", "uint8", Kind::U8),
+    ("short", "int16", Kind::I16),
+    ("ushort", "uint16", Kind::U16),
+    ("int", "int32", Kind::I32),
+    ("uint", "uint32", Kind::U32),
+    ("float", "float32", Kind::F32),
+    ("double", "float64", Kind::F64),
+];
+
 fn kind(name: &str) -> Option<Kind> {
-    Some(match name {
-        "char" | "int8" => Kind::I8,
-        "uchar" | "uint8" => Kind::U8,
-        "short" | "int16" => Kind::I16,
-        "ushort" | "uint16" => Kind::U16,
-        "int" | "int32" => Kind::I32,
-        "uint" | "uint32" => Kind::U32,
-        "float" | "float32" => Kind::F32,
-        "double" | "float64" => Kind::F64,
-        _ => return None,
-    })
+    KINDS.iter().find(|(old, new, _)| *old == name || *new == name).map(|&(.., kind)| kind)
+}
+
+pub(super) fn name(kind: Kind) -> &'static str {
+    KINDS.iter().find(|(.., known)| *known == kind).map_or("double", |&(name, ..)| name)
+}
+
+/// The type of a scalar's properties. Numbers of 64 bits become int where they fit, else double.
+pub(super) fn written(scalar: &Scalar) -> Kind {
+    let fit = |x: &f64| (f64::from(i32::MIN)..=f64::from(i32::MAX)).contains(x);
+    match scalar.number {
+        Kind::I64 | Kind::U64 if scalar.values.iter().all(fit) => Kind::I32,
+        Kind::I64 | Kind::U64 => Kind::F64,
+        kind => kind,
+    }
 }
 
 /// A number of an element, or a list of them.

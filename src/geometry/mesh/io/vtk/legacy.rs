@@ -5,7 +5,7 @@
 
 use glam::DVec3;
 
-use super::{Array, Cell, KINDS, ON_POINTS, Role, SURFACE_FIRST, carried, facets, push_cells, written};
+use super::{Array, Cell, KINDS, ON_POINTS, Role, SURFACE_FIRST, carried, facets, names, push_cells, written};
 use crate::mesh::TriMesh;
 use crate::mesh::io::held::{By, Held, Holds, Raw};
 use crate::mesh::io::numbers::{Cursor, Encoding, Kind, Order, cut, parse, plain, shown};
@@ -346,13 +346,13 @@ impl Reader<'_> {
         match kind {
             Type::Numbers(kind) if is_kept => {
                 let values = self.cursor.lenient(total, kind, &what())?;
-                self.arrays.push(Array { name, role, components, eight: kind == Kind::U8, values });
+                self.arrays.push(Array { name, role, components, kind, values });
                 return Ok(());
             }
             Type::Numbers(kind) => self.cursor.pass(total, kind, &what())?,
             Type::Bits if is_text && is_kept => {
                 let values = self.cursor.lenient(total, Kind::U8, &what())?;
-                self.arrays.push(Array { name, role, components, eight: false, values });
+                self.arrays.push(Array { name, role, components, kind: Kind::I8, values });
                 return Ok(());
             }
             Type::Bits if !is_text => drop(self.cursor.take(total.div_ceil(8)).ok_or_else(|| cut(&what()))?),
@@ -408,7 +408,7 @@ fn encode(mesh: &TriMesh, held: &Held<'_>) -> Result<Vec<u8>, DataError> {
     if !arrays.is_empty() {
         line(&mut out, format!("\nPOINT_DATA {vertices}"));
     }
-    let fields = |array: &Array| array.role == Role::Any || array.role == Role::Colours && !array.eight;
+    let fields = |array: &Array| array.role == Role::Any || array.role == Role::Colours && array.kind != Kind::U8;
     let in_field = arrays.iter().filter(|a| fields(a)).count();
     let others = arrays.iter().filter(|a| !fields(a));
     for (index, array) in others.chain(arrays.iter().filter(|a| fields(a))).enumerate() {
@@ -417,16 +417,13 @@ fn encode(mesh: &TriMesh, held: &Held<'_>) -> Result<Vec<u8>, DataError> {
             line(&mut out, format!("\nFIELD FieldData {in_field}"));
         }
         let head = match array.role {
-            _ if fields(array) => format!("{name} {n} {vertices} double"),
+            _ if fields(array) => format!("{name} {n} {vertices} {}", names(array.kind).0),
             Role::Normals => format!("NORMALS {name} double"),
             Role::Texture => format!("TEXTURE_COORDINATES {name} {n} double"),
             _ => format!("COLOR_SCALARS {name} {n}"),
         };
         line(&mut out, format!("\n{head}\n"));
-        match array.eight {
-            true => out.extend(array.values.iter().map(|&x| x as u8)),
-            false => array.values.iter().for_each(|x| out.extend_from_slice(&x.to_be_bytes())),
-        }
+        array.values.iter().for_each(|&x| array.kind.put(x, Order::Big, &mut out));
     }
     Ok(out)
 }

@@ -16,7 +16,7 @@ use glam::DVec3;
 use quick_xml::Reader;
 use quick_xml::events::{BytesStart, Event};
 
-use super::{Array, Cell, KINDS, ON_POINTS, Role, SURFACE_FIRST, carried, push_cells, written};
+use super::{Array, Cell, KINDS, ON_POINTS, Role, SURFACE_FIRST, carried, names, push_cells, written};
 use crate::mesh::TriMesh;
 use crate::mesh::io::held::{By, Held, Holds};
 use crate::mesh::io::numbers::{Cursor, Encoding, Kind, Order, plain};
@@ -563,8 +563,8 @@ impl<'a> File<'a> {
                 (Err(_), Some(_)) => {}
                 (Ok(values), None) => {
                     names.entry(key).or_insert(arrays.len());
-                    let eight = array.kind == Some(Kind::U8);
-                    arrays.push(Array { name: array.name.clone(), role: array.role, components, eight, values });
+                    let kind = array.kind.unwrap_or_default();
+                    arrays.push(Array { name: array.name.clone(), role: array.role, components, kind, values });
                 }
                 (Err(error), None) => {
                     soup.raw.unreadable(&format!("array {:?}", plain(&array.name, 40)), error.to_string());
@@ -669,11 +669,9 @@ fn encode(mesh: &TriMesh, held: &Held<'_>, of: Type) -> Result<Vec<u8>, DataErro
     out.push_str(">\n");
     let doubles = |numbers: &mut dyn Iterator<Item = f64>| -> Vec<u8> { numbers.flat_map(f64::to_le_bytes).collect() };
     for a in arrays {
-        let (kind, data) = match a.eight {
-            true => ("UInt8", a.values.iter().map(|&x| x as u8).collect()),
-            false => ("Float64", doubles(&mut a.values.into_iter())),
-        };
-        array(&mut out, &a.name, kind, a.components, data);
+        let mut data = Vec::with_capacity(a.kind.bytes() * a.values.len());
+        a.values.iter().for_each(|&x| a.kind.put(x, Order::Little, &mut data));
+        array(&mut out, &a.name, names(a.kind).1, a.components, data);
     }
     out.push_str("</PointData>\n<Points>\n");
     let positions = doubles(&mut mesh.positions().iter().flat_map(|p| p.to_array()));

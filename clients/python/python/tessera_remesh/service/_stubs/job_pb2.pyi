@@ -47,6 +47,12 @@ class ArrayForm(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
     ARRAY_FORM_U32: _ClassVar[ArrayForm]
     ARRAY_FORM_U8: _ClassVar[ArrayForm]
     ARRAY_FORM_TEXT: _ClassVar[ArrayForm]
+    ARRAY_FORM_I8: _ClassVar[ArrayForm]
+    ARRAY_FORM_U16: _ClassVar[ArrayForm]
+    ARRAY_FORM_I16: _ClassVar[ArrayForm]
+    ARRAY_FORM_I32: _ClassVar[ArrayForm]
+    ARRAY_FORM_U64: _ClassVar[ArrayForm]
+    ARRAY_FORM_I64: _ClassVar[ArrayForm]
 
 class JobFailureKind(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
     __slots__ = ()
@@ -84,6 +90,12 @@ ARRAY_FORM_F64: ArrayForm
 ARRAY_FORM_U32: ArrayForm
 ARRAY_FORM_U8: ArrayForm
 ARRAY_FORM_TEXT: ArrayForm
+ARRAY_FORM_I8: ArrayForm
+ARRAY_FORM_U16: ArrayForm
+ARRAY_FORM_I16: ArrayForm
+ARRAY_FORM_I32: ArrayForm
+ARRAY_FORM_U64: ArrayForm
+ARRAY_FORM_I64: ArrayForm
 JOB_FAILURE_KIND_UNSPECIFIED: JobFailureKind
 JOB_FAILURE_KIND_BAD_INPUT: JobFailureKind
 JOB_FAILURE_KIND_MISSING_INPUT: JobFailureKind
@@ -113,16 +125,18 @@ class MeshFile(_message.Message):
     def __init__(self, digest: _Optional[str] = ..., format: _Optional[_Union[MeshFormat, str]] = ..., attributes: bool = ...) -> None: ...
 
 class AttributeArrays(_message.Message):
-    __slots__ = ("kind", "name", "values", "corners")
+    __slots__ = ("kind", "name", "values", "corners", "components")
     KIND_FIELD_NUMBER: _ClassVar[int]
     NAME_FIELD_NUMBER: _ClassVar[int]
     VALUES_FIELD_NUMBER: _ClassVar[int]
     CORNERS_FIELD_NUMBER: _ClassVar[int]
+    COMPONENTS_FIELD_NUMBER: _ClassVar[int]
     kind: _remesh_pb2.AttributeKind
     name: str
     values: ArrayRef
     corners: ArrayRef
-    def __init__(self, kind: _Optional[_Union[_remesh_pb2.AttributeKind, str]] = ..., name: _Optional[str] = ..., values: _Optional[_Union[ArrayRef, _Mapping]] = ..., corners: _Optional[_Union[ArrayRef, _Mapping]] = ...) -> None: ...
+    components: int
+    def __init__(self, kind: _Optional[_Union[_remesh_pb2.AttributeKind, str]] = ..., name: _Optional[str] = ..., values: _Optional[_Union[ArrayRef, _Mapping]] = ..., corners: _Optional[_Union[ArrayRef, _Mapping]] = ..., components: _Optional[int] = ...) -> None: ...
 
 class MeshArrays(_message.Message):
     __slots__ = ("positions", "facets", "attributes")

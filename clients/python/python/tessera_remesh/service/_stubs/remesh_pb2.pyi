@@ -70,6 +70,13 @@ class AttributeType(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
     ATTRIBUTE_TYPE_F32: _ClassVar[AttributeType]
     ATTRIBUTE_TYPE_F64: _ClassVar[AttributeType]
     ATTRIBUTE_TYPE_U8: _ClassVar[AttributeType]
+    ATTRIBUTE_TYPE_I8: _ClassVar[AttributeType]
+    ATTRIBUTE_TYPE_U16: _ClassVar[AttributeType]
+    ATTRIBUTE_TYPE_I16: _ClassVar[AttributeType]
+    ATTRIBUTE_TYPE_U32: _ClassVar[AttributeType]
+    ATTRIBUTE_TYPE_I32: _ClassVar[AttributeType]
+    ATTRIBUTE_TYPE_U64: _ClassVar[AttributeType]
+    ATTRIBUTE_TYPE_I64: _ClassVar[AttributeType]
 
 class DensitySource(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
     __slots__ = ()
@@ -167,6 +174,13 @@ ATTRIBUTE_TYPE_UNSPECIFIED: AttributeType
 ATTRIBUTE_TYPE_F32: AttributeType
 ATTRIBUTE_TYPE_F64: AttributeType
 ATTRIBUTE_TYPE_U8: AttributeType
+ATTRIBUTE_TYPE_I8: AttributeType
+ATTRIBUTE_TYPE_U16: AttributeType
+ATTRIBUTE_TYPE_I16: AttributeType
+ATTRIBUTE_TYPE_U32: AttributeType
+ATTRIBUTE_TYPE_I32: AttributeType
+ATTRIBUTE_TYPE_U64: AttributeType
+ATTRIBUTE_TYPE_I64: AttributeType
 DENSITY_SOURCE_UNSPECIFIED: DensitySource
 DENSITY_SOURCE_UNIFORM: DensitySource
 DENSITY_SOURCE_WEIGHTS: DensitySource
@@ -215,18 +229,20 @@ class Chunk(_message.Message):
     def __init__(self, kind: _Optional[_Union[ArrayKind, str]] = ..., offset: _Optional[int] = ..., data: _Optional[bytes] = ..., crc32c: _Optional[int] = ..., total_bytes: _Optional[int] = ..., attribute: _Optional[int] = ...) -> None: ...
 
 class AttributeHeader(_message.Message):
-    __slots__ = ("kind", "name", "type", "values", "by_corner")
+    __slots__ = ("kind", "name", "type", "values", "by_corner", "components")
     KIND_FIELD_NUMBER: _ClassVar[int]
     NAME_FIELD_NUMBER: _ClassVar[int]
     TYPE_FIELD_NUMBER: _ClassVar[int]
     VALUES_FIELD_NUMBER: _ClassVar[int]
     BY_CORNER_FIELD_NUMBER: _ClassVar[int]
+    COMPONENTS_FIELD_NUMBER: _ClassVar[int]
     kind: AttributeKind
     name: str
     type: AttributeType
     values: int
     by_corner: bool
-    def __init__(self, kind: _Optional[_Union[AttributeKind, str]] = ..., name: _Optional[str] = ..., type: _Optional[_Union[AttributeType, str]] = ..., values: _Optional[int] = ..., by_corner: bool = ...) -> None: ...
+    components: int
+    def __init__(self, kind: _Optional[_Union[AttributeKind, str]] = ..., name: _Optional[str] = ..., type: _Optional[_Union[AttributeType, str]] = ..., values: _Optional[int] = ..., by_corner: bool = ..., components: _Optional[int] = ...) -> None: ...
 
 class MeshHeader(_message.Message):
     __slots__ = ("vertices", "facets", "position_type", "weights", "edge_lengths", "creases", "attributes")
@@ -259,7 +275,7 @@ class Density(_message.Message):
     def __init__(self, source: _Optional[_Union[DensitySource, str]] = ..., edge_length: _Optional[float] = ..., adaptivity: _Optional[float] = ..., gradation: _Optional[float] = ...) -> None: ...
 
 class RemeshOptions(_message.Message):
-    __slots__ = ("points", "seed", "density", "lloyd", "newton", "projection", "placement", "crease_angle", "boundaries", "thin", "max_deviation", "max_deviation_length", "max_points", "measure")
+    __slots__ = ("points", "seed", "density", "lloyd", "newton", "projection", "placement", "crease_angle", "boundaries", "thin", "max_deviation", "max_deviation_length", "max_points", "measure", "points_percent", "facets")
     POINTS_FIELD_NUMBER: _ClassVar[int]
     SEED_FIELD_NUMBER: _ClassVar[int]
     DENSITY_FIELD_NUMBER: _ClassVar[int]
@@ -274,6 +290,8 @@ class RemeshOptions(_message.Message):
     MAX_DEVIATION_LENGTH_FIELD_NUMBER: _ClassVar[int]
     MAX_POINTS_FIELD_NUMBER: _ClassVar[int]
     MEASURE_FIELD_NUMBER: _ClassVar[int]
+    POINTS_PERCENT_FIELD_NUMBER: _ClassVar[int]
+    FACETS_FIELD_NUMBER: _ClassVar[int]
     points: int
     seed: int
     density: Density
@@ -288,7 +306,9 @@ class RemeshOptions(_message.Message):
     max_deviation_length: float
     max_points: int
     measure: Measure
-    def __init__(self, points: _Optional[int] = ..., seed: _Optional[int] = ..., density: _Optional[_Union[Density, _Mapping]] = ..., lloyd: _Optional[int] = ..., newton: _Optional[int] = ..., projection: _Optional[_Union[Projection, str]] = ..., placement: _Optional[_Union[Placement, str]] = ..., crease_angle: _Optional[float] = ..., boundaries: _Optional[_Union[BoundaryRule, str]] = ..., thin: _Optional[_Union[ThinRule, str]] = ..., max_deviation: _Optional[float] = ..., max_deviation_length: _Optional[float] = ..., max_points: _Optional[int] = ..., measure: _Optional[_Union[Measure, str]] = ...) -> None: ...
+    points_percent: float
+    facets: int
+    def __init__(self, points: _Optional[int] = ..., seed: _Optional[int] = ..., density: _Optional[_Union[Density, _Mapping]] = ..., lloyd: _Optional[int] = ..., newton: _Optional[int] = ..., projection: _Optional[_Union[Projection, str]] = ..., placement: _Optional[_Union[Placement, str]] = ..., crease_angle: _Optional[float] = ..., boundaries: _Optional[_Union[BoundaryRule, str]] = ..., thin: _Optional[_Union[ThinRule, str]] = ..., max_deviation: _Optional[float] = ..., max_deviation_length: _Optional[float] = ..., max_points: _Optional[int] = ..., measure: _Optional[_Union[Measure, str]] = ..., points_percent: _Optional[float] = ..., facets: _Optional[int] = ...) -> None: ...
 
 class DiagramOptions(_message.Message):
     __slots__ = ("points", "seed", "outputs")
