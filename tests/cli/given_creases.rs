@@ -12,7 +12,9 @@ fn remesh(input: &Path, creases: Option<&Path>, output: &Path) -> Output {
     command.env_remove("RUST_BACKTRACE").arg("remesh").arg(input).arg("-o").arg(output);
     command.args(["--points", "300", "--backend", "serial", "--lloyd", "3", "--newton", "0"]);
     command.arg("--report").arg(output.with_extension("json"));
-    creases.into_iter().for_each(|creases| drop(command.arg("--creases").arg(creases)));
+    if let Some(creases) = creases {
+        command.arg("--creases").arg(creases);
+    }
     command.output().unwrap()
 }
 

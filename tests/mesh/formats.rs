@@ -148,7 +148,7 @@ fn vtk_dialects() {
                 1 0 0 1 0 0 1 0 0 1 0 0 1 0 0 1 0 0 0 0.5 0\nSCALARS bits bit\nLOOKUP_TABLE default\n1 0 1 0 1 0 1\n";
     let loaded = decode_with_attributes(Format::Vtk, text.as_bytes()).unwrap();
     assert_eq!((loaded.mesh.positions().len(), loaded.mesh.facets().len(), loaded.mesh.area()), (7, 3, 1.5));
-    // The array of cells. A scalar may have gaps.
+    // The array of cells; a scalar may have gaps.
     assert_eq!(loaded.left_aside.len(), 1, "{:?}", loaded.left_aside);
     assert!(loaded.attributes.scalars().iter().any(|scalar| (scalar.name.as_str(), scalar.components) == ("speed", 3)));
     assert!(loaded.attributes.scalars().iter().find(|scalar| scalar.name == "height").unwrap().values[5].is_nan());

@@ -14,7 +14,7 @@ use super::numbers::Kind;
 use super::{DataError, Soup};
 use crate::mesh::attributes::{ColourDepth, Colours, Normals, PerCorner, Scalar};
 
-/// Names of numbers' types: legacy, in lower case, of which the first is written, and XML. In binary legacy files a `vtkIdType` has 4 bytes.
+/// Names of numbers' types: legacy, in lower case, the first of which is written, and XML. In binary legacy files a `vtkIdType` has 4 bytes.
 const KINDS: [(&[&str], &str, Kind); 10] = [
     (&["char", "signed_char", "vtktypeint8"], "Int8", Kind::I8),
     (&["unsigned_char", "vtktypeuint8"], "UInt8", Kind::U8),
@@ -28,16 +28,17 @@ const KINDS: [(&[&str], &str, Kind); 10] = [
     (&["double", "vtktypefloat64"], "Float64", Kind::F64),
 ];
 
+/// The names of a type: legacy, XML.
+fn names(kind: Kind) -> (&'static str, &'static str) {
+    let known = KINDS.iter().find(|(.., known)| *known == kind);
+    known.map_or(("double", "Float64"), |(legacy, xml, _)| (legacy[0], *xml))
+}
+
 /// Why arrays of cells are left aside.
 const ON_POINTS: &str = "a surface carries numbers of points";
 
 /// What to do with a file of volume elements alone.
 const SURFACE_FIRST: &str = "extract the surface first, as ParaView's filter \"Extract Surface\" does";
-
-/// The names of a type: legacy, XML.
-fn names(kind: Kind) -> (&'static str, &'static str) {
-    KINDS.iter().find(|(.., known)| *known == kind).map_or(("double", "Float64"), |&(legacy, xml, _)| (legacy[0], xml))
-}
 
 const COLOURS: [&str; 6] = ["rgb", "rgba", "color", "colors", "colour", "colours"];
 
