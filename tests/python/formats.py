@@ -154,7 +154,7 @@ def write(folder):
     # With its data in files beside it.
     for name, content in trimesh.exchange.gltf.export_gltf(trimesh.Scene(coloured)).items():
         (folder / name.replace("model", "beside")).write_bytes(content)
-    holds("beside.gltf", carried="colours")
+    holds("beside.gltf", carried="normals,colours")
     textured = ball.copy()
     textured.visual = trimesh.visual.TextureVisuals(uv=points[:, :2])
     files = trimesh.exchange.gltf.export_gltf(trimesh.Scene(textured), embed_buffers=True)
