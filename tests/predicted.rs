@@ -109,6 +109,10 @@ impl Server {
     fn run_to_any_end(&self, spec: &JobSpec) -> (Taken, State) {
         let spec = |tenant: &str| Spec::new(spec.clone(), tenant.to_owned(), String::new()).unwrap();
         let estimate = self.runtime.block_on(self.executor.estimate(spec("t"), None, None)).unwrap();
+        // The job before has ended for its caller first.
+        while self.engine.load().1 {
+            std::thread::sleep(Duration::from_millis(1));
+        }
         MEMORY.reset_peak_usage();
         let (before, begin) = (MEMORY.current_usage(), Instant::now());
         let id = self.runtime.block_on(self.executor.create(spec("t"))).unwrap().job.id;
