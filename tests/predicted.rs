@@ -484,7 +484,7 @@ fn attacks() {
     ];
     let lists = lists.map(|(name, arrays)| (name, JobSpec { arrays: Some(arrays), ..on_torus() }, None));
     let each = CvtStep { iterations: 990, seeds: SeedsWanted::Each.into(), kind: StepKind::Lloyd.into() };
-    let density = Some(Density { edge_length: Some(0.005), ..Density::default() });
+    let density = Some(Density { edge_length: Some(0.01), ..Density::default() });
     let implied = RemeshOptions { points: None, density, ..remesh(0) };
     let corners = server.file(Format::Obj, polygon(100_000));
     let sets = of(server.mesh(&torus), job_spec::Work::Cvt(cvt(5000, each)));
