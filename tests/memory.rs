@@ -163,7 +163,8 @@ fn originals() -> Vec<(Format, Vec<u8>)> {
     all.set_normals(Normals::PerVertex(mesh.positions().iter().map(|p| p.normalize_or_zero()).collect())).unwrap();
     let values = mesh.positions().iter().map(|p| [0.2, if p.z > 0.0 { 1.0 } else { 0.0 }, 0.4, 1.0]).collect();
     all.set_colours(Colours { values, depth: ColourDepth::Eight }).unwrap();
-    all.add_scalar(tessera::mesh::attributes::Scalar::new("height", mesh.positions().iter().map(|p| p.z).collect())).unwrap();
+    all.add_scalar(tessera::mesh::attributes::Scalar::new("height", mesh.positions().iter().map(|p| p.z).collect()))
+        .unwrap();
     let of = |format| (format, io::encode_with_attributes(format, &mesh, &all).unwrap().0);
     let mut files: Vec<_> = Format::ALL.into_iter().map(of).collect();
     // Short numbers and a polygon of very many corners.
