@@ -55,28 +55,31 @@ impl Surface {
         }
     }
 
-    pub(crate) fn bytes(&self) -> Result<Vec<u8>> {
+    /// The bytes of a surface in this format, with what it names in other files.
+    pub(crate) fn bytes(&self, format: Format) -> Result<Vec<u8>> {
+        if !self.is_standard() {
+            return io::read_bytes(&self.path, format).map_err(unread);
+        }
         let mut bytes = Vec::new();
-        let read = match self.is_standard() {
-            true => std::io::stdin().lock().read_to_end(&mut bytes).map(|_| bytes),
-            false => std::fs::read(&self.path),
-        };
-        Ok(read.map_err(|cause| NoInput { path: self.path.clone(), cause })?)
+        let read = std::io::stdin().lock().read_to_end(&mut bytes);
+        read.map_err(|cause| NoInput { path: self.path.clone(), cause })?;
+        Ok(bytes)
     }
 
     pub(crate) fn read_mesh(&self) -> Result<TriMesh> {
         let format = self.format(INPUT_FORMAT)?;
-        let bytes = self.bytes()?;
+        let bytes = self.bytes(format)?;
         Ok(io::decode(format, &bytes).map_err(|cause| self.refused(&cause))?)
     }
 
     pub(crate) fn read_loaded(&self) -> Result<Loaded> {
         let format = self.format(INPUT_FORMAT)?;
-        let bytes = self.bytes()?;
-        let io::Loaded { mesh, attributes, left_aside } =
+        let bytes = self.bytes(format)?;
+        let io::Loaded { mesh, attributes, creases, left_aside } =
             io::decode_with_attributes(format, &bytes).map_err(|cause| self.refused(&cause))?;
         let warnings = left_aside.iter().map(Warning::left_aside).collect();
-        Ok(Loaded { mesh, attributes: Some(attributes).filter(|attributes| !attributes.is_empty()), warnings })
+        let attributes = Some(attributes).filter(|attributes| !attributes.is_empty());
+        Ok(Loaded { mesh, attributes, creases, warnings })
     }
 
     fn refused(&self, cause: &DataError) -> BadInput {
@@ -138,6 +141,8 @@ pub(crate) fn read_mesh(path: &Path) -> Result<TriMesh> {
 pub(crate) struct Loaded {
     pub(crate) mesh: TriMesh,
     pub(crate) attributes: Option<Attributes>,
+    /// Edges that the file names.
+    pub(crate) creases: Vec<[u32; 2]>,
     pub(crate) warnings: Vec<Warning>,
 }
 
@@ -325,7 +330,7 @@ fn list<T>(
 ) -> Result<T> {
     let text = read_text(path)?;
     let format = input.format(INPUT_FORMAT)?;
-    let bytes = if FileVertices::needs_bytes(format) { input.bytes()? } else { Vec::new() };
+    let bytes = if FileVertices::needs_bytes(format) { input.bytes(format)? } else { Vec::new() };
     let vertices = FileVertices::of(format, &bytes, mesh);
     let vertices = vertices.map_err(|error| BadInput(format!("{input}: {error}")))?;
     Ok(read(&vertices, &text).map_err(|error| BadInput(format!("{}: {error}", path.display())))?)

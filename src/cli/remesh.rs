@@ -106,11 +106,14 @@ fn alone(args: &RemeshArgs, task: &Task, mut worker: Worker) -> Result<()> {
 /// Reads, remeshes and writes a file. Ctrl-C ends the process until the work begins, if `listen` says that no handler is there yet.
 fn one(args: &RemeshArgs, task: &Task, worker: &mut Worker, progress: &mut Progress, listen: bool) -> Result<Remeshed> {
     let start = Instant::now();
-    let Loaded { mesh, attributes, warnings } = match args.files.no_attributes {
-        true => Loaded { mesh: task.input.read_mesh()?, attributes: None, warnings: Vec::new() },
+    let Loaded { mesh, attributes, creases, warnings } = match args.files.no_attributes {
+        true => {
+            let mesh = task.input.read_mesh()?;
+            Loaded { mesh, attributes: None, creases: Vec::new(), warnings: Vec::new() }
+        }
         false => task.input.read_loaded()?,
     };
-    let asked = args.options(&mesh, attributes)?;
+    let asked = args.options(&mesh, attributes, creases)?;
     let options = &asked.1;
     let read_ms = ms(start);
     if worker.server.is_none() && listen {

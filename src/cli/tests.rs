@@ -25,7 +25,7 @@ fn arguments<A: Args>(line: &[&str]) -> A {
 fn asked(line: &str) -> (proto::RemeshOptions, RemeshOptions) {
     let line: Vec<&str> =
         ["in.ply", "-o", "out.ply", "--points", "50"].into_iter().chain(line.split_whitespace()).collect();
-    arguments::<RemeshArgs>(&line).options(&Shape::Sphere.build(100), None).unwrap()
+    arguments::<RemeshArgs>(&line).options(&Shape::Sphere.build(100), None, Vec::new()).unwrap()
 }
 
 /// Every option is in what this prints.

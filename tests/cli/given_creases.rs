@@ -1,4 +1,5 @@
-//! Promise: `--creases` keeps the edges that a file names, and says which line of it is wrong.
+//! Promise: `--creases` keeps the edges that a file names, and says which line of it is wrong; edges that the surface's file
+//! names are kept too.
 
 use std::path::Path;
 use std::process::{Command, Output};
@@ -6,11 +7,14 @@ use std::process::{Command, Output};
 use tessera::mesh::io;
 use tessera::mesh::shapes::Shape;
 
-fn remesh(input: &Path, creases: &Path, output: &Path) -> Output {
+fn remesh(input: &Path, creases: Option<&Path>, output: &Path) -> Output {
     let mut command = Command::new(env!("CARGO_BIN_EXE_tessera"));
     command.env_remove("RUST_BACKTRACE").arg("remesh").arg(input).arg("-o").arg(output);
     command.args(["--points", "300", "--backend", "serial", "--lloyd", "3", "--newton", "0"]);
-    command.arg("--report").arg(output.with_extension("json")).arg("--creases").arg(creases);
+    command.arg("--report").arg(output.with_extension("json"));
+    if let Some(creases) = creases {
+        command.arg("--creases").arg(creases);
+    }
     command.output().unwrap()
 }
 
@@ -35,15 +39,32 @@ fn edges_of_a_file_become_creases() {
         line.push(format!("{before} {here}"));
     }
     let creases = at("creases.txt");
-    let kept = |lines: &[String]| {
-        std::fs::write(&creases, lines.join("\n")).unwrap();
-        let done = remesh(&at("sphere.ply"), &creases, &at("out.ply"));
+    let kept_of = |input: &str, creases: Option<&Path>| {
+        let done = remesh(&at(input), creases, &at("out.ply"));
         assert!(done.status.success(), "{}", String::from_utf8_lossy(&done.stderr));
         let report: serde_json::Value = serde_json::from_slice(&std::fs::read(at("out.json")).unwrap()).unwrap();
         (report["features"]["creases"].as_u64().unwrap(), report["features"]["missing_segments"].as_u64().unwrap())
     };
+    let kept = |lines: &[String]| {
+        std::fs::write(&creases, lines.join("\n")).unwrap();
+        kept_of("sphere.ply", Some(&creases))
+    };
     assert_eq!(kept(&["# none".to_owned()]).0, 0);
     assert_eq!(kept(&line), (1, 0));
+    // The same edges in the surface's own file, counted from 1.
+    let text = String::from_utf8(io::encode(io::Format::Medit, &sphere).unwrap()).unwrap();
+    let count = line.len();
+    let from_1 = |edge: &String| {
+        let ends: Vec<u32> = edge.split(' ').map(|v| v.parse::<u32>().unwrap() + 1).collect();
+        format!("{} {} 0\n", ends[0], ends[1])
+    };
+    let edges: String = line.iter().map(from_1).collect();
+    let numbers: String = (1..=count).map(|n| format!("{n}\n")).collect();
+    std::fs::write(at("none.mesh"), &text).unwrap();
+    let named = text.replace("End\n", &format!("Edges\n{count}\n{edges}RequiredEdges\n{count}\n{numbers}End\n"));
+    std::fs::write(at("named.mesh"), named).unwrap();
+    assert_eq!(kept_of("none.mesh", None).0, 0);
+    assert_eq!(kept_of("named.mesh", None), (1, 0));
 }
 
 #[test]
@@ -59,13 +80,13 @@ fn a_wrong_line_is_named() {
         (format!("0 {}\n", last - 1), 65, "no facet joins"),
     ] {
         std::fs::write(at("creases.txt"), &text).unwrap();
-        let out = remesh(&at("sphere.obj"), &at("creases.txt"), &at("out.ply"));
+        let out = remesh(&at("sphere.obj"), Some(&at("creases.txt")), &at("out.ply"));
         let said = String::from_utf8_lossy(&out.stderr).into_owned();
         assert_eq!(out.status.code(), Some(code), "{text:?}: {said}");
         assert!(said.contains(words) && !at("out.ply").exists(), "{text:?}: {said}");
     }
-    let out = remesh(&at("sphere.obj"), &at("nowhere.txt"), &at("out.ply"));
+    let out = remesh(&at("sphere.obj"), Some(&at("nowhere.txt")), &at("out.ply"));
     assert_eq!(out.status.code(), Some(66), "{}", String::from_utf8_lossy(&out.stderr));
-    let out = remesh(&at("sphere.stl"), &at("creases.txt"), &at("out.ply"));
+    let out = remesh(&at("sphere.stl"), Some(&at("creases.txt")), &at("out.ply"));
     assert_eq!(out.status.code(), Some(2), "{}", String::from_utf8_lossy(&out.stderr));
 }

@@ -17,3 +17,6 @@ mod formats;
 mod geometry;
 mod hostile_files;
 mod io;
+mod left_aside;
+mod other_formats;
+mod packages;

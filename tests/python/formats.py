@@ -21,7 +21,7 @@ import trimesh
 import vtk
 
 # Files that are written, so that none is forgotten.
-FILES = 94
+FILES = 117
 
 
 def surface():
@@ -77,9 +77,9 @@ def write(folder):
         legacy(f"strips-{end}", strips, vtk.vtkPolyDataWriter(), text, version)
         holds(f"strips-{end}", carried=every)
     for mode, packed, big in itertools.product(["Ascii", "Binary", "AppendedRaw", "Appended64"], [0, 1], [0, 1]):
-        for name, source in [("poly", data), ("strips", strips)]:
-            name = f"{name}-{mode}-{packed}-{big}.vtp"
-            writer = vtk.vtkXMLPolyDataWriter()
+        for name, source, end in [("poly", data, "vtp"), ("strips", strips, "vtp"), ("grid", grid, "vtu")]:
+            name = f"{name}-{mode}-{packed}-{big}.{end}"
+            writer = vtk.vtkXMLPolyDataWriter() if end == "vtp" else vtk.vtkXMLUnstructuredGridWriter()
             writer.SetFileName(str(folder / name))
             writer.SetInputData(source)
             writer.SetDataMode(["Ascii", "Binary", "AppendedRaw"].index(mode) if mode in ("Ascii", "Binary") else 2)
@@ -107,6 +107,9 @@ def write(folder):
         ("meshio-binary.vtk", "vtk42", {"binary": True}),
         ("meshio-51-text.vtk", "vtk51", {"binary": False}),
         ("meshio-51-binary.vtk", "vtk51", {"binary": True}),
+        ("meshio-text.vtu", "vtu", {"binary": False}),
+        ("meshio-binary.vtu", "vtu", {"binary": True, "compression": None}),
+        ("meshio-zlib.vtu", "vtu", {"binary": True}),
         ("text.mesh", "medit", {}),
         ("binary.meshb", "medit", {}),
     ]:
@@ -148,6 +151,10 @@ def write(folder):
         holds(name, carried=carried)
     coloured.export(folder / "trimesh-text.stl", file_type="stl_ascii")
     holds("trimesh-text.stl")
+    # With its data in files beside it.
+    for name, content in trimesh.exchange.gltf.export_gltf(trimesh.Scene(coloured)).items():
+        (folder / name.replace("model", "beside")).write_bytes(content)
+    holds("beside.gltf", carried="colours")
     textured = ball.copy()
     textured.visual = trimesh.visual.TextureVisuals(uv=points[:, :2])
     files = trimesh.exchange.gltf.export_gltf(trimesh.Scene(textured), embed_buffers=True)
@@ -198,8 +205,12 @@ def check(folder):
         assert np.array_equal(wanted.point_data[name].astype(np.uint8), colours[:, k]), name
     assert np.array_equal(np.stack([wanted.point_data["s"], wanted.point_data["t"]], axis=1), uv)
     print("a.ply is right")
-    for name in ["a.vtk", "a.vtp"]:
+    for name in ["a.vtk", "a.vtp", "a.vtu"]:
         found = pyvista.read(ours / name)
+        if name == "a.vtu":
+            read = meshio.read(ours / name)
+            same(name, read.points, read.cells_dict["triangle"])
+            found = found.extract_surface(algorithm="dataset_surface", pass_pointid=False, pass_cellid=False)
         same(name, found.points, found.regular_faces)
         held = found.point_data
         assert np.array_equal(held["height"], points[:, 2]), name

@@ -226,11 +226,12 @@ impl RemeshArgs {
         Ok((message, options))
     }
 
-    /// The same of `mesh`, which carries `attributes`.
+    /// The same of `mesh`, which carries `attributes`, and whose file names `creases`.
     pub(crate) fn options(
         &self,
         mesh: &TriMesh,
         attributes: Option<Attributes>,
+        creases: Vec<[u32; 2]>,
     ) -> Result<(proto::RemeshOptions, RemeshOptions)> {
         let (message, mut options) = self.asked()?;
         // Lists go by the vertices of the one input.
@@ -238,8 +239,9 @@ impl RemeshArgs {
         let input = &Surface::new(path, self.files.input_format);
         let lengths = self.size.sizes.as_ref().map(|path| files::read_lengths(path, input, mesh)).transpose()?;
         options::fill(&mut options, Vec::new(), lengths, None);
+        options.creases = creases;
         if let Some(path) = &self.shape.creases {
-            options.creases = files::read_edges(path, input, mesh)?;
+            options.creases.extend(files::read_edges(path, input, mesh)?);
             // Before a server is asked.
             Features::check(mesh, options.crease_angle_deg, &options.creases, &Token::default())
                 .map_err(|e| BadInput(format!("{}: {e} (numbers of the surface as it was read)", path.display())))?;

@@ -1,4 +1,4 @@
-//! Surface files: OBJ, PLY, STL, OFF, VTK, Gmsh, Medit and glTF, in and out, packed by gzip or not.
+//! Surface files: OBJ, PLY, STL, OFF, VTK, Gmsh, Medit, glTF and 3MF, in and out, packed by gzip or not.
 //!
 //! Purpose: [`read`] and [`write()`] for a path, [`decode`] and [`encode`] for bytes. The format is the file's
 //! extension ([`Format`]). The functions with the suffix `_with_attributes` also read and write [`Attributes`]; an attribute that
@@ -20,8 +20,10 @@ mod packed;
 mod ply;
 mod polygons;
 mod stl;
+mod threemf;
 mod vtk;
 
+use std::borrow::Cow;
 use std::path::{Path, PathBuf};
 
 use glam::DVec3;
@@ -72,7 +74,7 @@ formats! {
     /// Legacy VTK. Reads polygonal data and unstructured grids, text and binary; writes binary with doubles.
     Vtk = 5, vtk::legacy::CODEC;
     /// VTK XML for polygonal data. Reads text, base64 and appended data, plain or packed by zlib; writes base64 with doubles.
-    Vtp = 6, vtk::xml::CODEC;
+    Vtp = 6, vtk::xml::POLYGONS;
     /// Gmsh. Reads versions 2 and 4.1, text and binary; writes version 2.2, binary.
     Gmsh = 7, gmsh::CODEC;
     /// Medit, text.
@@ -83,6 +85,10 @@ formats! {
     Glb = 10, gltf::BINARY;
     /// A glTF file as text, with its data inside. Coordinates are rounded to single precision.
     Gltf = 11, gltf::TEXT;
+    /// VTK XML for unstructured grids. Reads and writes as [`Self::Vtp`].
+    Vtu = 12, vtk::xml::GRID;
+    /// 3MF. Reads all items of the build; writes one object, in mm.
+    ThreeMf = 13, threemf::CODEC;
 }
 
 impl Format {
@@ -277,6 +283,8 @@ pub struct Loaded {
     pub mesh: TriMesh,
     /// Its attributes.
     pub attributes: Attributes,
+    /// Edges that the file names, as `Ridges` and `RequiredEdges` of Medit, which a remesh should keep; two vertices each.
+    pub creases: Vec<[u32; 2]>,
     /// Attributes of the file that cannot be used, with the reason.
     pub left_aside: Vec<AttributeError>,
 }
@@ -291,10 +299,27 @@ pub fn read_with_attributes(path: &Path) -> Result<Loaded, FileError> {
     read_as(path, decode_with_attributes)
 }
 
-fn read_as<T>(path: &Path, decode: fn(Format, &[u8]) -> Result<T, DataError>) -> Result<T, FileError> {
-    let format = Format::of_path(path)?;
+/// The bytes of a surface's file. A `.gltf` takes in the data that it names, from files in its folder or below, so that the
+/// bytes are a surface by themselves.
+pub fn read_bytes(path: &Path, format: Format) -> Result<Vec<u8>, FileError> {
     let bytes =
         std::fs::read(path).map_err(|cause| FileError::Io { path: path.to_path_buf(), action: "read", cause })?;
+    if format != Format::Gltf {
+        return Ok(bytes);
+    }
+    let wrong = |cause| FileError::Data { path: path.to_path_buf(), cause };
+    let plain = unpack(&bytes, unpacked_limit(bytes.len())).map_err(wrong)?;
+    let whole = gltf::beside::taken_in(without_mark(&plain), path.parent().unwrap_or(Path::new(""))).map_err(wrong)?;
+    Ok(match whole {
+        // Nothing was taken in.
+        Cow::Borrowed(_) => bytes,
+        Cow::Owned(whole) => whole,
+    })
+}
+
+fn read_as<T>(path: &Path, decode: fn(Format, &[u8]) -> Result<T, DataError>) -> Result<T, FileError> {
+    let format = Format::of_path(path)?;
+    let bytes = read_bytes(path, format)?;
     decode(format, &bytes).map_err(|cause| FileError::Data { path: path.to_path_buf(), cause })
 }
 
@@ -341,10 +366,11 @@ pub fn decode(format: Format, bytes: &[u8]) -> Result<TriMesh, DataError> {
 /// # Ok::<(), DataError>(())
 /// ```
 pub fn decode_with_attributes(format: Format, bytes: &[u8]) -> Result<Loaded, DataError> {
-    let Soup { positions, facets, raw, .. } = decode_soup(format, bytes, true)?;
+    let Soup { positions, facets, mut raw, .. } = decode_soup(format, bytes, true)?;
     let mesh = TriMesh::new(positions, facets)?;
+    let creases = raw.edges_of(&mesh);
     let (attributes, left_aside) = raw.onto(&mesh);
-    Ok(Loaded { mesh, attributes, left_aside })
+    Ok(Loaded { mesh, attributes, creases, left_aside })
 }
 
 /// Vertices and facets that [`decode`] would find in a file, at most: a polygon of n corners counts as n - 2 facets, a facet
@@ -413,10 +439,10 @@ pub fn encode(format: Format, mesh: &TriMesh) -> Result<Vec<u8>, DataError> {
 /// | OBJ | yes | yes | without opacity | no |
 /// | PLY | per vertex | yes; with seams as the face property `texcoord` | yes | yes |
 /// | OFF | per vertex | per vertex | yes | no |
-/// | VTK, `.vtk` and `.vtp` | per vertex | per vertex | yes | yes |
+/// | VTK, `.vtk`, `.vtp` and `.vtu` | per vertex | per vertex | yes | yes |
 /// | glTF | yes | yes | yes | no |
 /// | Gmsh | no | no | no | yes |
-/// | STL, Medit | no | no | no | no |
+/// | STL, Medit, 3MF | no | no | no | no |
 pub fn encode_with_attributes(
     format: Format,
     mesh: &TriMesh,

@@ -109,6 +109,8 @@ const CREASES: &str = "spec.arrays.creases";
 struct Surface {
     mesh: TriMesh,
     attributes: Option<Attributes>,
+    /// Edges that its file names.
+    creases: Vec<[u32; 2]>,
     /// What its file holds and the reader leaves aside.
     left_aside: Vec<AttributeError>,
     vertices: FileVertices,
@@ -232,12 +234,12 @@ impl Reader<'_> {
                 let bytes = self.blobs.read(FILE, *blob)?;
                 self.token.check()?;
                 let wrong = |error| bad(FILE, error);
-                let (mesh, attributes, left_aside) = if *attributes {
-                    let Loaded { mesh, attributes, left_aside } =
+                let (mesh, attributes, creases, left_aside) = if *attributes {
+                    let Loaded { mesh, attributes, creases, left_aside } =
                         io::decode_with_attributes(format, &bytes).map_err(wrong)?;
-                    (mesh, Some(attributes).filter(|attributes| !attributes.is_empty()), left_aside)
+                    (mesh, Some(attributes).filter(|attributes| !attributes.is_empty()), creases, left_aside)
                 } else {
-                    (io::decode(format, &bytes).map_err(wrong)?, None, Vec::new())
+                    (io::decode(format, &bytes).map_err(wrong)?, None, Vec::new(), Vec::new())
                 };
                 // Lists that are text go by the numbers of the file's vertices.
                 let lists = [task.arrays.edge_lengths, task.arrays.creases];
@@ -245,7 +247,7 @@ impl Reader<'_> {
                     true => FileVertices::of(format, &bytes, &mesh).map_err(wrong)?,
                     false => FileVertices::of_arrays(&mesh),
                 };
-                Surface { mesh, attributes, left_aside, vertices }
+                Surface { mesh, attributes, creases, left_aside, vertices }
             }
             MeshSource::Arrays { positions, facets, attributes } => {
                 let points = self.points(&format!("{ARRAYS}.positions"), positions, u64::MAX)?;
@@ -254,7 +256,7 @@ impl Reader<'_> {
                 let mesh = TriMesh::new(points, triples).map_err(|error: MeshError| bad(ARRAYS, error))?;
                 let attributes = self.attributes(&mesh, attributes)?;
                 let vertices = FileVertices::of_arrays(&mesh);
-                Surface { mesh, attributes, left_aside: Vec::new(), vertices }
+                Surface { mesh, attributes, creases: Vec::new(), left_aside: Vec::new(), vertices }
             }
         };
         self.token.check()?;
@@ -282,7 +284,7 @@ impl Reader<'_> {
         task: &Task,
         mut options: RemeshOptions,
     ) -> Result<(TriMesh, RemeshOptions, Vec<AttributeError>), WorkError> {
-        let Surface { mesh, attributes, left_aside, vertices } = self.surface(task)?;
+        let Surface { mesh, attributes, creases, left_aside, vertices } = self.surface(task)?;
         options.seeds.resolve(&mesh);
         self.fill(&mut options, task, &vertices)?;
         let (steps, most) = (options.lloyd + options.newton, self.bounds.max_iterations);
@@ -295,8 +297,9 @@ impl Reader<'_> {
             refine.max_points = Some(refine.max_points.unwrap_or(usual).min(most));
         }
         options.attributes = attributes;
+        options.creases = creases;
         if let Some(array) = &task.arrays.creases {
-            options.creases = self.edges(CREASES, array, &vertices, mesh.facets().len())?;
+            options.creases.extend(self.edges(CREASES, array, &vertices, mesh.facets().len())?);
         }
         Ok((mesh, options, left_aside))
     }

@@ -83,10 +83,12 @@ def remesh_options(surface: Surface, given: dict[str, Any]) -> tuple[dict[str, A
     for name in ("points", "facets", "max_points", "lloyd", "newton", "seed"):
         given[name] = count(name, given[name], len(surface.vertices))
     _one_size(given["edge_length"], **{name: given[name] for name in ("points", "facets", "sizes")})
+    named = None if given["attributes"] is False else surface.creases
     attributes = _carried(given.pop("attributes"), surface)
     given.update(_density(given.pop("density")))
     given["sizes"], given["seeds"] = meshes._floats(given["sizes"]), meshes._floats(given["seeds"])
-    given["creases"] = _edges(given["creases"])
+    lists = [edges for edges in (named, _edges(given["creases"])) if edges is not None]
+    given["creases"] = np.concatenate(lists) if len(lists) > 1 else next(iter(lists), None)
     return given, attributes
 
 

@@ -103,6 +103,8 @@ class Surface:
     library: str = "arrays"
     #: (m, ...) each: what each face has. A face of a remesh takes it from the face below its centroid.
     face_data: dict[str, Array] = field(default_factory=dict)
+    #: (k, 2) integer: edges that its file names, as ridges of Medit, which a remesh keeps.
+    creases: Array | None = None
 
     def __iter__(self) -> Iterator[Array]:
         return iter((self.vertices, self.faces))
@@ -112,7 +114,7 @@ class Surface:
 
 
 def read(path: str | os.PathLike[str]) -> Surface:
-    """A surface from a file: OBJ, PLY, STL, OFF, VTK, Gmsh, Medit or glTF, by the ending of its name; `.gz` is unpacked.
+    """A surface from a file: OBJ, PLY, STL, OFF, VTK, Gmsh, Medit, glTF or 3MF, by the ending of its name; `.gz` is unpacked.
 
     Warns of what is not read. Raises `InputError` for what is no surface, and `OSError` for a file that cannot be read.
     """
@@ -121,7 +123,8 @@ def read(path: str | os.PathLike[str]) -> Surface:
         warn(f"{os.fspath(path)}: left aside: {what}")
     carried = held.get("attributes")
     attributes = None if carried is None else Attributes._from_engine(carried)
-    return Surface(held["vertices"], held["faces"], attributes)
+    creases = held["creases"] if len(held["creases"]) else None
+    return Surface(held["vertices"], held["faces"], attributes, creases=creases)
 
 
 def save(path: str | os.PathLike[str], surface: Surface) -> None:

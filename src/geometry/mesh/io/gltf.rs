@@ -1,27 +1,31 @@
-//! The format glTF 2.0: `.glb`, and `.gltf` with its data inside. Writes single precision.
+//! The format glTF 2.0: `.glb`, and `.gltf` with its data inside or beside it ([`beside`]). Writes single precision.
 //!
 //! Purpose: the triangles, strips and fans of all nodes of the scene, in their places, with normals, texture coordinates and
 //! colours of vertices. A glTF has a vertex once for each normal and each place in the texture: vertices of a primitive with the
 //! same bits of position and colour become one, and corners keep the rest. The second texture coordinate goes up here, and down
-//! in a glTF. Materials, images, skins and animations are left aside.
+//! in a glTF. A mesh with a skin is where its joints place it. Materials, images, morph targets and animations are left aside.
 //! Why the reading is our own, over `serde_json`: in the crate `gltf` (1.4.1, of 2024) an accessor with a stride below its
 //! elements' size, or with indices that are fractions, panics in release builds, a count of 0 or 2⁶² in debug builds; and its
 //! documents hold the places of nodes in single precision, which tears scenes far from the origin.
 //! Invariant: what is made of the file's bytes is bounded ([`super::UNPACKED_RATIO`]), however often nodes name a mesh; the JSON
 //! becomes lists of numbers that are bounded by its length ([`document`]). Must not know: other formats.
 
+pub(super) mod beside;
 mod document;
+mod numbers;
 
-use std::borrow::Cow;
 use std::collections::{HashMap, HashSet};
+use std::sync::Arc;
 
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
 use glam::{DMat4, DVec2, DVec3};
 
-use self::document::{Accessor, Document, Primitive, Text};
+use self::document::{Document, Primitive, Skin, Text};
+use self::numbers::{Numbers, Source};
 use super::held::{By, Held, Holds, centred, check_single, eight_bit, firsts, numbered};
 use super::numbers::{Cursor, Encoding, Kind, Order, cut};
+use super::packed::Room;
 use super::{Codec, Counts, DataError, Soup, VertexNumbers, unpacked_limit};
 use crate::mesh::TriMesh;
 use crate::mesh::attributes::{ColourDepth, Colours, Normals, PerCorner};
@@ -71,7 +75,7 @@ fn counts(json: &[u8], binary: Option<&[u8]>, length: usize) -> Option<Counts> {
     let count = |accessor: u32| {
         document.accessors.get(accessor as usize).map(|a| a.count as u64).filter(|count| (1..=there).contains(count))
     };
-    nodes(&document, length, |primitive, _| {
+    nodes(&document, length, |primitive, _, _| {
         let Some((mode, position)) = primitive.triangles() else { return Ok(()) };
         let vertices = count(position).ok_or(DataError::Empty)?;
         let corners = primitive.indices.map_or(Some(vertices), count).ok_or(DataError::Empty)?;
@@ -81,7 +85,8 @@ fn counts(json: &[u8], binary: Option<&[u8]>, length: usize) -> Option<Counts> {
         // Numbers of vertices, as they are read and as they are kept, and of corners, and what corners carry.
         let names = &primitive.attributes;
         let numbers = [(names.normal, 3), (names.texture, 2), (names.colour, 4)];
-        let numbers = 3 + numbers.iter().filter(|(name, _)| name.is_some()).map(|(_, n)| n).sum::<u64>();
+        let of_joints = if names.joints_0.is_some() { 8 } else { 0 };
+        let numbers = 3 + of_joints + numbers.iter().filter(|(name, _)| name.is_some()).map(|(_, n)| n).sum::<u64>();
         counts.made_bytes += (16 * numbers + 8) * vertices + 12 * corners + 48 * facets;
         // Reading refuses such files.
         if counts.made_bytes > most.saturating_mul(2) { Err(DataError::Empty) } else { Ok(()) }
@@ -93,27 +98,31 @@ fn counts(json: &[u8], binary: Option<&[u8]>, length: usize) -> Option<Counts> {
 
 fn surface(json: &[u8], binary: Option<&[u8]>, length: usize, wanted: bool) -> Result<Soup, DataError> {
     let document = Document::read(json)?;
-    let buffers = buffers(&document, binary)?;
+    let source = Source::of(&document, binary, unpacked_limit(length));
     let mut reader = Reader {
-        document: &document,
-        buffers,
-        left: unpacked_limit(length),
+        source: &source,
+        parents: None,
+        skin: None,
+        room: Room::of(length),
+        steps: length.saturating_mul(8).saturating_add(1 << 20),
         wanted,
         soup: Soup::default(),
-        normals: PerCorner { values: Vec::new(), corners: Vec::new() },
-        texture: PerCorner { values: Vec::new(), corners: Vec::new() },
-        colours: Vec::new(),
+        normals: None,
+        texture: None,
+        colours: None,
         eight: true,
-        found: [false; 3],
+        is_morphed: false,
         reported: HashSet::new(),
     };
-    nodes(&document, length, |primitive, place| reader.primitive(primitive, place))?;
-    let mut soup = reader.soup;
-    let [normals, texture, colours] = reader.found;
-    soup.raw.normals = normals.then_some(Normals::PerCorner(reader.normals));
-    soup.raw.texture = texture.then_some(reader.texture);
-    let depth = if reader.eight { ColourDepth::Eight } else { ColourDepth::Float };
-    soup.raw.colours = colours.then_some(Colours { values: reader.colours, depth });
+    nodes(&document, length, |primitive, place, skin| reader.primitive(primitive, place, skin))?;
+    let Reader { mut soup, normals, texture, colours, eight, is_morphed, .. } = reader;
+    soup.raw.normals = normals.map(Normals::PerCorner);
+    soup.raw.texture = texture;
+    let depth = if eight { ColourDepth::Eight } else { ColourDepth::Float };
+    soup.raw.colours = colours.map(|values| Colours { values, depth });
+    if is_morphed {
+        soup.raw.unreadable("morph targets", "the surface is read without them".to_owned());
+    }
     Ok(soup)
 }
 
@@ -144,31 +153,14 @@ fn parts(bytes: &[u8]) -> Result<(&[u8], Option<&[u8]>), DataError> {
     Ok((json.ok_or_else(|| cut("the header"))?, binary))
 }
 
-fn buffers<'a>(document: &Document<'_>, binary: Option<&'a [u8]>) -> Result<Vec<Cow<'a, [u8]>>, DataError> {
-    let buffer = |(index, buffer): (usize, &document::Buffer<'_>)| {
-        let wrong = |message: String| DataError::Element { element: "buffer", index, message };
-        match &buffer.uri {
-            None if index == 0 => Ok(binary.unwrap_or_default().into()),
-            None => Err(wrong("it has no data".to_owned())),
-            Some(Text(uri)) if uri.starts_with("data:") => {
-                let text = uri.split_once(";base64,").map(|(_, text)| text);
-                let text = text.ok_or_else(|| wrong("its data are not in base64".to_owned()))?;
-                Ok(STANDARD.decode(text).map_err(|error| wrong(error.to_string()))?.into())
-            }
-            Some(_) => Err(wrong("its data are in another file; export it as .glb".to_owned())),
-        }
-    };
-    document.buffers.iter().enumerate().map(buffer).collect()
-}
-
 /// Ancestors of a node with further children to visit, at most. A place takes 128 bytes.
 const DEEPEST: usize = 10_000;
 
-/// All primitives of the scene, in their places; the file has `length` bytes.
+/// All primitives of the scene, in their places, with their skins; the file has `length` bytes.
 fn nodes(
     document: &Document<'_>,
     length: usize,
-    mut visit: impl FnMut(&Primitive, DMat4) -> Result<(), DataError>,
+    mut visit: impl FnMut(&Primitive, DMat4, Option<u32>) -> Result<(), DataError>,
 ) -> Result<(), DataError> {
     // Counts primitives without triangles too, which take time and no memory.
     let mut left = length.saturating_mul(8).saturating_add(1 << 20);
@@ -190,7 +182,8 @@ fn nodes(
         if let Some(mesh) = document.mesh(index) {
             let primitives = document.primitives(mesh).ok_or_else(|| wrong("its mesh is not there"))?;
             left = left.checked_sub(primitives.len()).ok_or_else(repeated)?;
-            primitives.iter().try_for_each(|primitive| visit(primitive, place))?;
+            let skin = document.skin(index);
+            primitives.iter().try_for_each(|primitive| visit(primitive, place, skin))?;
         }
         if open.len() > DEEPEST {
             return Err(wrong("nodes are nested too deep; export the scene flat"));
@@ -205,52 +198,59 @@ fn repeated() -> DataError {
 }
 
 struct Reader<'a> {
-    document: &'a Document<'a>,
-    buffers: Vec<Cow<'a, [u8]>>,
-    /// Bytes that may still be made.
-    left: usize,
+    source: &'a Source<'a>,
+    /// Of each node, found for the first skin.
+    parents: Option<Vec<Option<u32>>>,
+    /// The skin of the last primitive that has one, with the moves by its joints.
+    skin: Option<(u32, Arc<[DMat4]>)>,
+    /// For these moves.
+    room: Room,
+    /// Nodes that may still be passed on the way from joints to roots.
+    steps: usize,
     wanted: bool,
     soup: Soup,
-    normals: PerCorner<DVec3>,
-    texture: PerCorner<DVec2>,
-    colours: Vec<[f64; 4]>,
+    /// Nothing until a primitive has some.
+    normals: Option<PerCorner<DVec3>>,
+    texture: Option<PerCorner<DVec2>>,
+    colours: Option<Vec<[f64; 4]>>,
     /// Whether all colours came in bytes.
     eight: bool,
-    /// Whether there are normals, texture coordinates, colours at all.
-    found: [bool; 3],
-    /// Accessors that were left aside.
-    reported: HashSet<u32>,
+    is_morphed: bool,
+    /// Accessors and skins that were left aside.
+    reported: HashSet<(&'static str, u32)>,
 }
 
-impl Reader<'_> {
-    fn primitive(&mut self, primitive: &Primitive, place: DMat4) -> Result<(), DataError> {
+impl<'a> Reader<'a> {
+    fn primitive(&mut self, primitive: &Primitive, place: DMat4, skin: Option<u32>) -> Result<(), DataError> {
         let Some((mode, position)) = primitive.triangles() else { return Ok(()) };
-        let positions = self.numbers(position, 3)?;
-        let count = positions.len() / 3;
-        let order: Option<Vec<u32>> = match primitive.indices {
-            Some(indices) => {
-                let corner = |x: f64| (0.0..count as f64).contains(&x).then_some(x as u32);
-                self.numbers(indices, 1)?.into_iter().map(corner).collect()
-            }
-            None => {
-                self.spend(count.saturating_mul(8))?;
-                Some((0..count as u32).collect())
-            }
-        };
-        let order = order.ok_or_else(|| DataError::Element {
-            element: "accessor",
-            index: primitive.indices.unwrap_or(position) as usize,
-            message: format!("a vertex is named, but there are {count} vertices, counted from 0"),
-        })?;
-        let mirrored = place.determinant() < 0.0;
-        let in_strip = |(k, t): (usize, &[u32])| if k % 2 == 0 { [t[0], t[1], t[2]] } else { [t[1], t[0], t[2]] };
-        let facets: Vec<[u32; 3]> = match mode {
-            4 => order.as_chunks::<3>().0.to_vec(),
-            5 => order.windows(3).enumerate().map(in_strip).collect(),
-            _ => order.get(1..).unwrap_or_default().windows(2).map(|t| [order[0], t[0], t[1]]).collect(),
+        let source = self.source;
+        let positions = source.numbers(position, 3)?;
+        let count = positions.count();
+        let indices = primitive.indices.map(|indices| source.numbers(indices, 1)).transpose()?;
+        let corners = indices.as_ref().map_or(count, Numbers::count);
+        if let Some(wrong) = &indices
+            && !(0..corners).all(|k| (0.0..count as f64).contains(&wrong.at(k, 0)))
+        {
+            return Err(DataError::Element {
+                element: "accessor",
+                index: primitive.indices.unwrap_or(position) as usize,
+                message: format!("a vertex is named, but there are {count} vertices, counted from 0"),
+            });
+        }
+        let corner = |k: usize| indices.as_ref().map_or(k as u32, |indices| indices.at(k, 0) as u32);
+        let all = if mode == 4 { corners / 3 } else { corners.saturating_sub(2) };
+        // The corners of a facet.
+        let facet = |f: usize| {
+            let corners = match mode {
+                4 => [3 * f, 3 * f + 1, 3 * f + 2],
+                5 if f % 2 == 1 => [f + 1, f, f + 2],
+                5 => [f, f + 1, f + 2],
+                _ => [0, f + 1, f + 2],
+            };
+            corners.map(corner)
         };
         // Each facet has three arrays of corners.
-        self.spend(facets.len().saturating_mul(36).saturating_add(count.saturating_mul(24)))?;
+        source.spend(all.saturating_mul(36).saturating_add(count.saturating_mul(32)))?;
 
         // Read even if they are not wanted: colours part vertices, and all count against the bound.
         let [normals, texture, colours] = [
@@ -258,142 +258,181 @@ impl Reader<'_> {
             self.carried(primitive.attributes.texture, count, 2, 2),
             self.carried(primitive.attributes.colour, count, 3, 4),
         ];
-        let colour_of = |colours: &Option<(Vec<f64>, usize)>, i: usize| match colours {
-            Some((values, n)) => {
-                let c = &values[i * n..(i + 1) * n];
-                [c[0], c[1], c[2], c.get(3).copied().unwrap_or(1.0)]
+        let colour_of = |i: usize| match &colours {
+            Some(colours) => {
+                let alpha = if colours.components() == 4 { colours.at(i, 3) } else { 1.0 };
+                [colours.at(i, 0), colours.at(i, 1), colours.at(i, 2), alpha]
             }
             None => [1.0; 4],
         };
-        let is_still = place == DMat4::IDENTITY;
-        let position = |i: usize| DVec3::from_slice(&positions[3 * i..]);
+        self.is_morphed |= primitive.is_morphed;
+        let moves = skin.and_then(|skin| self.moves(skin, primitive, count));
+        let is_still = place == DMat4::IDENTITY && moves.is_none();
+        // The place of a mesh with a skin does not count.
+        let place_of = |i: usize| moves.as_ref().map_or(place, |moves| moves.of(i));
+        let position = |i: usize| {
+            let p = DVec3::new(positions.at(i, 0), positions.at(i, 1), positions.at(i, 2));
+            if moves.is_some() { place_of(i).transform_point3(p) } else { p }
+        };
+        let points: Vec<DVec3> = (0..count).map(position).collect();
         let firsts = firsts(count, |i| {
             let mut key = [0; 7];
-            let numbers = position(i).to_array().into_iter().chain(colour_of(&colours, i));
+            let numbers = points[i].to_array().into_iter().chain(colour_of(i));
             // Adding 0 makes -0 the same as 0.
             key.iter_mut().zip(numbers).for_each(|(k, x)| *k = (x + 0.0).to_bits());
             key
         });
         let soup = &mut self.soup;
-        let vertices = numbered(firsts, soup.positions.len(), |i| {
-            soup.positions.push(if is_still { position(i) } else { place.transform_point3(position(i)) });
-            if self.wanted {
-                self.colours.push(colour_of(&colours, i));
-            }
+        let before = soup.positions.len();
+        if self.wanted && colours.is_some() && self.colours.is_none() {
+            self.colours = Some(vec![[1.0; 4]; before]);
+        }
+        let vertices = numbered(firsts, before, |i| {
+            let is_placed = is_still || moves.is_some();
+            soup.positions.push(if is_placed { points[i] } else { place.transform_point3(points[i]) });
+            self.colours.iter_mut().for_each(|colours| colours.push(colour_of(i)));
         });
+        let mirrored = count > 0 && place_of(0).determinant() < 0.0;
         let turned = |t: [u32; 3]| if mirrored { [t[0], t[2], t[1]] } else { t };
-        self.soup.facets.extend(facets.iter().map(|&t| turned(t).map(|i| vertices[i as usize])));
+        let first = self.soup.facets.len();
+        self.soup.facets.extend((0..all).map(|f| turned(facet(f)).map(|i| vertices[i as usize])));
+        drop((vertices, points));
         if !self.wanted {
             return Ok(());
         }
-        self.found[2] |= colours.is_some();
-        // An attribute that a primitive lacks is one value: a normal of length 0, the corner of the texture.
-        let map = place.inverse().transpose();
-        let normal = |n: &[f64; 3]| {
-            let n = DVec3::from_array(*n);
-            if is_still { n } else { map.transform_vector3(n).normalize_or_zero() }
+        let normal = |i: usize| {
+            let n = normals.as_ref().map_or(DVec3::ZERO, |n| DVec3::new(n.at(i, 0), n.at(i, 1), n.at(i, 2)));
+            let map = || place_of(i).inverse().transpose();
+            if is_still { n } else { map().transform_vector3(n).normalize_or_zero() }
         };
-        let values = normals.as_ref().map(|(values, _)| values.as_chunks::<3>().0.iter().map(normal).collect());
-        self.found[0] |= values.is_some();
-        add(&mut self.normals, values, &facets, turned, |n| n.to_array().map(f64::to_bits));
-        let uv = |uv: &[f64; 2]| DVec2::new(uv[0], 1.0 - uv[1]);
-        let values = texture.as_ref().map(|(values, _)| values.as_chunks::<2>().0.iter().map(uv).collect());
-        self.found[1] |= values.is_some();
-        add(&mut self.texture, values, &facets, turned, |uv| uv.to_array().map(f64::to_bits));
+        let facets = (first, all, |f: usize| turned(facet(f)));
+        add(&mut self.normals, normals.is_some().then_some((count, normal)), facets, |n| {
+            n.to_array().map(f64::to_bits)
+        });
+        let uv = |i: usize| texture.as_ref().map_or(DVec2::ZERO, |uv| DVec2::new(uv.at(i, 0), 1.0 - uv.at(i, 1)));
+        add(&mut self.texture, texture.is_some().then_some((count, uv)), facets, |uv| uv.to_array().map(f64::to_bits));
         Ok(())
     }
 
-    /// Numbers that vertices carry, and how many each has, `few` to `most`; what is wrong is left aside.
-    fn carried(&mut self, accessor: Option<u32>, count: usize, few: usize, most: usize) -> Option<(Vec<f64>, usize)> {
+    /// Numbers that vertices carry, `few` to `most` each; what is wrong is left aside.
+    fn carried(&mut self, accessor: Option<u32>, count: usize, few: usize, most: usize) -> Option<Numbers<'a>> {
         let index = accessor?;
-        let found = self.document.accessors.get(index as usize);
-        let n = found.map_or(0, Accessor::components);
-        let read = if (few..=most).contains(&n) { self.numbers(index, n).ok() } else { None };
-        let Some(values) = read.filter(|values| values.len() == n * count) else {
+        let n = self.source.components(index);
+        let read = if (few..=most).contains(&n) { self.source.numbers(index, n).ok() } else { None };
+        let Some(values) = read.filter(|values| values.count() == count) else {
             // Once, however often nodes name its mesh.
-            if self.reported.insert(index) {
-                let message = format!("it has not {most} numbers for each of {count} vertices");
-                self.soup.raw.unreadable(&format!("accessor {index}"), message);
-            }
+            let message = || format!("it has not {most} numbers for each of {count} vertices");
+            self.report("accessor", index, message);
             return None;
         };
         if (few, most) == (3, 4) {
-            self.eight &= found.is_some_and(|a| a.component_type == 5121 && a.normalized);
+            self.eight &= values.is_of_bytes();
         }
-        Some((values, n))
+        Some(values)
     }
 
-    fn spend(&mut self, bytes: usize) -> Result<(), DataError> {
-        let left = self.left.checked_sub(bytes);
-        self.left = left.ok_or_else(repeated)?;
-        Ok(())
+    fn report(&mut self, what: &'static str, index: u32, message: impl Fn() -> String) {
+        if self.reported.insert((what, index)) {
+            self.soup.raw.unreadable(&format!("{what} {index}"), message());
+        }
     }
 
-    fn numbers(&mut self, index: u32, components: usize) -> Result<Vec<f64>, DataError> {
-        let index = index as usize;
-        let wrong = |message: &str| DataError::Element { element: "accessor", index, message: message.to_owned() };
-        let document = self.document;
-        let accessor = document.accessors.get(index).ok_or_else(|| wrong("it is named, and there is none"))?;
-        if accessor.components() != components {
-            return Err(wrong("it is of another type than what it is used for"));
+    /// The moves of a primitive's vertices by a skin. What is wrong is left aside.
+    fn moves(&mut self, skin: u32, primitive: &Primitive, count: usize) -> Option<Moves<'a>> {
+        let names = &primitive.attributes;
+        let sets = [(names.joints_0, names.weights_0), (names.joints_1, names.weights_1)];
+        let numbers = |accessor: u32| self.source.numbers(accessor, 4).ok().filter(|found| found.count() == count);
+        let sets = sets.into_iter().filter_map(|(joints, weights)| joints.zip(weights));
+        let sets: Option<Vec<_>> = sets.map(|(joints, weights)| numbers(joints).zip(numbers(weights))).collect();
+        let moves = self.joints(skin).zip(sets.filter(|sets| !sets.is_empty()));
+        let moves = moves.map(|(joints, sets)| Moves { joints, sets });
+        if moves.is_none() {
+            self.report("skin", skin, || "its joints cannot be read; the mesh stands at its node".to_owned());
         }
-        if accessor.sparse.is_some() {
-            return Err(wrong("it is sparse, which is not read; export it without"));
+        moves
+    }
+
+    /// The moves by the joints of a skin: from where the surface was bound to where they are.
+    fn joints(&mut self, skin: u32) -> Option<Arc<[DMat4]>> {
+        if let Some((_, moves)) = self.skin.as_ref().filter(|(last, _)| *last == skin) {
+            return Some(moves.clone());
         }
-        // A type, and its number that stands for 1 where numbers are normalized.
-        let (kind, most) = match accessor.component_type {
-            5120 => (Kind::I8, 127.0),
-            5121 => (Kind::U8, 255.0),
-            5122 => (Kind::I16, 32767.0),
-            5123 => (Kind::U16, 65535.0),
-            5125 => (Kind::U32, 1.0),
-            5126 => (Kind::F32, 1.0),
-            _ => return Err(wrong("its type of numbers is not known")),
-        };
-        let view = accessor.buffer_view.and_then(|view| document.views.get(view as usize));
-        let view = view.ok_or_else(|| wrong("its buffer view is not there"))?;
-        let size = kind.bytes() * components;
-        let stride = view.byte_stride.unwrap_or(size);
-        if stride < size || accessor.count == 0 {
-            return Err(wrong("its stride is less than its elements' size, or it has no elements"));
+        let document = self.source.document;
+        let (Skin { inverses, .. }, joints) = document.joints(skin)?;
+        let inverses = inverses.map(|inverses| self.source.numbers(inverses, 16)).transpose().ok()?;
+        if inverses.as_ref().is_some_and(|inverses| inverses.count() < joints.len()) {
+            return None;
         }
-        let length = stride.saturating_mul(accessor.count - 1).saturating_add(size);
-        self.spend(accessor.count.saturating_mul(8 * components))?;
-        let buffer = self.buffers.get(view.buffer as usize).ok_or_else(|| wrong("its buffer is not there"))?;
-        let slice = |from: &'_ [u8]| -> Option<Vec<f64>> {
-            let view = from.get(view.byte_offset..)?.get(..view.byte_length)?;
-            let data = view.get(accessor.byte_offset..)?.get(..length)?;
-            if stride == size {
-                return Some(kind.floats(data, Order::Little));
+        self.room.take(2 * joints.len() * size_of::<DMat4>()).ok()?;
+        let parents = self.parents.get_or_insert_with(|| document.parents());
+        let mut moves = Vec::with_capacity(joints.len());
+        for (k, &joint) in joints.iter().enumerate() {
+            let mut place = match &inverses {
+                Some(inverses) => DMat4::from_cols_array(&std::array::from_fn(|n| inverses.at(k, n))),
+                None => DMat4::IDENTITY,
+            };
+            let mut next = Some(joint);
+            while let Some(node) = next {
+                self.steps = self.steps.checked_sub(1)?;
+                let parent = parents.get(node as usize)?;
+                place = document.place(node as usize) * place;
+                next = *parent;
             }
-            let elements = data.chunks(stride).flat_map(|element| element[..size].iter().copied());
-            Some(kind.floats(&elements.collect::<Vec<_>>(), Order::Little))
-        };
-        let beyond = || DataError::Truncated(format!("accessor {index} has {length} bytes that its buffer has not"));
-        let mut values = slice(buffer).ok_or_else(beyond)?;
-        if accessor.normalized {
-            values.iter_mut().for_each(|x| *x = (*x / most).max(-1.0));
+            moves.push(place);
         }
-        Ok(values)
+        let moves: Arc<[DMat4]> = moves.into();
+        self.skin = Some((skin, moves.clone()));
+        Some(moves)
     }
 }
 
-/// Adds the values of a primitive's vertices to the corners of its facets, each value once.
+/// Moves of vertices by joints, each with a weight.
+struct Moves<'a> {
+    joints: Arc<[DMat4]>,
+    /// Four joints and their weights for each vertex.
+    sets: Vec<(Numbers<'a>, Numbers<'a>)>,
+}
+
+impl Moves<'_> {
+    fn of(&self, vertex: usize) -> DMat4 {
+        let (mut sum, mut total) = (DMat4::ZERO, 0.0);
+        for (joints, weights) in &self.sets {
+            for k in 0..4 {
+                let weight = weights.at(vertex, k);
+                let joint = self.joints.get(joints.at(vertex, k) as usize);
+                if let Some(&joint) = joint.filter(|_| weight > 0.0) {
+                    sum += weight * joint;
+                    total += weight;
+                }
+            }
+        }
+        if total > 0.0 { (1.0 / total) * sum } else { self.joints.first().copied().unwrap_or_default() }
+    }
+}
+
+/// Adds the values of a primitive's vertices to the corners of its facets, each value once: how many values and which, and the
+/// first facet, how many and which. Without values all corners have the default, once any primitive has values.
 fn add<T: Copy + Default + Sync, K: Ord>(
-    to: &mut PerCorner<T>,
-    values: Option<Vec<T>>,
-    facets: &[[u32; 3]],
-    turned: impl Fn([u32; 3]) -> [u32; 3],
+    to: &mut Option<PerCorner<T>>,
+    values: Option<(usize, impl Fn(usize) -> T + Sync)>,
+    (first_facet, count, facet): (usize, usize, impl Fn(usize) -> [u32; 3]),
     key: impl Fn(T) -> K + Sync,
 ) {
-    let first = to.values.len();
-    let Some(values) = values else {
-        to.values.push(T::default());
-        to.corners.extend(facets.iter().map(|_| [first as u32; 3]));
+    if values.is_none() && to.is_none() {
         return;
-    };
-    let index = numbered(firsts(values.len(), |i| key(values[i])), first, |i| to.values.push(values[i]));
-    to.corners.extend(facets.iter().map(|&t| turned(t).map(|i| index[i as usize])));
+    }
+    let default = || PerCorner { values: vec![T::default()], corners: vec![[0; 3]; first_facet] };
+    let to = to.get_or_insert_with(default);
+    match values {
+        // The first value is the default.
+        None => to.corners.resize(first_facet + count, [0; 3]),
+        Some((vertices, value)) => {
+            let first = to.values.len();
+            let firsts = firsts(vertices, |i| key(value(i)));
+            let index = numbered(firsts, first, |i| to.values.push(value(i)));
+            to.corners.extend((0..count).map(|f| facet(f).map(|i| index[i as usize])));
+        }
+    }
 }
 
 /// JSON without its end, and the bytes that it names.

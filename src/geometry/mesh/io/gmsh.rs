@@ -1,7 +1,7 @@
 //! Gmsh `.msh`, versions 2.0 to 2.2 and 4.1, text and binary. Writes 2.2, binary, which most programs read.
 //!
 //! Purpose: bytes to triangles with the scalars of their nodes (`$NodeData`), and back. Triangles and quadrangles of higher order
-//! are read by their corners; points and lines are passed over. Vertices are the nodes in the order of the file, whatever
+//! are read by their corners; points and lines are passed over, and so are unknown sections. Vertices are the nodes in the order of the file, whatever
 //! their tags. Our own reader: the crate `mshio` (0.4) reads version 4.1 without data of nodes, and writes nothing.
 //! Must not know: other formats.
 
@@ -44,25 +44,39 @@ fn read(bytes: &[u8], wanted: bool, counted: bool) -> Result<Reader<'_>, DataErr
     reader.format()?;
     while let Some(word) = reader.cursor.word() {
         match word {
-            b"$Nodes" if !reader.tags.given.is_empty() || reader.counts.vertices > 0 => {
+            b"$Nodes" | b"$ParametricNodes" if !reader.tags.given.is_empty() || reader.counts.vertices > 0 => {
                 return Err(reader.cursor.syntax("$Nodes is there twice; merge them"));
             }
-            b"$Nodes" if reader.is_4 => reader.nodes_4()?,
-            b"$Nodes" => reader.nodes_2()?,
+            b"$Nodes" | b"$ParametricNodes" if reader.is_4 => reader.nodes_4()?,
+            b"$Nodes" => reader.nodes_2(false)?,
+            b"$ParametricNodes" => reader.nodes_2(true)?,
             b"$Elements" if reader.is_4 => reader.elements_4()?,
             b"$Elements" => reader.elements_2()?,
-            b"$NodeData" => reader.node_data()?,
-            _ => match word.strip_prefix(b"$") {
-                Some(name) => {
-                    let end = [b"$End", name].concat();
-                    let at = reader.cursor.rest.windows(end.len()).position(|window| window == end);
-                    let length = at.ok_or_else(|| cut(&shown(word)))? + end.len();
-                    let passed = reader.cursor.take(length).unwrap_or_default();
-                    reader.cursor.line += passed.iter().filter(|&&b| b == b'\n').count();
-                    continue;
+            b"$NodeData" => {
+                // What cannot be read of data is left aside.
+                let begin = (reader.cursor.rest, reader.cursor.line);
+                let read = reader.node_data().and_then(|()| reader.end(word));
+                if let Err(error) = read {
+                    (reader.cursor.rest, reader.cursor.line) = begin;
+                    reader.pass_section(word, b"NodeData")?;
+                    if wanted {
+                        reader.soup.raw.unreadable("$NodeData", error.to_string());
+                    }
                 }
-                None => return Err(reader.cursor.syntax(format!("\"{}\" is not the begin of a section", shown(word)))),
-            },
+                continue;
+            }
+            _ => {
+                let Some(name) = word.strip_prefix(b"$") else {
+                    let text = format!("\"{}\" is not the begin of a section", shown(word));
+                    return Err(reader.cursor.syntax(text));
+                };
+                reader.pass_section(word, name)?;
+                if wanted && matches!(name, b"ElementData" | b"ElementNodeData" | b"PhysicalNames") {
+                    let text = "a surface carries numbers of nodes".to_owned();
+                    reader.soup.raw.unreadable(&shown(word), text);
+                }
+                continue;
+            }
         }
         reader.end(word)?;
     }
@@ -130,6 +144,8 @@ struct Reader<'a> {
     size: Kind,
     is_4: bool,
     wanted: bool,
+    /// Whether elements of an unknown type were left aside.
+    has_unknown: bool,
     /// Whether nodes and elements are passed over and added up in `counts`.
     counted: bool,
     counts: Counts,
@@ -170,6 +186,16 @@ impl Reader<'_> {
         }
     }
 
+    /// Passes over the rest of a section.
+    fn pass_section(&mut self, word: &[u8], name: &[u8]) -> Result<(), DataError> {
+        let end = [b"$End", name].concat();
+        let at = self.cursor.rest.windows(end.len()).position(|window| window == end);
+        let length = at.ok_or_else(|| cut(&shown(word)))? + end.len();
+        let passed = self.cursor.take(length).unwrap_or_default();
+        self.cursor.line += passed.iter().filter(|&&b| b == b'\n').count();
+        Ok(())
+    }
+
     /// A number of text in either encoding, at the end of its line.
     fn heading(&mut self, what: &str) -> Result<usize, DataError> {
         let count = self.cursor.parsed(what)?;
@@ -195,7 +221,8 @@ impl Reader<'_> {
         self.cursor.count(self.size, what)
     }
 
-    fn nodes_2(&mut self) -> Result<(), DataError> {
+    /// Nodes; if they are parametric, each has its place on a part of the model, with a number for each of its dimensions.
+    fn nodes_2(&mut self, is_parametric: bool) -> Result<(), DataError> {
         let count = self.heading("a number of nodes")?;
         // A node is its number and three coordinates.
         let (least, words, kind) =
@@ -206,15 +233,27 @@ impl Reader<'_> {
         }
         if self.counted {
             self.counts.vertices += count as u64;
+        }
+        if self.counted && !is_parametric {
             self.cursor.pass(count.saturating_mul(words), kind, "nodes")?;
-        } else {
-            for _ in 0..count {
+            return Ok(());
+        }
+        for _ in 0..count {
+            if self.counted {
+                self.cursor.pass(words, kind, "nodes")?;
+            } else {
                 self.tags.given.push(self.cursor.integer(Kind::I32, "a node's number")?);
                 let mut p = [0.0; 3];
                 for x in &mut p {
                     *x = self.cursor.float(Kind::F64, "a number")?;
                 }
                 self.soup.positions.push(DVec3::from_array(p));
+            }
+            if is_parametric {
+                let dimension = self.int("a dimension")?;
+                self.int("a part of the model")?;
+                let numbers = if let 1 | 2 = dimension { dimension as usize } else { 0 };
+                self.cursor.pass(numbers, Kind::F64, "nodes")?;
             }
         }
         self.tags.finish()
@@ -242,8 +281,26 @@ impl Reader<'_> {
 
     /// Elements of one type, each with `head` numbers before its nodes. The first has the number `index`; returns the next one.
     fn block(&mut self, index: usize, count: usize, (kind, head): (i64, usize), int: Kind) -> Result<usize, DataError> {
-        let unknown = || DataError::Header(format!("elements of type {kind} are not known"));
-        let (nodes, corners) = element(kind).ok_or_else(unknown)?;
+        let Some((nodes, corners)) = element(kind) else {
+            if self.cursor.encoding != Encoding::Text {
+                return Err(DataError::Header(format!("elements of type {kind} are not known; save it as text")));
+            }
+            // Each has a line of its own. The first line of a block of version 4 has ended.
+            for k in 0..count {
+                if self.cursor.rest.is_empty() {
+                    return Err(cut("elements"));
+                }
+                if self.is_4 && k == 0 {
+                    self.cursor.end_line();
+                }
+                self.cursor.end_line();
+            }
+            if self.wanted && !std::mem::replace(&mut self.has_unknown, true) {
+                let text = format!("elements of type {kind} are not known");
+                self.soup.raw.unreadable("elements", text);
+            }
+            return Ok(index.saturating_add(count));
+        };
         let each = head.saturating_add(nodes);
         let all = count.saturating_mul(each);
         if self.counted {

@@ -20,12 +20,50 @@ pub(super) struct Raw {
     pub(super) texture: Option<PerCorner<DVec2>>,
     pub(super) colours: Option<Colours>,
     pub(super) scalars: Vec<Scalar>,
+    /// Edges that the file names; some may be none of the surface's.
+    pub(super) creases: Vec<[u32; 2]>,
     pub(super) unreadable: Vec<AttributeError>,
+    /// How many more there were than are kept.
+    pub(super) more: usize,
 }
+
+/// The most attributes that are reported one by one.
+const MOST_UNREADABLE: usize = 1024;
 
 impl Raw {
     pub(super) fn unreadable(&mut self, attribute: &str, message: String) {
-        self.unreadable.push(AttributeError::Unreadable { attribute: attribute.to_owned(), message });
+        match self.unreadable.len() < MOST_UNREADABLE {
+            true => self.unreadable.push(AttributeError::Unreadable { attribute: attribute.to_owned(), message }),
+            false => self.more += 1,
+        }
+    }
+
+    /// The edges of `mesh` that the file names, each once. Others are left aside.
+    pub(super) fn edges_of(&mut self, mesh: &TriMesh) -> Vec<[u32; 2]> {
+        let mut edges = std::mem::take(&mut self.creases);
+        let total = edges.len();
+        edges.iter_mut().for_each(|edge| edge.sort_unstable());
+        edges.sort_unstable();
+        edges.dedup();
+        let twice = total - edges.len();
+        let mut is_there = vec![false; edges.len()];
+        // An edge between two vertices in one place is none, and neither is that of a facet without area.
+        for (index, facet) in mesh.facets().iter().enumerate().filter(|_| total > 0) {
+            let [a, b, c] = mesh.corners(index);
+            if a == b || b == c || c == a {
+                continue;
+            }
+            for [a, b] in [[facet[0], facet[1]], [facet[1], facet[2]], [facet[2], facet[0]]] {
+                edges.binary_search(&[a.min(b), a.max(b)]).into_iter().for_each(|at| is_there[at] = true);
+            }
+        }
+        let mut found = is_there.iter();
+        edges.retain(|_| found.next().copied().unwrap_or(false));
+        let left = total - twice - edges.len();
+        if left > 0 {
+            self.unreadable("named edges", format!("{left} of {total} are no edges of the surface"));
+        }
+        edges
     }
 
     pub(super) fn is_unreadable(&self, attribute: &str) -> bool {
@@ -44,6 +82,10 @@ impl Raw {
     pub(super) fn onto(self, mesh: &TriMesh) -> (Attributes, Vec<AttributeError>) {
         let mut attributes = Attributes::new(mesh);
         let mut left_aside = self.unreadable;
+        if self.more > 0 {
+            let message = format!("{} more cannot be read", self.more);
+            left_aside.push(AttributeError::Unreadable { attribute: "attributes".to_owned(), message });
+        }
         let results = [
             self.normals.map(|normals| attributes.set_normals(normals)),
             self.texture.map(|texture| attributes.set_texture(texture)),

@@ -1,7 +1,8 @@
 //! Medit: `.mesh`, text, and `.meshb`, binary, versions 1 to 4. Writes version 2, with doubles; 3 where 32 bits are too few.
 //!
-//! Purpose: vertices, triangles and quadrilaterals, in either byte order; all other keywords are passed over. A vertex
-//! without a third coordinate, as of dimension 2, lies at 0. Our own reader: it is small. Must not know: other formats.
+//! Purpose: vertices, triangles and quadrilaterals, in either byte order. Edges that are ridges or required are creases. All other
+//! keywords are passed over. A vertex without a third coordinate, as of dimension 2, lies at 0. Our own reader: it is small.
+//! Invariant: edges never refuse a file. Must not know: other formats.
 
 use std::fmt::Write as _;
 
@@ -20,9 +21,9 @@ pub(super) const TEXT: Codec = Codec {
     // Half a vertex of three short numbers, and a face of three indices.
     facet_bytes: 30,
     signature: super::packed::Signature::Start(|head| head.word().eq_ignore_ascii_case(VERSION)),
-    decode: |bytes, _| surface(read_text(bytes, false)?),
+    decode: |bytes, wanted| surface(read_text(bytes, Mode { wanted, counted: false })?),
     encode: encode_text,
-    counts: |bytes| read_text(bytes, true).ok().map(|reader| reader.counts),
+    counts: |bytes| read_text(bytes, Mode { wanted: false, counted: true }).ok().map(|reader| reader.counts),
     holds: NOTHING,
     vertices: VertexNumbers::Kept,
 };
@@ -33,9 +34,9 @@ pub(super) const BINARY: Codec = Codec {
     // Half a vertex of three floats, and a face of four numbers.
     facet_bytes: 22,
     signature: super::packed::Signature::Start(is_binary),
-    decode: |bytes, _| surface(read_binary(bytes, false)?),
+    decode: |bytes, wanted| surface(read_binary(bytes, Mode { wanted, counted: false })?),
     encode: encode_binary,
-    counts: |bytes| read_binary(bytes, true).ok().map(|reader| reader.counts),
+    counts: |bytes| read_binary(bytes, Mode { wanted: false, counted: true }).ok().map(|reader| reader.counts),
     holds: NOTHING,
     vertices: VertexNumbers::Kept,
 };
@@ -48,9 +49,12 @@ fn is_binary(head: &super::packed::Head<'_>) -> bool {
 const VERSION: &[u8] = b"MeshVersionFormatted";
 
 /// Numbers of keywords in binary files, and their names in text.
-const KEYWORDS: [(i64, &[u8]); 9] = [
+const KEYWORDS: [(i64, &[u8]); 12] = [
     (DIMENSION, b"dimension"),
     (VERTICES, b"vertices"),
+    (EDGES, b"edges"),
+    (RIDGES, b"ridges"),
+    (REQUIRED_EDGES, b"requirededges"),
     (TRIANGLES, b"triangles"),
     (QUADRILATERALS, b"quadrilaterals"),
     (8, b"tetrahedra"),
@@ -61,13 +65,24 @@ const KEYWORDS: [(i64, &[u8]); 9] = [
 ];
 const DIMENSION: i64 = 3;
 const VERTICES: i64 = 4;
+const EDGES: i64 = 5;
 const TRIANGLES: i64 = 6;
 const QUADRILATERALS: i64 = 7;
+const RIDGES: i64 = 14;
+const REQUIRED_EDGES: i64 = 16;
 const END: i64 = 54;
 
+#[derive(Clone, Copy, Default)]
+struct Mode {
+    /// Whether edges are read.
+    wanted: bool,
+    /// Whether lists are passed over and their lengths added up.
+    counted: bool,
+}
+
 /// Reads all lists, or their lengths alone if they are counted.
-fn read_text(bytes: &[u8], counted: bool) -> Result<Reader<'_>, DataError> {
-    let mut reader = Reader::new(bytes, counted);
+fn read_text(bytes: &[u8], mode: Mode) -> Result<Reader<'_>, DataError> {
+    let mut reader = Reader::new(bytes, mode);
     reader.cursor.has_comments = true;
     let cursor = &mut reader.cursor;
     let word = cursor.word().ok_or(DataError::Empty)?;
@@ -88,8 +103,8 @@ fn read_text(bytes: &[u8], counted: bool) -> Result<Reader<'_>, DataError> {
 }
 
 /// As [`read_text`]. Each keyword has the place of the next one; after the last one this is 0.
-fn read_binary(bytes: &[u8], counted: bool) -> Result<Reader<'_>, DataError> {
-    let mut reader = Reader::new(bytes, counted);
+fn read_binary(bytes: &[u8], mode: Mode) -> Result<Reader<'_>, DataError> {
+    let mut reader = Reader::new(bytes, mode);
     reader.cursor.encoding = Encoding::Binary(match bytes.first_chunk::<4>() {
         Some([1, 0, 0, 0]) => Order::Little,
         Some([0, 0, 0, 1]) => Order::Big,
@@ -125,7 +140,7 @@ fn read_binary(bytes: &[u8], counted: bool) -> Result<Reader<'_>, DataError> {
 }
 
 fn surface(reader: Reader<'_>) -> Result<Soup, DataError> {
-    let Reader { mut soup, volumes: count, lists, .. } = reader;
+    let Reader { mut soup, volumes: count, lists, edges, named, .. } = reader;
     // Faces may stand before the vertices that they name.
     for (list, corners) in lists {
         for (index, face) in list.chunks_exact(corners + 1).enumerate() {
@@ -141,6 +156,13 @@ fn surface(reader: Reader<'_>) -> Result<Soup, DataError> {
         }
     }
     volumes(&mut soup, count, "write the triangles of its surface too")?;
+    // Edges are counted from 1, as vertices are.
+    let from_1 = |n: i64| n.checked_sub(1).and_then(|n| usize::try_from(n).ok());
+    let vertex = |v: i64| from_1(v).and_then(|v| u32::try_from(v).ok()).unwrap_or(u32::MAX);
+    let edge = |n: i64| {
+        from_1(n).and_then(|n| edges.as_chunks::<3>().0.get(n)).map_or([u32::MAX; 2], |&[a, b, _]| [a, b].map(vertex))
+    };
+    soup.raw.creases = named.into_iter().map(edge).collect();
     Ok(soup)
 }
 
@@ -150,18 +172,33 @@ struct Reader<'a> {
     dimension: usize,
     float: Kind,
     int: Kind,
-    /// Whether lists are passed over and their lengths added up in `counts`.
-    counted: bool,
+    mode: Mode,
     counts: Counts,
     soup: Soup,
     /// Corners of faces with the number of their part, and how many corners a face has.
     lists: Vec<(Vec<i64>, usize)>,
+    /// Two vertices and the number of a part for each edge.
+    edges: Vec<i64>,
+    /// Numbers of edges that are ridges or required.
+    named: Vec<i64>,
     volumes: usize,
 }
 
 impl<'a> Reader<'a> {
-    fn new(bytes: &'a [u8], counted: bool) -> Self {
-        Self { cursor: Cursor::new(bytes), dimension: 3, int: Kind::I32, counted, ..Self::default() }
+    fn new(bytes: &'a [u8], mode: Mode) -> Self {
+        Self { cursor: Cursor::new(bytes), dimension: 3, int: Kind::I32, mode, ..Self::default() }
+    }
+
+    /// Reads edges, or numbers of edges, ahead of the words or bytes that are passed over next.
+    fn edges(&mut self, keyword: i64) {
+        let (mut ahead, int) = (self.cursor.clone(), self.int);
+        let each = if keyword == EDGES { 3 } else { 1 };
+        let count = ahead.count(int, "a number of edges");
+        match count.and_then(|count| ahead.integers(count.saturating_mul(each), int, "edges")) {
+            Ok(numbers) if keyword == EDGES => self.edges.extend(numbers),
+            Ok(numbers) => self.named.extend(numbers),
+            Err(error) => self.soup.raw.unreadable("edges", error.to_string()),
+        }
     }
 
     fn keyword(&mut self, keyword: i64) -> Result<(), DataError> {
@@ -180,7 +217,7 @@ impl<'a> Reader<'a> {
                 let (each, kind) =
                     if is_text { (n + 1, Kind::F64) } else { (n * float.bytes() + int.bytes(), Kind::U8) };
                 let all = count.saturating_mul(each);
-                if self.counted {
+                if self.mode.counted {
                     self.counts.vertices += count as u64;
                     return cursor.pass(all, kind, "vertices");
                 }
@@ -190,7 +227,7 @@ impl<'a> Reader<'a> {
                     for x in &mut p[..n] {
                         *x = cursor.float(float, "a coordinate")?;
                     }
-                    cursor.integer(int, "the number of a part")?;
+                    cursor.pass(1, int, "the number of a part")?;
                     self.soup.positions.push(DVec3::from_array(p));
                 }
             }
@@ -198,13 +235,14 @@ impl<'a> Reader<'a> {
                 let corners = if keyword == TRIANGLES { 3 } else { 4 };
                 let count = cursor.count(int, "a number of faces")?;
                 let all = count.saturating_mul(corners + 1);
-                if self.counted {
+                if self.mode.counted {
                     cursor.pass(all, int, "faces")?;
                     self.counts.facets += count as u64 * (corners as u64 - 2);
                 } else {
                     self.lists.push((cursor.integers(all, int, "faces")?, corners));
                 }
             }
+            EDGES | RIDGES | REQUIRED_EDGES if self.mode.wanted => self.edges(keyword),
             // Volumes.
             8 | 9 | 10 | 49 => {
                 let count = cursor.count(int, "a number of elements")?;

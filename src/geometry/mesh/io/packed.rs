@@ -127,6 +127,7 @@ const LIST_RATIO: usize = 4;
 
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Room {
+    bytes: usize,
     all: usize,
     left: usize,
 }
@@ -134,7 +135,12 @@ pub(super) struct Room {
 impl Room {
     pub(super) fn of(bytes: usize) -> Self {
         let all = bytes.saturating_mul(LIST_RATIO).saturating_add(1 << 20);
-        Self { all, left: all }
+        Self { bytes, all, left: all }
+    }
+
+    /// The length of the file.
+    pub(super) fn bytes(&self) -> usize {
+        self.bytes
     }
 
     pub(super) fn taken(&self) -> usize {
@@ -239,6 +245,8 @@ mod tests {
             // Its title may be a word of another format.
             (b"# vtk DataFile Version 3.0\nsolid part\nASCII\n", Some(Format::Vtk)),
             (b"<?xml version=\"1.0\"?>\n<VTKFile type=\"PolyData\">", Some(Format::Vtp)),
+            (b"<VTKFile byte_order=\"BigEndian\" type='UnstructuredGrid'><PolyData>", Some(Format::Vtu)),
+            (b"PK\x03\x04\x14\0", Some(Format::ThreeMf)),
             (b"$MeshFormat\n4.1 0 8\n", Some(Format::Gmsh)),
             (b"\xef\xbb\xbf# made by hand\nMeshVersionFormatted 2\n", Some(Format::Medit)),
             (b"\x01\0\0\0\x02\0\0\0\x03\0\0\0", Some(Format::MeditBinary)),

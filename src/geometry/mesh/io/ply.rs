@@ -1,9 +1,10 @@
 //! Stanford PLY: ascii and both binary orders. Writes little-endian binary.
 //!
 //! Purpose: bytes to triangles with what they carry, in one pass over the data, and back. `vertex` needs scalar properties x,
-//! y, z; `face` a list property `vertex_indices` or `vertex_index`. Other scalar properties of vertices are attributes, and so
-//! is `texcoord`, six numbers for a triangle, of faces, which is how seams are stored. All else is skipped. Invariant: declared
-//! counts are checked against the bytes that are there before anything is read. Must not know: other formats.
+//! y, z; `face` a list property `vertex_indices` or `vertex_index`, or so `tristrips`, whose strips end at negative numbers. Other
+//! scalar properties of vertices are attributes, and so is `texcoord`, six numbers for a triangle, of faces, which is how seams are
+//! stored. All else is skipped. Invariant: declared counts are checked against the bytes that are there before anything is read.
+//! Must not know: other formats.
 
 mod carried;
 mod data;
@@ -36,6 +37,9 @@ fn decode(bytes: &[u8], wanted: bool) -> Result<Soup, DataError> {
     let mut carried = if wanted { Carried::of(&header) } else { Carried::default() };
     let mut soup = data::read(&header, &mut carried)?;
     soup.raw = carried.finish(&soup.facets);
+    if wanted {
+        carried::left_aside(&header, &mut soup.raw);
+    }
     Ok(soup)
 }
 
@@ -45,24 +49,29 @@ fn counts(bytes: &[u8]) -> Option<Counts> {
     data::counts(&header)
 }
 
-/// Refuses headers without a surface, and counts that the remaining bytes cannot hold.
-fn check_header(header: &Header<'_>) -> Result<(), DataError> {
-    let element = |name: &str| {
-        header.element(name).ok_or_else(|| {
-            let strips = header.element("tristrips").is_some();
-            let hint = if strips { "; strips (\"tristrips\") are not read, write them as faces" } else { "" };
-            DataError::Header(format!("there is no element \"{name}\"{hint}"))
-        })
-    };
-    let vertex = element("vertex")?;
-    let is_scalar = |name: &&str| vertex.properties.iter().any(|p| p.name == *name && p.length.is_none());
+/// Refuses headers without a surface.
+fn check_elements(header: &Header<'_>) -> Result<(), DataError> {
+    let missing = |name: &str| DataError::Header(format!("there is no element \"{name}\""));
+    let vertex = header.element("vertex").ok_or_else(|| missing("vertex"))?;
+    let is_scalar =
+        |name: &&str| vertex.properties.iter().any(|p| p.name == *name && p.length.is_none() && p.odd.is_none());
     if let Some(missing) = ["x", "y", "z"].into_iter().find(|name| !is_scalar(name)) {
         return Err(DataError::Header(format!("element \"vertex\" has no scalar property \"{missing}\"")));
     }
-    if !element("face")?.properties.iter().any(header::Property::is_corners) {
-        let message = "element \"face\" has no list property \"vertex_indices\" or \"vertex_index\" of integers";
-        return Err(DataError::Header(message.to_owned()));
+    let faces = header::FACES.map(|name| header.element(name));
+    let face = faces.into_iter().flatten().next().ok_or_else(|| missing("face"))?;
+    if !faces.into_iter().flatten().any(|face| face.properties.iter().any(header::Property::is_corners)) {
+        let name = &face.name;
+        let message =
+            format!("element \"{name}\" has no list property \"vertex_indices\" or \"vertex_index\" of integers");
+        return Err(DataError::Header(message));
     }
+    Ok(())
+}
+
+/// Refuses headers without a surface, and counts that the remaining bytes cannot hold.
+fn check_header(header: &Header<'_>) -> Result<(), DataError> {
+    check_elements(header)?;
     let mut needed = 0u128;
     for element in &header.elements {
         // An ascii number is a digit and what separates it from the next. Of a list its length is there.
@@ -70,10 +79,6 @@ fn check_header(header: &Header<'_>) -> Result<(), DataError> {
             if header.encoding == Encoding::Text { 2 } else { p.length.unwrap_or(p.item).bytes() }
         };
         let each: usize = element.properties.iter().map(least).sum();
-        // A binary element without properties would be nothing at all, and any number of them would fit.
-        if each == 0 && element.count > 0 {
-            return Err(DataError::Header(format!("element \"{}\" has no properties", element.name)));
-        }
         needed += each as u128 * element.count as u128;
     }
     // The last line of an ascii file may lack its line break.

@@ -1,6 +1,6 @@
-//! Files of the Visualization Toolkit: legacy `.vtk` ([`legacy`]) and XML `.vtp` ([`xml`]).
+//! Files of the Visualization Toolkit: legacy `.vtk` ([`legacy`]) and XML, `.vtp` and `.vtu` ([`xml`]).
 //!
-//! Purpose: what the two have in common: types of cells and of numbers, and what arrays of points are as attributes. An
+//! Purpose: what they have in common: types of cells and of numbers, and what arrays of points are as attributes. An
 //! array of three or four bytes is a colour, and so is one of numbers that is named like one; others of points are scalars.
 //! Arrays of cells are left aside. Must not know: how arrays are written.
 
@@ -14,24 +14,31 @@ use super::numbers::Kind;
 use super::{DataError, Soup};
 use crate::mesh::attributes::{ColourDepth, Colours, Normals, PerCorner, Scalar};
 
-/// Names of numbers' types: legacy, XML.
-const KINDS: [(&str, &str, Kind); 10] = [
-    ("char", "Int8", Kind::I8),
-    ("unsigned_char", "UInt8", Kind::U8),
-    ("short", "Int16", Kind::I16),
-    ("unsigned_short", "UInt16", Kind::U16),
-    ("int", "Int32", Kind::I32),
-    ("unsigned_int", "UInt32", Kind::U32),
-    ("vtktypeint64", "Int64", Kind::I64),
-    ("vtktypeuint64", "UInt64", Kind::U64),
-    ("float", "Float32", Kind::F32),
-    ("double", "Float64", Kind::F64),
+/// Names of numbers' types: legacy, in lower case, the first of which is written, and XML. In binary legacy files a `vtkIdType` has 4 bytes.
+const KINDS: [(&[&str], &str, Kind); 10] = [
+    (&["char", "signed_char", "vtktypeint8"], "Int8", Kind::I8),
+    (&["unsigned_char", "vtktypeuint8"], "UInt8", Kind::U8),
+    (&["short", "vtktypeint16"], "Int16", Kind::I16),
+    (&["unsigned_short", "vtktypeuint16"], "UInt16", Kind::U16),
+    (&["int", "vtktypeint32", "vtkidtype"], "Int32", Kind::I32),
+    (&["unsigned_int", "vtktypeuint32"], "UInt32", Kind::U32),
+    (&["vtktypeint64", "long", "long_long", "__int64"], "Int64", Kind::I64),
+    (&["vtktypeuint64", "unsigned_long", "unsigned_long_long", "unsigned___int64"], "UInt64", Kind::U64),
+    (&["float", "vtktypefloat32"], "Float32", Kind::F32),
+    (&["double", "vtktypefloat64"], "Float64", Kind::F64),
 ];
 
 /// The names of a type: legacy, XML.
 fn names(kind: Kind) -> (&'static str, &'static str) {
-    KINDS.iter().find(|(.., known)| *known == kind).map_or(("double", "Float64"), |&(legacy, xml, _)| (legacy, xml))
+    let known = KINDS.iter().find(|(.., known)| *known == kind);
+    known.map_or(("double", "Float64"), |(legacy, xml, _)| (legacy[0], *xml))
 }
+
+/// Why arrays of cells are left aside.
+const ON_POINTS: &str = "a surface carries numbers of points";
+
+/// What to do with a file of volume elements alone.
+const SURFACE_FIRST: &str = "extract the surface first, as ParaView's filter \"Extract Surface\" does";
 
 const COLOURS: [&str; 6] = ["rgb", "rgba", "color", "colors", "colour", "colours"];
 
@@ -199,4 +206,11 @@ fn push_cells(soup: &mut Soup, cell: impl Fn(usize) -> Cell, ends: &[i64], point
         start += corners.len();
     }
     Ok(aside)
+}
+
+/// The most facets that cells have, which end there.
+fn facets(cell: impl Fn(usize) -> Cell, ends: &[i64]) -> u64 {
+    let begins = [0].into_iter().chain(ends.iter().copied());
+    let lengths = begins.zip(ends).map(|(begin, end)| usize::try_from(end.saturating_sub(begin)).unwrap_or(0));
+    lengths.enumerate().map(|(index, length)| cell(index).facets(length) as u64).fold(0, u64::saturating_add)
 }

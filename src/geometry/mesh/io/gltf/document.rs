@@ -25,6 +25,10 @@ pub(super) struct Document<'a> {
     scene_ends: Vec<u32>,
     pub(super) nodes: Vec<Node>,
     children: Vec<u32>,
+    /// Nodes with their skins.
+    skinned: Vec<(u32, u32)>,
+    skins: Vec<Skin>,
+    joints: Vec<u32>,
     /// Numbers of matrices, or of translations, rotations and scales.
     numbers: Vec<f64>,
     primitives: Vec<Primitive>,
@@ -47,23 +51,44 @@ pub(super) struct Node {
     has: [bool; 3],
 }
 
+/// Joints, and the inverses of their places at which the surface was bound to them.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Skin {
+    /// An accessor.
+    pub(super) inverses: Option<u32>,
+    /// The end of its joints.
+    end: u32,
+}
+
 #[derive(Debug, Default, Deserialize)]
 #[serde(default)]
 pub(super) struct Primitive {
     pub(super) attributes: Names,
     pub(super) indices: Option<u32>,
     mode: Option<u32>,
+    /// Whether it has morph targets.
+    #[serde(rename = "targets", deserialize_with = "is_there")]
+    pub(super) is_morphed: bool,
 }
 
 #[derive(Debug, Default, Deserialize)]
 #[serde(default, rename_all = "SCREAMING_SNAKE_CASE")]
 pub(super) struct Names {
     pub(super) position: Option<u32>,
+    #[serde(deserialize_with = "loose")]
     pub(super) normal: Option<u32>,
-    #[serde(rename = "TEXCOORD_0")]
+    #[serde(rename = "TEXCOORD_0", deserialize_with = "loose")]
     pub(super) texture: Option<u32>,
-    #[serde(rename = "COLOR_0")]
+    #[serde(rename = "COLOR_0", deserialize_with = "loose")]
     pub(super) colour: Option<u32>,
+    #[serde(deserialize_with = "loose")]
+    pub(super) joints_0: Option<u32>,
+    #[serde(deserialize_with = "loose")]
+    pub(super) weights_0: Option<u32>,
+    #[serde(deserialize_with = "loose")]
+    pub(super) joints_1: Option<u32>,
+    #[serde(deserialize_with = "loose")]
+    pub(super) weights_1: Option<u32>,
 }
 
 impl Primitive {
@@ -73,29 +98,56 @@ impl Primitive {
     }
 }
 
-#[derive(Debug, Deserialize)]
-#[serde(rename_all = "camelCase")]
+/// One that nothing uses may say anything.
+#[derive(Debug, Default, Deserialize)]
+#[serde(default, rename_all = "camelCase")]
 pub(super) struct Accessor {
+    #[serde(deserialize_with = "loose")]
     pub(super) buffer_view: Option<u32>,
-    #[serde(default)]
+    #[serde(deserialize_with = "loose_or_0")]
     pub(super) byte_offset: usize,
+    #[serde(deserialize_with = "loose_or_0")]
     pub(super) component_type: u32,
-    #[serde(default)]
     pub(super) normalized: bool,
+    #[serde(deserialize_with = "loose_or_0")]
     pub(super) count: usize,
     #[serde(rename = "type")]
     shape: Shape,
-    pub(super) sparse: Option<IgnoredAny>,
+    pub(super) sparse: Option<Box<Sparse>>,
+}
+
+/// Elements that replace those of the accessor.
+#[derive(Debug, Default, Deserialize)]
+#[serde(default)]
+pub(super) struct Sparse {
+    #[serde(deserialize_with = "loose_or_0")]
+    pub(super) count: usize,
+    pub(super) indices: Part,
+    pub(super) values: Part,
+}
+
+/// Numbers in a buffer view.
+#[derive(Debug, Default, Deserialize)]
+#[serde(default, rename_all = "camelCase")]
+pub(super) struct Part {
+    #[serde(deserialize_with = "loose")]
+    pub(super) buffer_view: Option<u32>,
+    #[serde(deserialize_with = "loose_or_0")]
+    pub(super) byte_offset: usize,
+    #[serde(deserialize_with = "loose_or_0")]
+    pub(super) component_type: u32,
 }
 
 /// A shape's number is that of its components.
-#[derive(Clone, Copy, Debug, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, Deserialize)]
 #[serde(rename_all = "UPPERCASE")]
 enum Shape {
     Scalar = 1,
     Vec2 = 2,
     Vec3 = 3,
     Vec4 = 4,
+    Mat4 = 16,
+    #[default]
     #[serde(other)]
     Other = 0,
 }
@@ -106,14 +158,76 @@ impl Accessor {
     }
 }
 
-#[derive(Debug, Deserialize)]
-#[serde(rename_all = "camelCase")]
+#[derive(Debug, Default, Deserialize)]
+#[serde(default, rename_all = "camelCase")]
 pub(super) struct View {
-    pub(super) buffer: u32,
-    #[serde(default)]
+    #[serde(deserialize_with = "loose")]
+    pub(super) buffer: Option<u32>,
+    #[serde(deserialize_with = "loose_or_0")]
     pub(super) byte_offset: usize,
+    #[serde(deserialize_with = "loose_or_0")]
     pub(super) byte_length: usize,
+    #[serde(deserialize_with = "loose")]
     pub(super) byte_stride: Option<usize>,
+}
+
+/// A number from 0, or nothing of any other value.
+#[derive(Deserialize)]
+#[serde(transparent)]
+struct Loose(#[serde(deserialize_with = "loose")] Option<u32>);
+
+fn loose<'a, D: Deserializer<'a>, T: TryFrom<u64>>(reader: D) -> Result<Option<T>, D::Error> {
+    struct Any;
+    impl<'a> Visitor<'a> for Any {
+        type Value = Option<u64>;
+
+        fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+            f.write_str("a number")
+        }
+
+        fn visit_u64<E>(self, number: u64) -> Result<Option<u64>, E> {
+            Ok(Some(number))
+        }
+
+        fn visit_i64<E>(self, _: i64) -> Result<Option<u64>, E> {
+            Ok(None)
+        }
+
+        fn visit_f64<E>(self, number: f64) -> Result<Option<u64>, E> {
+            Ok((number >= 0.0 && number.fract() == 0.0).then_some(number as u64))
+        }
+
+        fn visit_bool<E>(self, _: bool) -> Result<Option<u64>, E> {
+            Ok(None)
+        }
+
+        fn visit_str<E>(self, _: &str) -> Result<Option<u64>, E> {
+            Ok(None)
+        }
+
+        fn visit_unit<E>(self) -> Result<Option<u64>, E> {
+            Ok(None)
+        }
+
+        fn visit_seq<A: SeqAccess<'a>>(self, mut seq: A) -> Result<Option<u64>, A::Error> {
+            while seq.next_element::<IgnoredAny>()?.is_some() {}
+            Ok(None)
+        }
+
+        fn visit_map<A: MapAccess<'a>>(self, mut map: A) -> Result<Option<u64>, A::Error> {
+            while map.next_entry::<IgnoredAny, IgnoredAny>()?.is_some() {}
+            Ok(None)
+        }
+    }
+    Ok(reader.deserialize_any(Any)?.and_then(|number| T::try_from(number).ok()))
+}
+
+fn loose_or_0<'a, D: Deserializer<'a>, T: TryFrom<u64> + Default>(reader: D) -> Result<T, D::Error> {
+    Ok(loose(reader)?.unwrap_or_default())
+}
+
+fn is_there<'a, D: Deserializer<'a>>(reader: D) -> Result<bool, D::Error> {
+    IgnoredAny::deserialize(reader).map(|_| true)
 }
 
 #[derive(Debug, Deserialize)]
@@ -169,6 +283,45 @@ impl<'a> Document<'a> {
         Some(self.nodes[node].mesh).filter(|&mesh| mesh != NONE).map(|mesh| mesh as usize)
     }
 
+    /// Buffers with numbers of accessors, some of them several times.
+    pub(super) fn needed_buffers(&self) -> impl Iterator<Item = u32> {
+        let parts = |accessor: &'_ Accessor| {
+            let sparse = accessor.sparse.as_ref();
+            [
+                accessor.buffer_view,
+                sparse.and_then(|sparse| sparse.indices.buffer_view),
+                sparse.and_then(|sparse| sparse.values.buffer_view),
+            ]
+        };
+        let views = self.accessors.iter().flat_map(parts).flatten();
+        views.filter_map(|view| self.views.get(view as usize)?.buffer)
+    }
+
+    /// The number of a node's skin.
+    pub(super) fn skin(&self, node: usize) -> Option<u32> {
+        let at = self.skinned.binary_search_by_key(&(node as u32), |&(node, _)| node).ok()?;
+        Some(self.skinned[at].1)
+    }
+
+    /// A skin and its joints.
+    pub(super) fn joints(&self, skin: u32) -> Option<(Skin, &[u32])> {
+        let index = skin as usize;
+        let skin = *self.skins.get(index)?;
+        let begin = index.checked_sub(1).map_or(0, |before| self.skins[before].end);
+        Some((skin, &self.joints[begin as usize..skin.end as usize]))
+    }
+
+    /// For each node the one whose child it is, if there is one.
+    pub(super) fn parents(&self) -> Vec<Option<u32>> {
+        let mut parents = vec![None; self.nodes.len()];
+        for node in 0..self.nodes.len() {
+            for &child in self.children(node) {
+                parents.get_mut(child as usize).into_iter().for_each(|parent| *parent = Some(node as u32));
+            }
+        }
+        parents
+    }
+
     pub(super) fn primitives(&self, mesh: usize) -> Option<&[Primitive]> {
         (mesh < self.mesh_ends.len()).then(|| within(&self.primitives, &self.mesh_ends, mesh))
     }
@@ -194,12 +347,18 @@ impl<'a> Document<'a> {
         DMat4::from_cols(turned[0], turned[1], turned[2], translation.extend(1.0))
     }
 
-    fn part(&mut self, at: At) -> Part<'_, 'a> {
-        Part { document: self, at }
+    fn part(&mut self, at: At) -> Reading<'_, 'a> {
+        Reading { document: self, at }
     }
 
     /// Adds a node with the children that were read since the one before.
-    fn end_node(&mut self, Placed { mesh, matrix, translation, rotation, scale }: Placed) -> Result<(), DataError> {
+    fn end_node(
+        &mut self,
+        Placed { mesh, skin, matrix, translation, rotation, scale }: Placed,
+    ) -> Result<(), DataError> {
+        if let Some(skin) = skin {
+            self.room.push(&mut self.skinned, (self.nodes.len() as u32, skin))?;
+        }
         let parts =
             [translation.as_ref().map(|t| &t[..]), rotation.as_ref().map(|r| &r[..]), scale.as_ref().map(|s| &s[..])];
         let parts = parts.map(|part| part.filter(|_| matrix.is_none()));
@@ -222,6 +381,7 @@ fn within<'l, T>(list: &'l [T], ends: &[u32], index: usize) -> &'l [T] {
 #[derive(Default)]
 struct Placed {
     mesh: Option<u32>,
+    skin: Option<u32>,
     matrix: Option<[f64; 16]>,
     translation: Option<[f64; 3]>,
     rotation: Option<[f64; 4]>,
@@ -240,34 +400,37 @@ enum At {
     Meshes,
     Mesh,
     Primitives,
+    Skins,
+    Skin,
+    Joints,
     Accessors,
     Views,
     Buffers,
     Required,
 }
 
-struct Part<'d, 'a> {
+struct Reading<'d, 'a> {
     document: &'d mut Document<'a>,
     at: At,
 }
 
-impl<'a> DeserializeSeed<'a> for Part<'_, 'a> {
+impl<'a> DeserializeSeed<'a> for Reading<'_, 'a> {
     type Value = ();
 
     fn deserialize<D: Deserializer<'a>>(self, reader: D) -> Result<(), D::Error> {
         match self.at {
-            At::Root | At::Scene | At::Node | At::Mesh => reader.deserialize_map(self),
+            At::Root | At::Scene | At::Node | At::Mesh | At::Skin => reader.deserialize_map(self),
             _ => reader.deserialize_seq(self),
         }
     }
 }
 
-impl<'a> Visitor<'a> for Part<'_, 'a> {
+impl<'a> Visitor<'a> for Reading<'_, 'a> {
     type Value = ();
 
     fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(match self.at {
-            At::Root | At::Scene | At::Node | At::Mesh => "an object",
+            At::Root | At::Scene | At::Node | At::Mesh | At::Skin => "an object",
             _ => "an array",
         })
     }
@@ -275,11 +438,13 @@ impl<'a> Visitor<'a> for Part<'_, 'a> {
     fn visit_map<A: MapAccess<'a>>(self, mut map: A) -> Result<(), A::Error> {
         let Self { document, at } = self;
         let mut node = Placed::default();
+        let mut inverses = None;
         while let Some(Text(key)) = map.next_key()? {
             let list = match (at, &*key) {
                 (At::Root, "scenes") => At::Scenes,
                 (At::Root, "nodes") => At::Nodes,
                 (At::Root, "meshes") => At::Meshes,
+                (At::Root, "skins") => At::Skins,
                 (At::Root, "accessors") => At::Accessors,
                 (At::Root, "bufferViews") => At::Views,
                 (At::Root, "buffers") => At::Buffers,
@@ -287,10 +452,13 @@ impl<'a> Visitor<'a> for Part<'_, 'a> {
                 (At::Scene, "nodes") => At::SceneNodes,
                 (At::Node, "children") => At::Children,
                 (At::Mesh, "primitives") => At::Primitives,
+                (At::Skin, "joints") => At::Joints,
                 _ => {
                     match (at, &*key) {
                         (At::Root, "scene") => document.scene = map.next_value()?,
                         (At::Node, "mesh") => node.mesh = map.next_value()?,
+                        (At::Node, "skin") => node.skin = map.next_value::<Loose>()?.0,
+                        (At::Skin, "inverseBindMatrices") => inverses = map.next_value::<Loose>()?.0,
                         (At::Node, "matrix") => node.matrix = map.next_value()?,
                         (At::Node, "translation") => node.translation = map.next_value()?,
                         (At::Node, "rotation") => node.rotation = map.next_value()?,
@@ -302,10 +470,11 @@ impl<'a> Visitor<'a> for Part<'_, 'a> {
             };
             map.next_value_seed(document.part(list))?;
         }
-        let Document { scenes, scene_ends, primitives, mesh_ends, room, .. } = document;
+        let Document { scenes, scene_ends, primitives, mesh_ends, skins, joints, room, .. } = document;
         match at {
             At::Scene => room.push(scene_ends, scenes.len() as u32),
             At::Mesh => room.push(mesh_ends, primitives.len() as u32),
+            At::Skin => room.push(skins, Skin { inverses, end: joints.len() as u32 }),
             At::Node => document.end_node(node),
             _ => Ok(()),
         }
@@ -315,7 +484,8 @@ impl<'a> Visitor<'a> for Part<'_, 'a> {
     fn visit_seq<A: SeqAccess<'a>>(self, mut seq: A) -> Result<(), A::Error> {
         let Self { document, at } = self;
         loop {
-            let Document { scenes, children, primitives, accessors, views, buffers, packing, room, .. } = document;
+            let Document { scenes, children, primitives, joints, accessors, views, buffers, packing, room, .. } =
+                document;
             macro_rules! element {
                 ($list:expr) => {
                     seq.next_element()?.map(|element| room.push($list, element))
@@ -325,10 +495,15 @@ impl<'a> Visitor<'a> for Part<'_, 'a> {
                 At::Scenes => seq.next_element_seed(document.part(At::Scene))?.map(Ok),
                 At::Nodes => seq.next_element_seed(document.part(At::Node))?.map(Ok),
                 At::Meshes => seq.next_element_seed(document.part(At::Mesh))?.map(Ok),
+                At::Skins => seq.next_element_seed(document.part(At::Skin))?.map(Ok),
+                At::Joints => element!(joints),
                 At::SceneNodes => element!(scenes),
                 At::Children => element!(children),
                 At::Primitives => element!(primitives),
-                At::Accessors => element!(accessors),
+                At::Accessors => seq.next_element::<Accessor>()?.map(|accessor| {
+                    room.take(if accessor.sparse.is_some() { size_of::<Sparse>() } else { 0 })?;
+                    room.push(accessors, accessor)
+                }),
                 At::Views => element!(views),
                 At::Buffers => element!(buffers),
                 _ => seq.next_element::<Text<'_>>()?.map(|Text(name)| {

@@ -5,10 +5,10 @@
 
 use glam::{DVec2, DVec3};
 
-use super::header::{Element, Header, Property};
+use super::header::{Element, FACES, Header, Property};
 use crate::mesh::attributes::{ColourDepth, Colours, Normals, PerCorner, Scalar};
 use crate::mesh::io::held::{Raw, firsts, numbered};
-use crate::mesh::io::numbers::Kind;
+use crate::mesh::io::numbers::{Kind, plain};
 
 /// Names of what is no scalar; a scalar of such a name is written with [`PREFIX`].
 pub(super) const TAKEN: [&str; 16] =
@@ -42,7 +42,8 @@ pub(super) struct Carried {
 impl Carried {
     pub(super) fn of(header: &Header<'_>) -> Self {
         let column = |p: &Property| Column { name: p.name.clone(), kind: p.item, values: Vec::new() };
-        let is_column = |p: &&Property| p.length.is_none() && !matches!(p.name.as_str(), "x" | "y" | "z");
+        let is_column =
+            |p: &&Property| p.length.is_none() && p.odd.is_none() && !matches!(p.name.as_str(), "x" | "y" | "z");
         let columns = header.element("vertex").map(|vertex| vertex.properties.iter().filter(is_column).map(column));
         let has_wedges = header.element("face").is_some_and(|face| face.properties.iter().any(is_wedges));
         Self { columns: columns.into_iter().flatten().collect(), wedges: has_wedges.then(Wedges::default) }
@@ -55,7 +56,7 @@ impl Carried {
                 Some(axis) => Role::Axis(axis),
                 None => self.find(name).map_or(Role::Skipped, Role::Column),
             },
-            ("face", Some(_)) if property.is_corners() => Role::Corners,
+            (name, Some(_)) if FACES.contains(&name) && property.is_corners() => Role::Corners,
             ("face", Some(_)) if self.wedges.is_some() && is_wedges(property) => Role::Wedges,
             _ => Role::Skipped,
         }
@@ -124,7 +125,31 @@ impl Carried {
 }
 
 fn is_wedges(property: &Property) -> bool {
-    property.name == "texcoord" && property.length.is_some()
+    property.name == "texcoord" && property.length.is_some() && property.odd.is_none()
+}
+
+/// Says what no surface carries.
+pub(super) fn left_aside(header: &Header<'_>, raw: &mut Raw) {
+    for element in &header.elements {
+        let is_vertex = element.name == "vertex";
+        if !is_vertex && !FACES.contains(&element.name.as_str()) {
+            continue;
+        }
+        for Property { name, odd, .. } in &element.properties {
+            if let Some(odd) = odd {
+                raw.unreadable(&format!("property {name:?}"), format!("{odd:?} is no type of a property"));
+            }
+        }
+        let is_left = |p: &&Property| {
+            let is_read = if is_vertex { p.length.is_none() } else { p.is_corners() || is_wedges(p) };
+            !is_read && p.odd.is_none()
+        };
+        let names: Vec<&str> = element.properties.iter().filter(is_left).map(|p| p.name.as_str()).collect();
+        if !names.is_empty() {
+            let text = "a surface carries a number for each vertex, and texture coordinates of faces".to_owned();
+            raw.unreadable(&plain(&format!("properties of {:?}: {}", element.name, names.join(", ")), 200), text);
+        }
+    }
 }
 
 fn colours(rgb: &[Column; 3], alpha: Option<&Column>) -> Colours {

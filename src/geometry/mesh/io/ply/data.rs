@@ -10,7 +10,7 @@ use glam::DVec3;
 use rayon::prelude::*;
 
 use super::carried::{Carried, Role};
-use super::header::{Element, Header};
+use super::header::{Element, FACES, Header, STRIPS};
 use super::{Counts, DataError, Soup};
 use crate::mesh::io::numbers::{Cursor, Encoding, Kind, Order, numbers};
 
@@ -21,7 +21,11 @@ pub(super) fn read(header: &Header<'_>, carried: &mut Carried) -> Result<Soup, D
     let mut rows = Rows { cursor: cursor(header), positions: Vec::new(), corners: Vec::new(), carried };
     // A face may stand before the vertices that it names, so faces are made at the end.
     let mut ends: Vec<usize> = Vec::new();
-    for element in &header.elements {
+    let mut strips = 0..0;
+    // Rows without properties are none.
+    for element in header.elements.iter().filter(|element| !element.properties.is_empty()) {
+        let is_strips = element.name == STRIPS;
+        let first_row = ends.len();
         let roles: Vec<Role> = element.properties.iter().map(|p| rows.carried.role(element, p)).collect();
         for index in 0..element.count {
             let first = rows.corners.len();
@@ -32,20 +36,40 @@ pub(super) fn read(header: &Header<'_>, carried: &mut Carried) -> Result<Soup, D
                 }
                 other => other,
             })?;
-            if element.name == "face" {
+            if is_strips {
+                triangles(&rows.corners[first..]).for_each(|_| rows.carried.end_face(3));
+            } else if element.name == "face" {
                 rows.carried.end_face(rows.corners.len() - first);
-                ends.push(rows.corners.len());
+            } else {
+                continue;
             }
+            ends.push(rows.corners.len());
+        }
+        if is_strips {
+            strips = first_row..ends.len();
         }
     }
     let mut soup = Soup { positions: rows.positions, ..Soup::default() };
     let mut start = 0;
     for (index, end) in ends.into_iter().enumerate() {
         let wrong = |message| DataError::Element { element: "face", index, message };
-        soup.push_polygon(&rows.corners[start..end]).map_err(wrong)?;
+        let corners = &rows.corners[start..end];
+        match strips.contains(&index) {
+            true => triangles(corners).try_for_each(|triangle| soup.push_polygon(&triangle)),
+            false => soup.push_polygon(corners),
+        }
+        .map_err(wrong)?;
         start = end;
     }
     Ok(soup)
+}
+
+/// The triangles of strips, each of which ends at a negative number. Those with a vertex twice lead from one part to another.
+fn triangles(strips: &[i64]) -> impl Iterator<Item = [i64; 3]> {
+    let of_strip = |strip| <[i64]>::windows(strip, 3).enumerate();
+    let turned = |(k, t): (usize, &[i64])| if k % 2 == 0 { [t[0], t[1], t[2]] } else { [t[1], t[0], t[2]] };
+    let all = strips.split(|&vertex| vertex < 0).flat_map(of_strip).map(turned);
+    all.filter(|[a, b, c]| a != b && b != c && c != a)
 }
 
 struct Rows<'a> {
@@ -104,6 +128,7 @@ pub(super) fn counts(header: &Header<'_>) -> Option<Counts> {
         if element.name == "vertex" {
             vertices = rows as u64;
         }
+        let is_faces = FACES.contains(&element.name.as_str());
         if element.properties.iter().all(|p| p.length.is_none()) {
             // All rows at once, as bytes or words.
             let each = match header.encoding {
@@ -117,13 +142,10 @@ pub(super) fn counts(header: &Header<'_>) -> Option<Counts> {
             for property in &element.properties {
                 let length = property.length.map_or(Ok(1), |kind| length(&mut cursor, kind)).ok()?;
                 cursor.pass(length, property.item, "a property").ok()?;
-                if element.name == "face" && property.is_corners() {
+                if is_faces && property.is_corners() {
                     facets += length.saturating_sub(2) as u64;
                 }
             }
-        }
-        if element.name == "face" && vertices > 0 {
-            break;
         }
     }
     Some(Counts { vertices, facets, made_bytes: 0 })
@@ -138,7 +160,7 @@ fn records(header: &Header<'_>, carried: &mut Carried) -> Option<Soup> {
     let mut soup = Soup::default();
     let mut columns = Vec::new();
     let mut rest = header.data;
-    for element in &header.elements {
+    for element in header.elements.iter().filter(|element| !element.properties.is_empty()) {
         let layout = Layout::of(element)?;
         let (records, after) = rest.split_at_checked(element.count.checked_mul(layout.stride)?)?;
         rest = after;

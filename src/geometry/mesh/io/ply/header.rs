@@ -51,12 +51,15 @@ pub(super) struct Property {
     /// Type of the length of a list.
     pub(super) length: Option<Kind>,
     pub(super) item: Kind,
+    /// The type, if it is not known. In text its numbers are words.
+    pub(super) odd: Option<String>,
 }
 
 impl Property {
     pub(super) fn is_corners(&self) -> bool {
         matches!(self.name.as_str(), "vertex_indices" | "vertex_index")
             && self.length.is_some()
+            && self.odd.is_none()
             && !self.item.is_float()
     }
 }
@@ -76,6 +79,10 @@ pub(super) struct Header<'a> {
     pub(super) line: usize,
 }
 
+/// Elements of faces: of polygons, of strips of triangles.
+pub(super) const FACES: [&str; 2] = ["face", STRIPS];
+pub(super) const STRIPS: &str = "tristrips";
+
 impl Header<'_> {
     pub(super) fn element(&self, name: &str) -> Option<&Element> {
         self.elements.iter().find(|element| element.name == name)
@@ -85,6 +92,8 @@ impl Header<'_> {
 pub(super) fn read(bytes: &[u8]) -> Result<Header<'_>, DataError> {
     let (mut rest, line_break) = (bytes, line_break(bytes));
     let (mut encoding, mut elements) = (None, Vec::new());
+    // Of a property whose type is not known.
+    let mut unreadable = None;
     // Names of the current element, with how often each came.
     let mut names = HashMap::new();
     let mut declared = 0;
@@ -133,17 +142,30 @@ pub(super) fn read(bytes: &[u8]) -> Result<Header<'_>, DataError> {
                     [item, ref name @ ..] => (None, item, name),
                     [] => return Err(syntax("a property has a type and a name")),
                 };
-                let known = |name: &str| kind(name).ok_or_else(|| wrong(name, "is no type of a property"));
-                let (length, item) = (length.map(known).transpose()?, known(item)?);
+                let odd = length.into_iter().chain([item]).find(|name| kind(name).is_none());
+                if let Some(odd) = odd {
+                    unreadable.get_or_insert((elements.len(), wrong(odd, "is no type of a property")));
+                }
+                let odd = odd.map(str::to_owned);
+                let length = length.map(|name| kind(name).unwrap_or(Kind::U64));
+                let item = kind(item).unwrap_or_default();
                 let Some(element) = elements.last_mut().filter(|_| !name.is_empty()) else {
                     return Err(syntax("a property has a name, and an element before it"));
                 };
-                element.properties.push(Property { name: unlike(&mut names, name.join("_")), length, item });
+                element.properties.push(Property { name: unlike(&mut names, name.join("_")), length, item, odd });
             }
             ["end_header"] => {
                 let Some(encoding) = encoding else {
                     return Err(DataError::Header("there is no line \"format\"".to_owned()));
                 };
+                if let Some((number, error)) = unreadable {
+                    let mut header = Header { encoding, elements, data: rest, line: line + 1 };
+                    // The size of such a property is not known in binary data. Elements that matter stand before it, or it is text.
+                    if encoding != Encoding::Text {
+                        header.elements.truncate(number - 1);
+                    }
+                    return if super::check_elements(&header).is_ok() { Ok(header) } else { Err(error) };
+                }
                 return Ok(Header { encoding, elements, data: rest, line: line + 1 });
             }
             _ => return Err(wrong(&text, "is no line of a header")),

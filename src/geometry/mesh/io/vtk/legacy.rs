@@ -5,10 +5,10 @@
 
 use glam::DVec3;
 
-use super::{Array, Cell, KINDS, Role, carried, names, push_cells, written};
+use super::{Array, Cell, KINDS, ON_POINTS, Role, SURFACE_FIRST, carried, facets, names, push_cells, written};
 use crate::mesh::TriMesh;
 use crate::mesh::io::held::{By, Held, Holds, Raw};
-use crate::mesh::io::numbers::{Cursor, Encoding, Kind, Order, cut, parse, shown};
+use crate::mesh::io::numbers::{Cursor, Encoding, Kind, Order, cut, parse, plain, shown};
 use crate::mesh::io::{Codec, Counts, DataError, Soup, VertexNumbers, volumes};
 
 pub(in crate::mesh::io) const CODEC: Codec = Codec {
@@ -37,8 +37,7 @@ fn read(bytes: &[u8], wanted: bool, counted: bool) -> Result<(Soup, Counts), Dat
         word if word.eq_ignore_ascii_case(b"BINARY") => Encoding::Binary(Order::Big),
         word => return Err(cursor.syntax(format!("\"{}\" is not ASCII or BINARY", shown(word)))),
     };
-    let mut reader =
-        Reader { cursor, wanted, counted, soup: Soup::default(), arrays: Vec::new(), left: Raw::default(), numbers: 0 };
+    let mut reader = Reader { cursor, wanted, counted, ..Reader::default() };
     let mut counts = Counts::default();
     let mut cells = None;
     let mut kinds = Vec::new();
@@ -71,7 +70,13 @@ fn read(bytes: &[u8], wanted: bool, counted: bool) -> Result<(Soup, Counts), Dat
             b"FIELD" => reader.field(false)?,
             b"METADATA" => reader.metadata(),
             b"POINT_DATA" | b"CELL_DATA" => {
-                reader.data(&keyword)?;
+                match reader.data(&keyword) {
+                    // The length of what follows is not known.
+                    Err(error @ DataError::Syntax { .. }) => {
+                        reader.left.unreadable("the rest of the data of points and cells", error.to_string());
+                    }
+                    read => read?,
+                }
                 break;
             }
             _ => return Err(reader.cursor.syntax(format!("\"{}\" is no section of a surface", shown(word)))),
@@ -86,14 +91,8 @@ fn read(bytes: &[u8], wanted: bool, counted: bool) -> Result<(Soup, Counts), Dat
     }
     carried(arrays, &mut soup);
     soup.raw.unreadable.extend(left.unreadable);
+    soup.raw.more += left.more;
     Ok((soup, counts))
-}
-
-/// The most facets that cells have, which end there.
-fn facets(cell: impl Fn(usize) -> Cell, ends: &[i64]) -> u64 {
-    let begins = [0].into_iter().chain(ends.iter().copied());
-    let lengths = begins.zip(ends).map(|(begin, end)| usize::try_from(end.saturating_sub(begin)).unwrap_or(0));
-    lengths.enumerate().map(|(index, length)| cell(index).facets(length) as u64).fold(0, u64::saturating_add)
 }
 
 fn grid(soup: &mut Soup, ends: &[i64], points: &[i64], kinds: &[i64]) -> Result<(), DataError> {
@@ -101,9 +100,10 @@ fn grid(soup: &mut Soup, ends: &[i64], points: &[i64], kinds: &[i64]) -> Result<
         return Err(DataError::Truncated(format!("there are {} cells and {} types of cells", ends.len(), kinds.len())));
     }
     let aside = push_cells(soup, |index| Cell::of(kinds[index]), ends, points)?;
-    volumes(soup, aside, "extract the surface first, as ParaView's filter \"Extract Surface\" does")
+    volumes(soup, aside, SURFACE_FIRST)
 }
 
+#[derive(Default)]
 struct Reader<'a> {
     cursor: Cursor<'a>,
     wanted: bool,
@@ -112,6 +112,8 @@ struct Reader<'a> {
     soup: Soup,
     arrays: Vec<Array>,
     left: Raw,
+    /// Whether data are those of cells.
+    of_cells: bool,
     /// Numbers of all cells.
     numbers: u64,
 }
@@ -122,6 +124,10 @@ enum Type {
     Numbers(Kind),
     Bits,
     Strings,
+    /// Two words each, in binary files too.
+    Variants,
+    /// A word each in files of text; of unknown length in others.
+    Unknown,
 }
 
 impl Reader<'_> {
@@ -133,13 +139,11 @@ impl Reader<'_> {
         let word = self.cursor.word().ok_or_else(|| cut("a header"))?.to_ascii_lowercase();
         Ok(match word.as_slice() {
             b"bit" => Type::Bits,
-            b"string" => Type::Strings,
-            b"vtkidtype" => Type::Numbers(Kind::I32),
-            b"long" => Type::Numbers(Kind::I64),
-            b"unsigned_long" => Type::Numbers(Kind::U64),
-            b"signed_char" => Type::Numbers(Kind::I8),
-            other => match KINDS.iter().find(|(name, ..)| name.as_bytes() == other) {
+            b"string" | b"utf8_string" => Type::Strings,
+            b"variant" => Type::Variants,
+            other => match KINDS.iter().find(|(names, ..)| names.iter().any(|name| name.as_bytes() == other)) {
                 Some(&(.., kind)) => Type::Numbers(kind),
+                None if self.cursor.encoding == Encoding::Text => Type::Unknown,
                 None => return Err(self.cursor.syntax(format!("\"{}\" is no type of numbers", shown(&word)))),
             },
         })
@@ -240,6 +244,7 @@ impl Reader<'_> {
                 b"POINT_DATA" | b"CELL_DATA" => {
                     tuples = self.count("a number of points or cells")?;
                     keep = keyword == b"POINT_DATA";
+                    self.of_cells = !keep;
                 }
                 b"METADATA" => self.metadata(),
                 b"FIELD" => self.field(keep)?,
@@ -329,14 +334,26 @@ impl Reader<'_> {
         let total = components.saturating_mul(tuples);
         let what = || format!("the array {:?}", shown(name.as_bytes()));
         let is_text = self.cursor.encoding == Encoding::Text;
+        let is_kept = keep && self.wanted;
         match kind {
-            Type::Numbers(kind) if keep && self.wanted => {
+            Type::Numbers(kind) if is_kept => {
                 let values = self.cursor.lenient(total, kind, &what())?;
                 self.arrays.push(Array { name, role, components, kind, values });
+                return Ok(());
             }
             Type::Numbers(kind) => self.cursor.pass(total, kind, &what())?,
-            Type::Bits if is_text => self.cursor.pass(total, Kind::U8, &what())?,
-            Type::Bits => drop(self.cursor.take(total.div_ceil(8)).ok_or_else(|| cut(&what()))?),
+            Type::Bits if is_text && is_kept => {
+                let values = self.cursor.lenient(total, Kind::U8, &what())?;
+                self.arrays.push(Array { name, role, components, kind: Kind::I8, values });
+                return Ok(());
+            }
+            Type::Bits if !is_text => drop(self.cursor.take(total.div_ceil(8)).ok_or_else(|| cut(&what()))?),
+            Type::Bits | Type::Unknown => self.cursor.pass(total, Kind::U8, &what())?,
+            Type::Variants => {
+                for _ in 0..total {
+                    self.cursor.word().and_then(|_| self.cursor.word()).ok_or_else(|| cut(&what()))?;
+                }
+            }
             Type::Strings => {
                 for _ in 0..total {
                     let passed = match is_text {
@@ -345,6 +362,15 @@ impl Reader<'_> {
                     };
                     passed.ok_or_else(|| cut(&what()))?;
                 }
+            }
+        }
+        if self.wanted && role != Role::None {
+            let array = format!("array {:?}", plain(&name, 40));
+            match (is_kept, self.of_cells) {
+                (true, _) => self.left.unreadable(&array, "its values are no numbers".to_owned()),
+                (false, true) => self.left.unreadable(&format!("cell {array}"), ON_POINTS.to_owned()),
+                // Fields of the whole file.
+                (false, false) => {}
             }
         }
         Ok(())

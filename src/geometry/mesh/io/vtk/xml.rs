@@ -1,4 +1,5 @@
-//! VTK's XML for polygonal data, `.vtp`: text, base64, appended data, plain or by zlib. Writes base64 in place, doubles.
+//! VTK's XML for polygonal data, `.vtp`, and for unstructured grids, `.vtu`: text, base64, appended data, plain or by zlib.
+//! Writes base64 in place, doubles.
 //!
 //! Purpose: finds the arrays first (`quick-xml`) and reads those that matter then, since appended data come last. Several
 //! pieces are one surface. Invariant: arrays together are no longer than the file, or, where they are packed, than
@@ -15,30 +16,72 @@ use glam::DVec3;
 use quick_xml::Reader;
 use quick_xml::events::{BytesStart, Event};
 
-use super::{Array, Cell, KINDS, Role, carried, names, push_cells, written};
+use super::{Array, Cell, KINDS, ON_POINTS, Role, SURFACE_FIRST, carried, names, push_cells, written};
 use crate::mesh::TriMesh;
 use crate::mesh::io::held::{By, Held, Holds};
 use crate::mesh::io::numbers::{Cursor, Encoding, Kind, Order, plain};
-use crate::mesh::io::packed::Room;
-use crate::mesh::io::{Codec, Counts, DataError, Soup, VertexNumbers, syntax, unpacked_limit};
+use crate::mesh::io::packed::{Head, Room, Signature};
+use crate::mesh::io::{Codec, Counts, DataError, Soup, VertexNumbers, syntax, unpacked_limit, volumes};
 
-pub(in crate::mesh::io) const CODEC: Codec = Codec {
+const HOLDS: Holds = Holds { normals: By::Vertex, texture: By::Vertex, colours: true, opacity: true, scalars: true };
+
+pub(in crate::mesh::io) const POLYGONS: Codec = Codec {
     extension: "vtp",
     media_types: &["application/x-vtp", "model/vtp", "model/x-vtp"],
     // Half a vertex of three floats, and a face of four numbers, packed by zlib.
     facet_bytes: 7,
-    signature: crate::mesh::io::packed::Signature::Start(|head| head.is_document(b'<', b"<VTKFile")),
-    decode,
-    encode,
-    counts,
-    holds: Holds { normals: By::Vertex, texture: By::Vertex, colours: true, opacity: true, scalars: true },
+    // Other types are refused by their names.
+    signature: Signature::Start(|head| is_vtk(head) && !is_grid(head)),
+    decode: |bytes, wanted| decode(bytes, wanted, Type::PolyData),
+    encode: |mesh, held| encode(mesh, held, Type::PolyData),
+    counts: |bytes| counts(bytes, Type::PolyData),
+    holds: HOLDS,
     vertices: VertexNumbers::Kept,
 };
 
-fn decode(bytes: &[u8], wanted: bool) -> Result<Soup, DataError> {
-    let mut file = File::walk(bytes)?;
+pub(in crate::mesh::io) const GRID: Codec = Codec {
+    extension: "vtu",
+    media_types: &["application/x-vtu", "model/vtu", "model/x-vtu"],
+    facet_bytes: 7,
+    signature: Signature::Start(|head| is_vtk(head) && is_grid(head)),
+    decode: |bytes, wanted| decode(bytes, wanted, Type::UnstructuredGrid),
+    encode: |mesh, held| encode(mesh, held, Type::UnstructuredGrid),
+    counts: |bytes| counts(bytes, Type::UnstructuredGrid),
+    holds: HOLDS,
+    vertices: VertexNumbers::Kept,
+};
+
+/// What a file holds, as its first element names it.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+enum Type {
+    #[default]
+    PolyData,
+    UnstructuredGrid,
+}
+
+impl Type {
+    fn name(self) -> &'static str {
+        match self {
+            Self::PolyData => "PolyData",
+            Self::UnstructuredGrid => "UnstructuredGrid",
+        }
+    }
+}
+
+fn is_vtk(head: &Head<'_>) -> bool {
+    head.is_document(b'<', b"<VTKFile")
+}
+
+fn is_grid(head: &Head<'_>) -> bool {
+    let name = Type::UnstructuredGrid.name().as_bytes();
+    let tag = head.text().split(|&byte| byte == b'>').find(|tag| tag.windows(8).any(|window| window == b"<VTKFile"));
+    tag.is_some_and(|tag| tag.windows(name.len()).any(|window| window == name))
+}
+
+fn decode(bytes: &[u8], wanted: bool, expected: Type) -> Result<Soup, DataError> {
+    let mut file = File::walk(bytes, expected)?;
     let mut soup = Soup::default();
-    let (mut arrays, mut names) = (Vec::new(), HashMap::new());
+    let (mut arrays, mut names, mut volume) = (Vec::new(), HashMap::new(), 0);
     for (index, piece) in std::mem::take(&mut file.pieces).into_iter().enumerate() {
         let first = soup.positions.len();
         let missing = |what: &str| DataError::Header(format!("piece {index} has no {what}"));
@@ -48,10 +91,18 @@ fn decode(bytes: &[u8], wanted: bool) -> Result<Soup, DataError> {
         let points = piece.coordinates.as_ref().ok_or_else(|| missing("Points"))?;
         let numbers = file.values(points, piece.points.checked_mul(3), |c, n, k| c.floats(n, k, "points"))?;
         soup.positions.extend(numbers.as_chunks::<3>().0.iter().map(|&p| DVec3::from_array(p)));
-        for (cells, is_strip) in [(&piece.polygons, false), (&piece.strips, true)] {
+        drop(numbers);
+        for (cells, kind) in piece.lists() {
             if cells.count == 0 {
                 continue;
             }
+            let kinds = match kind {
+                Some(_) => Vec::new(),
+                None => {
+                    let types = cells.types.as_ref().ok_or_else(|| missing("types"))?;
+                    file.integers(types, Some(cells.count))?
+                }
+            };
             let offsets = cells.offsets.as_ref().ok_or_else(|| missing("offsets"))?;
             let list = cells.points.as_ref().ok_or_else(|| missing("connectivity"))?;
             let ends = file.integers(offsets, Some(cells.count))?;
@@ -59,21 +110,34 @@ fn decode(bytes: &[u8], wanted: bool) -> Result<Soup, DataError> {
             // Numbers that are out of range stay so.
             let (count, first) = (piece.points as i64, first as i64);
             points.iter_mut().for_each(|p| *p = if (0..count).contains(p) { *p + first } else { i64::MAX });
-            push_cells(&mut soup, |_| if is_strip { Cell::Strip } else { Cell::Polygon }, &ends, &points)?;
+            let cell = |index: usize| Cell::of(kind.or(kinds.get(index).copied()).unwrap_or(0));
+            volume += push_cells(&mut soup, cell, &ends, &points)?;
         }
         if wanted {
             file.data(&mut arrays, &mut names, &piece, first, &mut soup);
         }
     }
     carried(arrays, &mut soup);
+    for name in file.cell_arrays.iter().filter(|_| wanted) {
+        soup.raw.unreadable(&format!("cell array {:?}", plain(name, 40)), ON_POINTS.to_owned());
+    }
+    volumes(&mut soup, volume, SURFACE_FIRST)?;
     Ok(soup)
 }
 
-/// Counts by the lengths before arrays: nothing is unpacked.
-fn counts(bytes: &[u8]) -> Option<Counts> {
-    let mut file = File::walk(bytes).ok()?;
+/// Counts by the lengths before arrays: nothing is unpacked, but the ends and types of a grid's cells.
+fn counts(bytes: &[u8], expected: Type) -> Option<Counts> {
+    let mut file = File::walk(bytes, expected).ok()?;
     let mut counts = Counts::default();
     for piece in std::mem::take(&mut file.pieces).iter().filter(|piece| piece.points > 0) {
+        let grid = &piece.grid;
+        if grid.count > 0 {
+            let (ends, kinds) = (grid.offsets.as_ref()?, grid.types.as_ref()?);
+            let ends = file.integers(ends, Some(grid.count)).ok()?;
+            let kinds = file.integers(kinds, Some(grid.count)).ok()?;
+            let facets = super::facets(|index| Cell::of(kinds[index]), &ends);
+            counts.facets = counts.facets.saturating_add(facets);
+        }
         let mut numbers = |array: &DataArray<'_>| -> Option<usize> {
             let (numbers, is_made) = file.numbers(array)?;
             if is_made {
@@ -85,12 +149,14 @@ fn counts(bytes: &[u8]) -> Option<Counts> {
             return None;
         }
         counts.vertices = counts.vertices.saturating_add(piece.points as u64);
-        for cells in [&piece.polygons, &piece.strips].into_iter().filter(|cells| cells.count > 0) {
+        for (cells, kind) in piece.lists().into_iter().filter(|(cells, _)| cells.count > 0) {
             if numbers(cells.offsets.as_ref()?)? < cells.count {
                 return None;
             }
             let corners = numbers(cells.points.as_ref()?)?;
-            counts.facets = counts.facets.saturating_add(corners.saturating_sub(2 * cells.count) as u64);
+            if kind.is_some() {
+                counts.facets = counts.facets.saturating_add(corners.saturating_sub(2 * cells.count) as u64);
+            }
         }
         for array in &piece.arrays {
             numbers(array);
@@ -114,33 +180,47 @@ enum Place<'a> {
     Text(&'a [u8]),
     Base64(&'a [u8]),
     Appended(usize),
+    /// Of a format that is not known.
+    Unknown,
 }
 
 #[derive(Default)]
 struct Cells<'a> {
     count: usize,
-    points: Option<DataArray<'a>>,
-    offsets: Option<DataArray<'a>>,
+    points: Option<Box<DataArray<'a>>>,
+    offsets: Option<Box<DataArray<'a>>>,
+    types: Option<Box<DataArray<'a>>>,
 }
 
 #[derive(Default)]
 struct Piece<'a> {
     points: usize,
-    coordinates: Option<DataArray<'a>>,
+    coordinates: Option<Box<DataArray<'a>>>,
     polygons: Cells<'a>,
     strips: Cells<'a>,
+    grid: Cells<'a>,
     arrays: Vec<DataArray<'a>>,
     normals: String,
     texture: String,
 }
 
+impl<'a> Piece<'a> {
+    /// Its cells, with the number of their type if all have one.
+    fn lists(&self) -> [(&Cells<'a>, Option<i64>); 3] {
+        [(&self.polygons, Some(7)), (&self.strips, Some(6)), (&self.grid, None)]
+    }
+}
+
 #[derive(Default)]
 struct File<'a> {
+    expected: Type,
     order: Order,
     /// Type of the lengths before data.
     length: Kind,
     packed: bool,
     pieces: Vec<Piece<'a>>,
+    /// Names of the first piece's arrays of cells.
+    cell_arrays: Vec<String>,
     appended: &'a [u8],
     appended_raw: bool,
     /// Bytes that may still be made of arrays.
@@ -148,6 +228,9 @@ struct File<'a> {
     /// For pieces and what is noted of arrays.
     room: Room,
 }
+
+/// The number of a triangle among types of cells.
+const TRIANGLE: u8 = 5;
 
 /// Elements within each other. Files in use have six.
 const DEEPEST: usize = 64;
@@ -162,9 +245,9 @@ fn number(tag: &BytesStart<'_>, name: &str) -> usize {
 }
 
 impl<'a> File<'a> {
-    fn walk(bytes: &'a [u8]) -> Result<Self, DataError> {
+    fn walk(bytes: &'a [u8], expected: Type) -> Result<Self, DataError> {
         let (left, room) = (bytes.len(), Room::of(bytes.len()));
-        let mut file = File { length: Kind::U32, left, room, ..File::default() };
+        let mut file = File { expected, length: Kind::U32, left, room, ..File::default() };
         if !bytes.trim_ascii_end().ends_with(b"</VTKFile>") {
             let begins = bytes.trim_ascii_start().starts_with(b"<");
             let text = "it does not end with \"</VTKFile>\"".to_owned();
@@ -187,10 +270,15 @@ impl<'a> File<'a> {
                     match name.as_slice() {
                         b"VTKFile" => file.head(tag)?,
                         b"Piece" => {
+                            let cells = |of: Type, name: &str| Cells {
+                                count: if of == expected { number(tag, name) } else { 0 },
+                                ..Cells::default()
+                            };
                             let piece = Piece {
                                 points: number(tag, "NumberOfPoints"),
-                                polygons: Cells { count: number(tag, "NumberOfPolys"), ..Cells::default() },
-                                strips: Cells { count: number(tag, "NumberOfStrips"), ..Cells::default() },
+                                polygons: cells(Type::PolyData, "NumberOfPolys"),
+                                strips: cells(Type::PolyData, "NumberOfStrips"),
+                                grid: cells(Type::UnstructuredGrid, "NumberOfCells"),
                                 ..Piece::default()
                             };
                             file.room.push(&mut file.pieces, piece)?;
@@ -202,7 +290,7 @@ impl<'a> File<'a> {
                             }
                         }
                         b"DataArray" => {
-                            let found = data_array(tag, line)?;
+                            let found = data_array(tag, line);
                             if empty { file.put(&section, found)? } else { array = Some((found, section.len())) }
                         }
                         b"AppendedData" if !empty => {
@@ -243,17 +331,23 @@ impl<'a> File<'a> {
             }
         }
         if file.pieces.is_empty() {
-            return Err(DataError::Header("there is no element Piece of PolyData".to_owned()));
+            return Err(DataError::Header(format!("there is no element Piece of {}", expected.name())));
         }
         Ok(file)
     }
 
     fn head(&mut self, tag: &BytesStart<'_>) -> Result<(), DataError> {
         let is = |name: &str, value: &str| attribute(tag, name).is_some_and(|text| text == value);
-        if !is("type", "PolyData") {
-            let kind = plain(&attribute(tag, "type").unwrap_or_default(), 40);
-            let message = format!("VTKFile is of type \"{kind}\", not PolyData; extract the surface first");
-            return Err(DataError::Header(message));
+        if !is("type", self.expected.name()) {
+            let kind = attribute(tag, "type").unwrap_or_default();
+            let other = [Type::PolyData, Type::UnstructuredGrid].into_iter().any(|known| known.name() == kind);
+            let advice = match (other, self.expected) {
+                (false, _) => "extract the surface first",
+                (true, Type::PolyData) => "name it .vtu",
+                (true, Type::UnstructuredGrid) => "name it .vtp",
+            };
+            let (kind, expected) = (plain(&kind, 40), self.expected.name());
+            return Err(DataError::Header(format!("VTKFile is of type \"{kind}\", not {expected}; {advice}")));
         }
         if is("byte_order", "BigEndian") {
             self.order = Order::Big;
@@ -290,9 +384,12 @@ impl<'a> File<'a> {
     }
 
     fn put(&mut self, section: &[Vec<u8>], mut found: DataArray<'a>) -> Result<(), DataError> {
+        let is_first = self.pieces.len() == 1;
         let (Some(piece), Some(section)) = (self.pieces.last_mut(), section.last()) else { return Ok(()) };
+        let room = &mut self.room;
+        let mut boxed = |found: DataArray<'a>| room.take(size_of::<DataArray<'_>>()).map(|()| Some(Box::new(found)));
         match section.as_slice() {
-            b"Points" => piece.coordinates = Some(found),
+            b"Points" => piece.coordinates = boxed(found)?,
             b"PointData" => {
                 if !found.name.is_empty() && found.name == piece.normals {
                     found.role = Role::Normals;
@@ -302,11 +399,20 @@ impl<'a> File<'a> {
                 self.room.take(found.name.len())?;
                 self.room.push(&mut piece.arrays, found)?;
             }
-            b"Polys" | b"Strips" => {
-                let cells = if section == b"Polys" { &mut piece.polygons } else { &mut piece.strips };
+            b"CellData" if is_first => {
+                self.room.take(found.name.len())?;
+                self.room.push(&mut self.cell_arrays, found.name)?;
+            }
+            b"Polys" | b"Strips" | b"Cells" => {
+                let cells = match section.as_slice() {
+                    b"Polys" => &mut piece.polygons,
+                    b"Strips" => &mut piece.strips,
+                    _ => &mut piece.grid,
+                };
                 match found.name.as_str() {
-                    "connectivity" => cells.points = Some(found),
-                    "offsets" => cells.offsets = Some(found),
+                    "connectivity" => cells.points = boxed(found)?,
+                    "offsets" => cells.offsets = boxed(found)?,
+                    "types" => cells.types = boxed(found)?,
                     _ => {}
                 }
             }
@@ -332,6 +438,7 @@ impl<'a> File<'a> {
         match array.place {
             Place::Text(content) => Err(content),
             Place::Base64(content) => Ok(Source::base64(content)),
+            Place::Unknown => Ok(Source::Raw(&[])),
             Place::Appended(offset) => {
                 let data = self.appended.get(offset..).unwrap_or_default();
                 Ok(if self.appended_raw { Source::Raw(data) } else { Source::Base64(data.into()) })
@@ -366,6 +473,9 @@ impl<'a> File<'a> {
         let wrong = |message: String| syntax(array.line, message);
         let kind = array.kind.ok_or_else(|| wrong("a DataArray has no known type of numbers".to_owned()))?;
         let count = count.ok_or_else(|| wrong("there are too many numbers".to_owned()))?;
+        if matches!(array.place, Place::Unknown) {
+            return Err(wrong("the format of an array is not known".to_owned()));
+        }
         let whole = match self.source(array) {
             Ok(source) => source,
             Err(content) => {
@@ -510,27 +620,25 @@ impl<'a> Source<'a> {
     }
 }
 
-fn data_array<'a>(tag: &BytesStart<'_>, line: usize) -> Result<DataArray<'a>, DataError> {
+fn data_array<'a>(tag: &BytesStart<'_>, line: usize) -> DataArray<'a> {
     let kind = attribute(tag, "type").unwrap_or_default();
     let place = match attribute(tag, "format").as_deref() {
         Some("ascii") | None => Place::Text(&[]),
         Some("binary") => Place::Base64(&[]),
         Some("appended") => Place::Appended(number(tag, "offset")),
-        Some(other) => {
-            return Err(syntax(line, format!("the format \"{}\" of an array is not known", plain(other, 40))));
-        }
+        Some(_) => Place::Unknown,
     };
-    Ok(DataArray {
+    DataArray {
         name: attribute(tag, "Name").unwrap_or_default(),
         role: Role::Any,
         kind: KINDS.iter().find(|(_, name, _)| *name == kind).map(|&(.., kind)| kind),
         components: number(tag, "NumberOfComponents").max(1),
         place,
         line,
-    })
+    }
 }
 
-fn encode(mesh: &TriMesh, held: &Held<'_>) -> Result<Vec<u8>, DataError> {
+fn encode(mesh: &TriMesh, held: &Held<'_>, of: Type) -> Result<Vec<u8>, DataError> {
     let (vertices, facets) = (mesh.positions().len(), mesh.facets().len());
     let arrays = written(held);
     let mut out = String::with_capacity(1024 + 32 * vertices + 44 * facets + 11 * vertices * arrays.len());
@@ -542,10 +650,16 @@ fn encode(mesh: &TriMesh, held: &Held<'_>) -> Result<Vec<u8>, DataError> {
         STANDARD.encode_string(data, out);
         out.push_str("</DataArray>\n");
     };
+    let kind = of.name();
+    let cells = match of {
+        Type::PolyData => {
+            format!("NumberOfVerts=\"0\" NumberOfLines=\"0\" NumberOfStrips=\"0\" NumberOfPolys=\"{facets}\"")
+        }
+        Type::UnstructuredGrid => format!("NumberOfCells=\"{facets}\""),
+    };
     out.push_str(&format!(
-        "<?xml version=\"1.0\"?>\n<VTKFile type=\"PolyData\" version=\"1.0\" byte_order=\"LittleEndian\" \
-         header_type=\"UInt64\">\n<PolyData>\n<Piece NumberOfPoints=\"{vertices}\" NumberOfVerts=\"0\" \
-         NumberOfLines=\"0\" NumberOfStrips=\"0\" NumberOfPolys=\"{facets}\">\n<PointData"
+        "<?xml version=\"1.0\"?>\n<VTKFile type=\"{kind}\" version=\"1.0\" byte_order=\"LittleEndian\" \
+         header_type=\"UInt64\">\n<{kind}>\n<Piece NumberOfPoints=\"{vertices}\" {cells}>\n<PointData"
     ));
     for (key, role) in [("Normals", Role::Normals), ("TCoords", Role::Texture)] {
         if let Some(array) = arrays.iter().find(|array| array.role == role) {
@@ -562,11 +676,15 @@ fn encode(mesh: &TriMesh, held: &Held<'_>) -> Result<Vec<u8>, DataError> {
     out.push_str("</PointData>\n<Points>\n");
     let positions = doubles(&mut mesh.positions().iter().flat_map(|p| p.to_array()));
     array(&mut out, "Points", "Float64", 3, positions);
-    out.push_str("</Points>\n<Polys>\n");
+    let section = if of == Type::PolyData { "Polys" } else { "Cells" };
+    out.push_str(&format!("</Points>\n<{section}>\n"));
     let corners = mesh.facets().as_flattened().iter().flat_map(|&v| i64::from(v).to_le_bytes()).collect();
     array(&mut out, "connectivity", "Int64", 1, corners);
     let ends = (1..=facets).flat_map(|f| (3 * f as u64).to_le_bytes()).collect();
     array(&mut out, "offsets", "Int64", 1, ends);
-    out.push_str("</Polys>\n</Piece>\n</PolyData>\n</VTKFile>");
+    if of == Type::UnstructuredGrid {
+        array(&mut out, "types", "UInt8", 1, vec![TRIANGLE; facets]);
+    }
+    out.push_str(&format!("</{section}>\n</Piece>\n</{kind}>\n</VTKFile>"));
     Ok(out.into_bytes())
 }

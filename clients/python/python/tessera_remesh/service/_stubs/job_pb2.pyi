@@ -36,6 +36,8 @@ class MeshFormat(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
     MESH_FORMAT_MESHB: _ClassVar[MeshFormat]
     MESH_FORMAT_GLB: _ClassVar[MeshFormat]
     MESH_FORMAT_GLTF: _ClassVar[MeshFormat]
+    MESH_FORMAT_VTU: _ClassVar[MeshFormat]
+    MESH_FORMAT_3MF: _ClassVar[MeshFormat]
 
 class ArrayForm(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
     __slots__ = ()
@@ -80,6 +82,8 @@ MESH_FORMAT_MESH: MeshFormat
 MESH_FORMAT_MESHB: MeshFormat
 MESH_FORMAT_GLB: MeshFormat
 MESH_FORMAT_GLTF: MeshFormat
+MESH_FORMAT_VTU: MeshFormat
+MESH_FORMAT_3MF: MeshFormat
 ARRAY_FORM_UNSPECIFIED: ArrayForm
 ARRAY_FORM_F32: ArrayForm
 ARRAY_FORM_F64: ArrayForm
