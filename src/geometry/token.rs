@@ -2,15 +2,16 @@
 //!
 //! Purpose: [`Token`] carries a cancellation and a time limit from a caller to every long loop, on any thread, and the current
 //! stage back. It records the longest time without a check, so that a stage that does not check can be found.
-//! Invariant: once stopped it stays stopped, for the first reason. A check takes some ten nanoseconds.
+//! Invariant: once stopped it stays stopped, for the first reason. A check takes some ten nanoseconds; that of suspended work
+//! waits until the work goes on or is stopped.
 //! Must not know: meshes, seeds, jobs, the kind of work.
 //!
 //! A function that may take longer than [a few milliseconds](Token#how-often-to-check) takes a token and returns [`Stopped`]. A
 //! loop on many threads may instead return early with what it has, if its caller calls [`Token::check`] before it uses the result.
 
 use std::panic::Location;
-use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
+use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, OnceLock, PoisonError};
 use std::time::{Duration, Instant};
 
 /// Why work was stopped before its end.
@@ -70,6 +71,11 @@ struct State {
     checked: AtomicU64,
     silence: Mutex<Silence>,
     longest: AtomicU64,
+    suspended: AtomicBool,
+    /// Parts of the work that must not wait.
+    uninterrupted: AtomicUsize,
+    suspension: Mutex<()>,
+    changed: Condvar,
 }
 
 const NEVER: u64 = u64::MAX;
@@ -95,6 +101,10 @@ impl Default for State {
             checked: AtomicU64::new(0),
             silence: Mutex::default(),
             longest: AtomicU64::new(0),
+            suspended: AtomicBool::new(false),
+            uninterrupted: AtomicUsize::new(0),
+            suspension: Mutex::default(),
+            changed: Condvar::new(),
         }
     }
 }
@@ -114,6 +124,19 @@ pub struct Silence {
 pub trait StageListener: std::fmt::Debug + Send + Sync {
     /// A stage begins, and the one before it is over.
     fn entered(&self, stage: &'static str);
+}
+
+/// How often suspended work looks whether a part of it must not wait.
+const SUSPENSION_POLL: Duration = Duration::from_millis(20);
+
+/// A part of the work that must not wait, until this is dropped.
+#[derive(Debug)]
+pub struct Uninterrupted(Token);
+
+impl Drop for Uninterrupted {
+    fn drop(&mut self) {
+        self.0.0.uninterrupted.fetch_sub(1, Ordering::AcqRel);
+    }
 }
 
 /// Steps of work since the last check of a token; see [`Token::is_stopped_after`].
@@ -137,6 +160,11 @@ impl Token {
         if self.0.limit.set(limit).is_ok() {
             self.0.left.store(micros(limit), Ordering::Release);
         }
+    }
+
+    /// The limit, if there is one.
+    pub fn time_limit(&self) -> Option<Duration> {
+        self.0.limit.get().copied()
     }
 
     /// Work begins or goes on: the clock runs.
@@ -163,12 +191,64 @@ impl Token {
     /// [`Self::cancel`], for this reason if there is none yet.
     pub fn stop(&self, reason: Stopped) {
         let _ = self.0.reason.set(reason);
+        if self.is_suspended() {
+            drop(lock(&self.0.suspension));
+            self.0.changed.notify_all();
+        }
+    }
+
+    /// Suspends the work: its next check waits until [`Self::go_on`] or a stop. The clock stands.
+    pub fn suspend(&self) {
+        self.0.suspended.store(true, Ordering::Release);
+        self.pause();
+    }
+
+    /// Ends a suspension: the clock runs. Does nothing without one.
+    pub fn go_on(&self) {
+        let guard = lock(&self.0.suspension);
+        if self.0.suspended.swap(false, Ordering::AcqRel) {
+            self.resume();
+        }
+        drop(guard);
+        self.0.changed.notify_all();
+    }
+
+    /// Whether both are tokens of the same work.
+    pub fn is_same(&self, other: &Self) -> bool {
+        Arc::ptr_eq(&self.0, &other.0)
+    }
+
+    /// Whether the work is to wait.
+    pub fn is_suspended(&self) -> bool {
+        self.0.suspended.load(Ordering::Acquire)
+    }
+
+    /// Begins a part of the work that must not wait, because other work waits for it: its checks return at once.
+    pub fn uninterrupted(&self) -> Uninterrupted {
+        self.0.uninterrupted.fetch_add(1, Ordering::AcqRel);
+        Uninterrupted(self.clone())
+    }
+
+    /// Waits while the work is suspended.
+    #[cold]
+    fn wait(&self) {
+        let state = &*self.0;
+        let mut guard = lock(&state.suspension);
+        while self.is_suspended() && !self.is_told_to_stop() && state.uninterrupted.load(Ordering::Acquire) == 0 {
+            guard = state.changed.wait_timeout(guard, SUSPENSION_POLL).unwrap_or_else(PoisonError::into_inner).0;
+        }
+        drop(guard);
+        // No silence of the work.
+        state.checked.fetch_max(micros(state.begin.elapsed()), Ordering::Relaxed);
     }
 
     /// Why the work is to stop, if it is.
     #[track_caller]
     pub fn stopped(&self) -> Option<Stopped> {
         self.note();
+        if self.0.suspended.load(Ordering::Relaxed) {
+            self.wait();
+        }
         if let Some(&reason) = self.0.reason.get() {
             return Some(reason);
         }
@@ -300,6 +380,37 @@ mod tests {
         token.enter("repair");
         let silence = token.longest_silence();
         assert!(silence.stage == "dual" && silence.time >= Duration::from_millis(5), "{silence:?}");
+    }
+
+    #[test]
+    fn suspended_work_waits_and_hears_a_stop() {
+        const SHORT: Duration = Duration::from_millis(50);
+        for ends_by_stop in [false, true] {
+            let token = Token::with_time_limit(Duration::from_secs(1));
+            token.suspend();
+            // What other work waits for goes on.
+            let whole = token.uninterrupted();
+            assert_eq!(token.check(), Ok(()));
+            drop(whole);
+            std::thread::scope(|scope| {
+                let work = scope.spawn(|| token.check());
+                std::thread::sleep(SHORT);
+                assert!(!work.is_finished());
+                if ends_by_stop {
+                    token.cancel()
+                } else {
+                    token.go_on()
+                }
+                assert_eq!(work.join().unwrap().is_err(), ends_by_stop);
+            });
+            assert!(token.longest_silence().time < SHORT, "waiting is no silence");
+        }
+        let token = Token::with_time_limit(2 * SHORT);
+        token.suspend();
+        std::thread::sleep(4 * SHORT);
+        token.go_on();
+        assert_eq!(token.check(), Ok(()), "the clock stood");
+        token.go_on();
     }
 
     #[test]

@@ -123,6 +123,16 @@ impl Engine {
         self.shared.slots.memory
     }
 
+    /// Memory that the jobs at work are planned to need.
+    pub fn planned(&self) -> Bytes {
+        self.shared.queue.planned()
+    }
+
+    /// The job at work with this token turned out to need more than was predicted.
+    pub(crate) fn plan_more(&self, token: &Token, seconds: f64, memory: Bytes) {
+        self.shared.queue.plan_more(token, seconds, memory);
+    }
+
     /// Reserves a place for a job of a tenant that is yet to be uploaded, so that it is refused now or not at all. Errors: `QueueFull`,
     /// `Draining`.
     pub fn reserve(&self, tenant: &str) -> Result<Reservation, JobError> {
@@ -356,6 +366,39 @@ mod tests {
         assert!(matches!(error, JobError::WorkerGone));
         assert!(thread.join().is_err());
         assert_eq!(engine.load(), (0, false));
+    }
+
+    /// Jobs that take for ever, of one tenant or of several, and every place taken: a tiny job of another tenant has its turn.
+    #[tokio::test]
+    async fn a_tiny_job_does_not_wait_for_long_ones_of_other_tenants() {
+        let pools = || -> Result<Backends, JobError> {
+            let make: crate::PoolFactory = |threads| Ok(Arc::new(Parallel::new(Some(threads))?));
+            Ok(Backends { pools: Some(make), ..backends()? })
+        };
+        let of = |tenant: &str| {
+            Admission::New(AdmissionRequest { tenant: tenant.into(), seconds: 0.4, ..AdmissionRequest::default() })
+        };
+        let endless = |_: &Backends, context: &WorkContext| -> Result<(), JobError> {
+            loop {
+                context.token.check()?;
+                std::thread::sleep(Duration::from_millis(1));
+            }
+        };
+        for tenants in [["a", "a", "a"], ["a", "b", "c"]] {
+            let options = EngineOptions { jobs_at_once: 2, ..EngineOptions::default() };
+            let (engine, thread) = Engine::start(pools, options).unwrap();
+            let long: Vec<_> = tenants.map(|tenant| engine.submit(of(tenant), Retry::Never, endless).unwrap()).into();
+            tokio::time::sleep(Duration::from_millis(100)).await;
+            for tenant in ["tiny", "another", "tiny"] {
+                let begin = Instant::now();
+                engine.submit(of(tenant), Retry::Never, |_, _| Ok(())).unwrap().wait().await.unwrap();
+                assert!(begin.elapsed() < Duration::from_secs(3), "{tenants:?}: {:?}", begin.elapsed());
+            }
+            // Those that wait for their turn end as well.
+            engine.close();
+            drop(long);
+            thread.join().unwrap();
+        }
     }
 
     #[tokio::test]

@@ -21,8 +21,8 @@ use crate::blob::{Digest, from_hex, to_hex};
 use crate::record::state::{State, TransitionError, apply};
 
 pub use spec::Spec;
-pub(crate) use task::steps;
 pub use task::{ArrayRef, Arrays, AttributeRef, Command, Deadlines, MeshSource, Operation, ResultFormat, Task};
+pub(crate) use task::{sets, steps};
 
 /// Milliseconds since 1970, UTC.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]

@@ -45,14 +45,20 @@ mod tests {
 
     #[test]
     fn numbers_are_taken_as_people_write_them() {
-        for (text, number) in
-            [("10000", 10_000), ("1e4", 10_000), ("1E4", 10_000), ("2.5e3", 2500), ("7.0", 7), ("+3", 3)]
-        {
+        for (text, number) in [
+            ("10000", 10_000),
+            ("1e4", 10_000),
+            ("10k", 10_000),
+            ("10,000", 10_000),
+            ("2.5e3", 2500),
+            ("7.0", 7),
+            ("+3", 3),
+        ] {
             assert_eq!((whole(text), count(text)), (Ok(number), Ok(number as u32)), "{text}");
         }
         assert_eq!(whole("18446744073709551615"), Ok(u64::MAX));
         assert_eq!((whole("0"), count("0").is_err()), (Ok(0u32), true));
-        for text in ["", "1.5", "-1", "1e-3", "1e400", "inf", "nan", "10k", "10,000", "0x10", "5000000000", "1e20"] {
+        for text in ["", "1.5", "-1", "1e-3", "1e400", "inf", "nan", "10q", "10,00", "0x10", "5000000000", "1e20"] {
             assert!(whole::<u32>(text).is_err() && count(text).is_err(), "{text}");
         }
     }

@@ -521,7 +521,7 @@ const tests = {
       };
       await to("file");
       // The dialog for files is the system's.
-      await page.setInputFiles("#file", { name: "octahedron.obj", mimeType: "model/obj", buffer: octahedron });
+      await page.setInputFiles("#file", { name: "octahedron.obj", mimeType: "text/plain", buffer: octahedron });
       await says(page, "#input-counts", /^6 vertices/);
       await to("points");
       await page.keyboard.press("Control+A");

@@ -278,6 +278,8 @@ export class Api {
       const request = new XMLHttpRequest();
       const abort = (): void => request.abort();
       request.open("POST", place(path));
+      // Some systems take meshes for text, which the service refuses from pages.
+      request.setRequestHeader("content-type", "application/octet-stream");
       if (this.key !== null) request.setRequestHeader("authorization", `Bearer ${this.key}`);
       request.upload.addEventListener("progress", ({ loaded, total }) => onProgress(total > 0 ? loaded / total : 0));
       request.addEventListener("load", () => resolve({ status: request.status, body: request.responseText }));

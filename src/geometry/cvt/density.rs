@@ -8,6 +8,7 @@
 //! Must not know: backends, files, jobs.
 
 mod curvature;
+mod expected;
 mod feature_size;
 mod lengths;
 mod net;
@@ -23,6 +24,7 @@ use serde::Serialize;
 use crate::mesh::TriMesh;
 use crate::token::{Stopped, Token};
 
+pub use expected::Expected;
 pub use net::Net;
 pub use options::{Count, DensityError, DensityOptions, DensitySource};
 pub use outline::Outline;

@@ -33,9 +33,12 @@ pub struct ClosestPoint {
     scale: f64,
     positions: Vec<DVec3>,
     unit: Vec<DVec3>,
-    /// Facets with area, with their numbers in the mesh, neighbours side by side.
-    facets: Vec<([u32; 3], u32)>,
+    /// Facets with area, with their numbers in the mesh, neighbours side by side. A slender one is there once for each piece.
+    facets: Vec<Facet>,
 }
+
+/// Corners of a facet, and its number in the mesh.
+type Facet = ([u32; 3], u32);
 
 /// The nearest facet so far: squared distance, place in `ClosestPoint::facets`, barycentrics; and how many were looked at.
 #[derive(Clone, Copy)]
@@ -62,10 +65,21 @@ impl ClosestPoint {
         let scale = inverse_power_of_two((high - low).max_element());
         let unit: Vec<DVec3> = mesh.positions().iter().map(|&p| (p - centre) * scale).collect();
         let mut facets = distinct_facets(mesh);
-        let corners = |facet: &([u32; 3], u32)| facet.0.map(|v| unit[v as usize]);
-        bvh::arrange(&mut facets, &|facet| corners(facet).iter().sum::<DVec3>() / 3.0);
-        let things: Vec<[DVec3; 3]> = facets.par_iter().map(corners).collect();
-        let tree = Bvh::new(&things);
+        let corners = |facet: &Facet| facet.0.map(|v| unit[v as usize]);
+        let centroid = |corners: [DVec3; 3]| corners.iter().sum::<DVec3>() / 3.0;
+        let tree = match in_pieces(&facets, corners) {
+            Some(mut pieces) => {
+                bvh::arrange(&mut pieces, &|([low, high], _)| (*low + *high) * 0.5);
+                let (boxes, arranged): (Vec<[DVec3; 2]>, _) = pieces.into_iter().unzip();
+                facets = arranged;
+                Bvh::new(&boxes)
+            }
+            None => {
+                bvh::arrange(&mut facets, &|facet| centroid(corners(facet)));
+                let things: Vec<[DVec3; 3]> = facets.par_iter().map(corners).collect();
+                Bvh::new(&things)
+            }
+        };
         Self { tree, centre, scale, positions: mesh.positions().to_vec(), unit, facets }
     }
 
@@ -190,8 +204,61 @@ fn inverse_power_of_two(extent: f64) -> f64 {
     f64::from_bits(((1023 + k) as u64) << 52)
 }
 
+/// A facet that is longer than this many times its width fills little of its box: queries near a fan would look at all of it.
+const SLENDER: f64 = 32.0;
+/// Pieces of slender facets are about as long as this many facets of mean area are wide.
+const PIECE: f64 = 4.0;
+/// Pieces of a slender facet, at most; each takes 150 bytes while the hierarchy is built.
+const MOST_PIECES: usize = 16;
+
+/// Boxes of facets, several along each slender one; `None` if there is none of these.
+fn in_pieces(facets: &[Facet], corners: impl Fn(&Facet) -> [DVec3; 3]) -> Option<Vec<([DVec3; 2], Facet)>> {
+    // From the end of the longest edge on.
+    let longest_first = |[a, b, c]: [DVec3; 3]| {
+        let [ab, bc, ca] = [a.distance_squared(b), b.distance_squared(c), c.distance_squared(a)];
+        if ab >= bc && ab >= ca {
+            (ab, [a, b, c])
+        } else if bc >= ca {
+            (bc, [b, c, a])
+        } else {
+            (ca, [c, a, b])
+        }
+    };
+    let twice = |[a, b, c]: [DVec3; 3]| (b - a).cross(c - a).length();
+    let is_slender = |t: [DVec3; 3]| longest_first(t).0 > SLENDER * twice(t);
+    if !facets.iter().any(|facet| is_slender(corners(facet))) {
+        return None;
+    }
+    let around = |points: &[DVec3]| {
+        points.iter().fold([DVec3::INFINITY, DVec3::NEG_INFINITY], |[low, high], &p| [low.min(p), high.max(p)])
+    };
+    let area: f64 = facets.iter().map(|facet| 0.5 * twice(corners(facet))).sum();
+    let part = PIECE * (area / facets.len() as f64).sqrt();
+    let mut all = Vec::with_capacity(facets.len());
+    for facet in facets {
+        let whole = corners(facet);
+        let (squared, [a, b, c]) = longest_first(whole);
+        let count = if is_slender(whole) { (squared.sqrt() / part) as usize } else { 1 }.clamp(1, MOST_PIECES);
+        if count == 1 {
+            all.push((around(&whole), *facet));
+            continue;
+        }
+        // Where the third corner is along the longest edge, and the two sides that meet in it.
+        let top = ((c - a).dot(b - a) / squared).clamp(0.0, 1.0);
+        let beside = |s: f64| if s < top { a + (c - a) * (s / top) } else { b + (c - b) * ((1.0 - s) / (1.0 - top)) };
+        let share = |k: usize| k as f64 / count as f64;
+        for (from, to) in (0..count).map(|k| (share(k), share(k + 1))) {
+            let ends = [from, to].map(|s| [a + (b - a) * s, if s == 1.0 { b } else { beside(s) }]);
+            let [[p, q], [r, s]] = ends;
+            let corner = if (from..=to).contains(&top) { c } else { p };
+            all.push((around(&[p, q, r, s, corner]), *facet));
+        }
+    }
+    Some(all)
+}
+
 /// Facets with area; of coincident ones the lowest: else all of them would be nearest, and every query visit all.
-fn distinct_facets(mesh: &TriMesh) -> Vec<([u32; 3], u32)> {
+fn distinct_facets(mesh: &TriMesh) -> Vec<Facet> {
     let representative = weld(mesh);
     let place = |f: usize| {
         let mut place = mesh.facets()[f].map(|v| representative[v as usize]);
@@ -284,6 +351,37 @@ mod tests {
             assert!(want.position.distance(got.position) < 1e-13 && want.facet == got.facet, "{k}: {got:?}, {want:?}");
             assert!((there.distance(p) - moved.distance(p)).abs() < 1e-13);
         }
+    }
+
+    /// The answer is that of looking at all facets, for few of them.
+    #[test]
+    fn fans_of_slender_facets_are_looked_at_in_pieces() {
+        const FACETS: u32 = 4000;
+        let rim = |k: u32| (f64::from(k % FACETS) / f64::from(FACETS) * std::f64::consts::TAU).sin_cos();
+        let place = |k| DVec3::new(rim(k).0, rim(k).1, 0.001 * f64::from(k % 2));
+        let positions = [DVec3::Z * 0.3].into_iter().chain((0..FACETS).map(place)).collect();
+        let facets = (0..FACETS).map(|k| [0, 1 + k, 1 + (k + 1) % FACETS]).collect();
+        let mesh = TriMesh::new(positions, facets).unwrap();
+        let closest = ClosestPoint::new(&mesh);
+        let pieces = closest.facets.len() / FACETS as usize;
+        assert!((4..=MOST_PIECES).contains(&pieces), "{pieces}");
+        let mut visited = 0;
+        for k in 0..300 {
+            // Near the surface, as vertices of a remesh are.
+            let (x, y) = f64::from(7 * k).sin_cos();
+            let (r, off) = (f64::from(k) / 300.0, 1e-3 * f64::from(k * k).sin());
+            let p = DVec3::new(r * x, r * y, 0.3 * (1.0 - r) + off);
+            let found = closest.nearest(p, None);
+            visited += found.visited;
+            let all = (0..FACETS).map(|f| {
+                let ids = mesh.facets()[f as usize];
+                (closest_on_facet(closest.to_unit(p), ids.map(|v| closest.unit[v as usize]), ids).0, f)
+            });
+            let least = all.min_by(|a, b| a.0.total_cmp(&b.0)).unwrap();
+            assert_eq!((found.squared, closest.facets[found.leaf as usize].1), least);
+        }
+        assert!(visited < 300 * FACETS as usize / 8, "{visited}");
+        assert_eq!(ClosestPoint::new(&Shape::Torus.build(2000)).facets.len(), Shape::Torus.build(2000).facets().len());
     }
 
     #[test]

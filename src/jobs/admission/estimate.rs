@@ -8,6 +8,7 @@
 use crate::observe::activity::Origin;
 pub use crate::record::Kind;
 use crate::record::{Bytes, JobId};
+use geometry::cvt::density::Expected;
 use geometry::remesh::{Placement, RemeshOptions};
 use geometry::rvd::BackendKind;
 use gpu::SessionForecast;
@@ -36,6 +37,11 @@ pub struct Counts {
     pub refines: bool,
     pub measures: bool,
     pub cells: bool,
+    /// Sets of seeds that the result of a session has.
+    pub sets: u64,
+    /// See [`Expected`]; nothing unusual until the surface was looked at.
+    pub extra_pairs: u64,
+    pub is_crowded: bool,
 }
 
 impl Counts {
@@ -57,7 +63,16 @@ impl Counts {
             refines: false,
             measures: true,
             cells: false,
+            sets: 0,
+            extra_pairs: 0,
+            is_crowded: false,
         }
+    }
+
+    /// With what the surface made one expect.
+    #[must_use]
+    pub fn of_surface(self, expected: &Expected) -> Self {
+        Self { extra_pairs: expected.extra_pairs, is_crowded: expected.is_crowded, ..self }
     }
 
     /// With the options of a remesh; `points` are those at first.
@@ -135,8 +150,9 @@ fn each(counts: &Counts, facet: u64, point: u64) -> u64 {
     counts.facets.saturating_mul(facet).saturating_add(counts.points.saturating_mul(point))
 }
 
-/// The sum of six: what every job of its kind takes; what grows with its counts, at the stage that takes most; what the
-/// allocator keeps of memory that was freed, as much again where there is little; attributes; lists; and readback from a device.
+/// The sum of nine: what every job of its kind takes; what grows with its counts, at the stage that takes most; what the
+/// allocator keeps of memory that was freed, as much again where there is little; attributes; lengths and lists; pairs of needles, fans and
+/// soups; results beside the surface; and readback from a device.
 fn host_bytes(counts: &Counts, threads: usize) -> u64 {
     let (least, work) = match counts.kind {
         Kind::Remesh => {
@@ -158,8 +174,35 @@ fn host_bytes(counts: &Counts, threads: usize) -> u64 {
     let grows = work.max(read);
     let kept = grows.min((threads as u64).saturating_mul(7 * MIB).saturating_add(18 * MIB));
     let carried = counts.attributes.saturating_mul(16);
+    // Lengths of vertices, as they are found and bounded.
+    let lengths = match counts.density {
+        DensitySource::Curvature | DensitySource::Lfs => counts.vertices.saturating_mul(32),
+        _ => 0,
+    };
+    let (pair, cells) = match counts.kind {
+        Kind::Remesh => (PAIR_BYTES, 0),
+        Kind::Rvd if counts.cells => (CELL_BYTES, usual_pairs(counts).saturating_mul(CELL_BYTES)),
+        Kind::Rvd | Kind::Cvt => (0, 0),
+    };
+    let pairs = counts.extra_pairs.saturating_mul(pair);
+    let sets = counts.sets.saturating_mul(counts.points).saturating_mul(24);
+    let results = [cells, sets, counts.steps.saturating_mul(STEP_BYTES)].into_iter().fold(0, u64::saturating_add);
     let readback = if counts.backend == BackendKind::Gpu { 32 * MIB } else { 0 };
-    [least, grows, kept, carried, counts.list_bytes, readback].into_iter().fold(0, u64::saturating_add)
+    let all = [least, grows, kept, carried, lengths, counts.list_bytes, pairs, results, readback];
+    all.into_iter().fold(0, u64::saturating_add)
+}
+
+/// Bytes of a pair while the dual is read. Of 1.8 million pairs of needles.
+const PAIR_BYTES: u64 = 650;
+/// Bytes of a cell's polygon in a facet, while its file is put together.
+const CELL_BYTES: u64 = 300;
+/// Bytes of a step in the report, its text included.
+const STEP_BYTES: u64 = 4096;
+
+/// Pairs of a facet and a cell that meet, on a surface of well-shaped facets.
+fn usual_pairs(counts: &Counts) -> u64 {
+    let (facets, points) = (counts.facets as f64, counts.points as f64);
+    (facets + 3.25 * (facets * points).sqrt() + 2.4 * points) as u64
 }
 
 /// Bytes of a session for each facet and each seed.
@@ -175,12 +218,16 @@ fn seconds(counts: &Counts, threads: usize) -> f64 {
         DensitySource::Curvature => 1.4,
         DensitySource::Lfs => 5.4,
     } * facets;
-    let step = 0.025 * facets + 0.24 * points;
+    // Where sheets are near one another, a cell has several times the neighbours, and lists for them are long.
+    let pair = if counts.is_crowded { 20.0 } else { 0.5 };
+    let pairs = counts.extra_pairs as f64 * pair;
+    let step = 0.025 * facets + 0.24 * points + pairs;
     let fit = if counts.placement == Placement::Fitted { 2.7 * facets + 4.5 * points } else { 0.0 };
     let measure = if counts.measures { 0.07e6 + 0.2 * facets + 1.5 * points } else { 0.0 };
     let cells = if counts.cells { 1.5 * (facets + points) } else { 0.0 };
     let (steps, other) = match counts.kind {
-        Kind::Remesh => (steps * step, density + 1.2 * facets + 7.5 * points + fit + measure),
+        // The dual and what comes after it look at a pair about ten times.
+        Kind::Remesh => (steps * step, density + 1.2 * facets + 7.5 * points + fit + measure + 10.0 * pairs),
         Kind::Rvd => (4.0 * step, density + 0.4 * facets + 0.5 * points + cells),
         Kind::Cvt => (steps * step, density + 0.7 * facets + points),
     };

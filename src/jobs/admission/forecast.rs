@@ -16,8 +16,8 @@ use crate::blob::{BlobError, BlobStore, Digest, Owner};
 use crate::engine::Engine;
 use crate::lock;
 use crate::places::Places;
-use crate::record::{ArrayRef, Arrays, AttributeRef, Bytes, MeshSource, Operation, Spec, steps};
-use geometry::cvt::density::Count;
+use crate::record::{ArrayRef, Arrays, AttributeRef, Bytes, MeshSource, Operation, Spec, sets, steps};
+use geometry::cvt::density::{Count, Expected};
 use geometry::mesh::io::{self, DataError, Format};
 use geometry::remesh::Seeds;
 use geometry::rvd::{BackendChoice, BackendKind};
@@ -27,8 +27,6 @@ use wire::proto::ArrayForm;
 const READ_BYTES: u64 = 64 << 20;
 /// Blobs that are read at once, one of a tenant.
 const AT_ONCE: usize = 2;
-/// Bytes of a point in a text, at the least.
-const TEXT_BYTES: u64 = 6;
 /// Blobs whose counts are remembered.
 const REMEMBERED: usize = 4096;
 
@@ -62,6 +60,20 @@ impl Forecast {
     /// The counts of a job; `given` are the surface's vertices and facets, if they are known. Errors: `Blob`; `Input` if a
     /// blob holds no surface; `TooLarge` and `Packed` if more is packed in it than may be.
     pub async fn counts(&self, spec: &Spec, given: Option<(u64, u64)>) -> Result<Counts, JobApiError> {
+        self.counts_of(spec, given, None).await
+    }
+
+    /// The counts of a job whose surface has been looked at.
+    pub(crate) async fn counts_with(&self, spec: &Spec, expected: &Expected) -> Result<Counts, JobApiError> {
+        Ok(self.counts_of(spec, None, Some(expected.points as u64)).await?.of_surface(expected))
+    }
+
+    async fn counts_of(
+        &self,
+        spec: &Spec,
+        given: Option<(u64, u64)>,
+        points: Option<u64>,
+    ) -> Result<Counts, JobApiError> {
         let (owner, task) = (Owner::of(&spec.tenant), spec.task());
         // What a caller says of its file may be any number.
         let bytes = |(vertices, facets): (u64, u64), each: (u64, u64)| {
@@ -76,17 +88,22 @@ impl Forecast {
             (MeshSource::File { blob, format, .. }, None) => self.of_file(owner, *blob, *format).await?,
         };
         let backend = self.engine.backend(task.backend).map_or(BackendKind::Parallel, |by| by.kind);
-        let points = match task.operation.seeds() {
+        let points = match (points, task.operation.seeds()) {
+            (Some(points), _) => points,
             // By the vertices, of which as many may be there as corners.
-            Seeds::Share { of, .. } => {
+            (None, Seeds::Share { of, .. }) => {
                 let vertices = usize::try_from(vertices).unwrap_or(usize::MAX);
                 (of.of_vertices(vertices) as u64).min(self.max_seeds)
             }
-            seeds => self.points(owner, seeds.count(), task.arrays.seeds, facets).await,
+            (None, seeds) => self.points(owner, seeds.count(), task.arrays.seeds, facets).await,
         };
         let counts = Counts::new(task.operation.kind(), backend, vertices, facets, points);
         let attributes = match &task.mesh {
             MeshSource::Arrays { attributes, .. } => attributes.iter().map(numbers_of).fold(0, u64::saturating_add),
+            // What is beside the surface, in single precision or as text.
+            MeshSource::File { attributes: true, .. } => {
+                input_bytes.saturating_sub(bytes((vertices, facets), (12, 12))) / 4
+            }
             MeshSource::File { .. } => 0,
         };
         let list_bytes = self.list_bytes(owner, task.arrays, &counts).await;
@@ -94,7 +111,9 @@ impl Forecast {
         Ok(match &task.operation {
             Operation::Remesh(options) => counts.of_remesh(options),
             Operation::Rvd(diagram) => Counts { cells: diagram.outputs.cells, ..counts.of_diagram(diagram) },
-            Operation::Cvt(session, commands) => Counts { steps: steps(commands), ..counts.of_session(session) },
+            Operation::Cvt(session, commands) => {
+                Counts { steps: steps(commands), sets: sets(commands), ..counts.of_session(session) }
+            }
         })
     }
 
@@ -104,8 +123,7 @@ impl Forecast {
         match (given, count) {
             (Some(array), _) if array.count > 0 => array.count,
             (Some(array), _) => {
-                let text = self.size_of(owner, array.blob).await;
-                text.map_or(1, |size_bytes| (size_bytes / TEXT_BYTES).clamp(1, self.max_seeds))
+                self.lines_of(owner, array.blob).await.map_or(1, |lines| lines.clamp(1, self.max_seeds))
             }
             (None, Count::Points(points)) => points as u64,
             (None, Count::Implied) => (facets / 2).clamp(1, self.max_seeds),
@@ -118,15 +136,30 @@ impl Forecast {
         // How many numbers there are, at most.
         let (lengths, edges) = (surface.vertices, surface.facets.saturating_mul(3));
         let mut bytes = 0u64;
-        for (array, most) in [(edge_lengths, lengths), (weights, lengths), (creases, edges), (seeds, 0)] {
+        for (array, most, least, each) in [
+            (edge_lengths, lengths, 2, LENGTH_BYTES),
+            (weights, lengths, 2, LENGTH_BYTES),
+            (creases, edges, 4, EDGE_BYTES),
+            (seeds, 0, 6, LENGTH_BYTES),
+        ] {
             let Some(array) = array else { continue };
-            // As it comes. Text is as long as its blob, and has two bytes for a number.
+            // As it comes. Text is as long as its blob, and has two bytes for a length and four for an edge.
             let size_bytes = self.size_of(owner, array.blob).await.unwrap_or(0);
-            let count = if array.form == ArrayForm::Text { most.min(size_bytes / 2) } else { array.count };
-            // Twice eight bytes, while they are brought into another order or the list grows.
-            bytes = bytes.saturating_add(size_bytes).saturating_add(count.saturating_mul(16));
+            let count = if array.form == ArrayForm::Text { most.min(size_bytes / least) } else { array.count };
+            bytes = bytes.saturating_add(size_bytes).saturating_add(count.saturating_mul(each));
         }
         bytes
+    }
+
+    /// The lines of a tenant's blob, which is not held.
+    async fn lines_of(&self, owner: Owner, blob: Digest) -> Result<u64, BlobError> {
+        self.size_of(owner, blob).await?;
+        let mut pieces = self.blobs.read(blob, 0..u64::MAX).await?.bytes;
+        let mut lines = 1;
+        while let Some(piece) = pieces.try_next().await? {
+            lines += piece.iter().filter(|&&byte| byte == b'\n').count() as u64;
+        }
+        Ok(lines)
     }
 
     /// The size of a tenant's blob. What others have tells it nothing.
@@ -191,6 +224,11 @@ impl Forecast {
         Ok(File { counts: most(format, unpacked), bytes: size_bytes.saturating_add(unpacked) })
     }
 }
+
+/// Bytes of an edge length: twice eight, while they are brought into another order, and as much in the density.
+const LENGTH_BYTES: u64 = 32;
+/// Bytes of a crease: its two ends, while the list grows, and what finds it among the edges of the surface.
+const EDGE_BYTES: u64 = 64;
 
 fn numbers_of(AttributeRef { counts, values, corners }: &AttributeRef) -> u64 {
     let corners = corners.map_or(0, |corners| corners.count.saturating_mul(3));
@@ -343,13 +381,13 @@ mod tests {
         let (facets, vertices) = (mesh.facets().len() as u64, mesh.positions().len() as u64);
         assert_eq!(
             need_of(JobArrays { creases: list(), ..JobArrays::default() }).await,
-            without + (1 << 20) + 3 * facets * 16
+            without + (1 << 20) + 3 * facets * EDGE_BYTES
         );
         let sizes = need_of(JobArrays { edge_lengths: list(), ..JobArrays::default() }).await;
-        assert_eq!(sizes, without + (1 << 20) + vertices * 16);
+        assert_eq!(sizes, without + (1 << 20) + vertices * LENGTH_BYTES);
         assert_eq!(
             need_of(JobArrays { creases: array(ArrayForm::U32, 1 << 17), ..JobArrays::default() }).await,
-            without + (1 << 20) + (16 << 17)
+            without + (1 << 20) + (EDGE_BYTES << 17)
         );
         engine.close();
         tokio::task::spawn_blocking(move || thread.join()).await.unwrap().unwrap();

@@ -180,6 +180,8 @@ impl GatedSession {
         work: impl FnOnce(&mut dyn Session) -> Result<R, RvdError>,
     ) -> Result<R, RvdError> {
         let gate = self.gate.clone();
+        // Others wait for the device meanwhile.
+        let _whole = token.filter(|_| gate.is_some()).map(Token::uninterrupted);
         let pass = gate.as_ref().map(|gate| gate.enter(token)).transpose()?;
         let activity = Arc::clone(&self.activity);
         let timed = activity.pass(name, self.kind);

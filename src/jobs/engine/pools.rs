@@ -58,6 +58,13 @@ pub(crate) struct PoolLease<'a> {
     own: Option<(usize, Arc<dyn Backend>)>,
 }
 
+impl PoolLease<'_> {
+    /// Whether no other job has these threads.
+    pub(crate) fn is_own(&self) -> bool {
+        self.own.is_some()
+    }
+}
+
 impl Deref for PoolLease<'_> {
     type Target = Arc<dyn Backend>;
 

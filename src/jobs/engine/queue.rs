@@ -11,9 +11,9 @@ use std::collections::{BTreeMap, HashMap, HashSet, VecDeque};
 use std::sync::{Arc, Condvar, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
-use crate::engine::schedule::{AdmissionRequest, Schedule, Slots};
+use crate::engine::schedule::{AdmissionRequest, Schedule, Slots, Turn};
 use crate::places::may_take;
-use crate::record::JobId;
+use crate::record::{Bytes, JobId};
 use crate::{JobError, lock};
 use geometry::token::Token;
 
@@ -225,11 +225,28 @@ impl<T: Item> Queue<T> {
         if let Some(id) = state.running.remove(&number).and_then(|running| running.kept) {
             state.kept.remove(id);
         }
-        if state.jobs.done(number, took.as_secs_f64()) {
-            state.mean_s = 0.8 * state.mean_s + 0.2 * took.as_secs_f64();
+        if let Some(seconds) = state.jobs.done(number, took.as_secs_f64()) {
+            state.mean_s = 0.8 * state.mean_s + 0.2 * seconds;
         }
         drop(state);
         self.ready.notify_all();
+    }
+
+    /// Memory that jobs at work are planned to need.
+    pub(crate) fn planned(&self) -> Bytes {
+        lock(&self.state).jobs.planned()
+    }
+
+    /// The job with this token turned out to need more than was predicted.
+    pub(crate) fn plan_more(&self, token: &Token, seconds: f64, memory: Bytes) {
+        let mut state = lock(&self.state);
+        let number = state.running.iter().find(|(_, running)| running.token.is_same(token)).map(|(&number, _)| number);
+        number.into_iter().for_each(|number| state.jobs.plan_more(number, seconds, memory));
+    }
+
+    /// A job at work has threads of its own, so that it can be suspended.
+    pub(crate) fn set_preemptible(&self, number: u64) {
+        lock(&self.state).jobs.set_preemptible(number);
     }
 
     /// Items that wait, and whether one is at work.
@@ -249,6 +266,8 @@ impl<T: Item> Queue<T> {
         state.closed = true;
         state.ended = true;
         state.release_kept();
+        // No worker is left to let them go on later.
+        state.running.values().for_each(|running| running.token.go_on());
         let left = (state.jobs.drain(), std::mem::take(&mut state.short));
         drop(state);
         drop(left);
@@ -311,7 +330,13 @@ impl<T: Item> State<T> {
                 }
                 unwanted.push(item);
             },
-            Lane::Jobs => self.jobs.next(number, T::is_wanted, unwanted)?,
+            Lane::Jobs => loop {
+                match self.jobs.next(number, T::is_wanted, unwanted)? {
+                    Turn::Begin { item, kept, is_alone } => break (item, kept, is_alone),
+                    Turn::Suspend(number) => self.running.get(&number).into_iter().for_each(|job| job.token.suspend()),
+                    Turn::GoOn(number) => self.running.get(&number).into_iter().for_each(|job| job.token.go_on()),
+                }
+            },
         };
         self.running.insert(number, Running { token: item.token().clone(), kept });
         Some(Dequeued { item, number, is_alone })
@@ -319,7 +344,7 @@ impl<T: Item> State<T> {
 
     /// Whether a worker of this lane has nothing more to do.
     fn is_over(&self, lane: Lane) -> bool {
-        let no_jobs = self.jobs.waiting() == 0;
+        let no_jobs = self.jobs.waiting() == 0 && self.jobs.suspended() == 0;
         match lane {
             Lane::Jobs => self.ended || (self.closed && no_jobs),
             // What runs may have more to do.
@@ -356,7 +381,7 @@ impl<T: Item> State<T> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::record::{Bytes, Time};
+    use crate::record::Time;
 
     struct Ticket(u32, bool, Token);
 

@@ -11,9 +11,12 @@
 //!   jobs never has all slots.
 //! - Jobs at work together need no more memory than there is, of the host and of the device. A job that does not fit waits;
 //!   others may bypass it for [`BYPASS_LIMIT`], then nothing begins until it fits.
+//! - Predictions may be wrong, and every slot taken by jobs of other tenants that take minutes. A short job then preempts the
+//!   job whose tenant has had most, once that has been at work for [`QUANTUM`]. The preempted job is suspended: it keeps its
+//!   memory and counts as waiting, and goes on when it is its tenant's turn.
 //!
-//! Invariant: pure bookkeeping; a job is waiting, running or gone. A job that needs more than there is begins once it is
-//! alone. Must not know: threads, clocks but for [`BYPASS_LIMIT`], what a job does.
+//! Invariant: pure bookkeeping; a job is waiting, running, suspended or gone. A job that needs more than there is begins once it
+//! is alone. Must not know: threads, clocks but for [`BYPASS_LIMIT`] and [`QUANTUM`], what a job does.
 
 use std::cmp::Reverse;
 use std::collections::{BTreeMap, HashMap};
@@ -27,6 +30,15 @@ use crate::record::JobId;
 
 /// How long others may bypass a job that does not fit.
 const BYPASS_LIMIT: Duration = Duration::from_secs(10);
+
+/// How long a job is at work before another may preempt it, and by how much more its tenant has had.
+const QUANTUM: Duration = Duration::from_secs(1);
+/// Predicted seconds of a job that may preempt others before it has begun.
+const SHORT_S: f64 = 1.0;
+/// The most jobs that are suspended at once: each holds a thread.
+pub(crate) const MOST_SUSPENDED: usize = 8;
+/// How often jobs that may preempt others look for one.
+const LOOK_AGAIN: Duration = Duration::from_millis(100);
 
 /// How many jobs may be at work at once, and what they may need.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -103,15 +115,63 @@ type Rank = (Reverse<i32>, u64);
 struct Tenant<T> {
     /// Virtual time, seconds.
     time: f64,
+    /// Jobs at work.
     running: usize,
+    suspended: usize,
     waiting: BTreeMap<Rank, Waiting<T>>,
 }
 
+impl<T> Tenant<T> {
+    fn is_idle(&self) -> bool {
+        self.running == 0 && self.suspended == 0 && self.waiting.is_empty()
+    }
+}
+
+/// A job that has begun.
 struct Running {
     tenant: Arc<str>,
     weight: f64,
-    seconds: f64,
+    /// Seconds that its tenant was charged for it.
+    charged: f64,
     memory: Bytes,
+    /// When it began or went on, or was suspended.
+    since: Instant,
+    /// Seconds at work before that.
+    worked: f64,
+    /// Seconds that it was suspended.
+    rested: f64,
+    suspended: bool,
+    /// Whether it can be suspended.
+    preemptible: bool,
+}
+
+impl Running {
+    /// Seconds at work.
+    fn seconds(&self) -> f64 {
+        self.worked + if self.suspended { 0.0 } else { self.since.elapsed().as_secs_f64() }
+    }
+
+    /// How much its tenant has had, with what this job took beyond its prediction.
+    fn time(&self, tenant: f64) -> f64 {
+        tenant + (self.seconds() - self.charged).max(0.0) / self.weight
+    }
+}
+
+/// What is to be done next.
+#[derive(Debug, PartialEq)]
+pub(crate) enum Turn<T> {
+    /// A job begins.
+    Begin {
+        item: T,
+        /// Its name if a store keeps it.
+        kept: Option<JobId>,
+        /// Whether its tenant has nothing else at work or waiting.
+        is_alone: bool,
+    },
+    /// A running job is to be suspended.
+    Suspend(u64),
+    /// A suspended job is to go on.
+    GoOn(u64),
 }
 
 pub(crate) struct Schedule<T> {
@@ -157,8 +217,8 @@ impl<T> Schedule<T> {
         self.waiting += 1;
         let time = self.time;
         let tenant = self.tenants.entry(Arc::clone(&request.tenant));
-        let tenant = tenant.or_insert_with(|| Tenant { time, running: 0, waiting: BTreeMap::new() });
-        if tenant.running == 0 && tenant.waiting.is_empty() {
+        let tenant = tenant.or_insert_with(|| Tenant { time, running: 0, suspended: 0, waiting: BTreeMap::new() });
+        if tenant.is_idle() {
             tenant.time = tenant.time.max(time);
         }
         tenant.waiting.insert((Reverse(request.priority), self.came), Waiting { item, request, bypassed: None });
@@ -181,41 +241,117 @@ impl<T> Schedule<T> {
     /// When to ask [`Self::next`] again though nothing has changed; `None`: there is no need.
     pub(crate) fn look_again(&self) -> Option<Duration> {
         let bypassed = self.tenants.values().filter_map(|tenant| tenant.waiting.values().next()?.bypassed);
+        let preempts = self.may_preempt().next().map(|_| LOOK_AGAIN);
         bypassed
             .map(|since| BYPASS_LIMIT.saturating_sub(since.elapsed()))
+            .chain(preempts)
             .min()
             .map(|left| left.max(Duration::from_millis(10)))
     }
 
-    /// Takes the next job that is wanted and may begin, with its name if a store keeps it, and whether its tenant has nothing
-    /// else at work or waiting. Unwanted jobs go to `gone`. `number` names the job for [`Self::done`].
-    pub(crate) fn next(
-        &mut self,
-        number: u64,
-        is_wanted: impl Fn(&T) -> bool,
-        gone: &mut Vec<T>,
-    ) -> Option<(T, Option<JobId>, bool)> {
-        let at_work = self.running.len();
-        if at_work > self.slots.regular {
-            return None;
+    /// Memory that jobs that have begun are planned to need.
+    pub(crate) fn planned(&self) -> Bytes {
+        self.planned
+    }
+
+    /// A running job turned out to need more than was predicted. Nothing else begins that does not fit beside it.
+    pub(crate) fn plan_more(&mut self, number: u64, seconds: f64, memory: Bytes) {
+        let Some(job) = self.running.get_mut(&number) else { return };
+        let more = memory.minus(job.memory);
+        self.planned = self.planned.plus(more);
+        job.memory = job.memory.plus(more);
+        let charge = (seconds - job.charged).max(0.0);
+        job.charged += charge;
+        if let Some(tenant) = self.tenants.get_mut(&job.tenant) {
+            tenant.time += charge / job.weight;
         }
-        let mut turns: Vec<(f64, u64, Arc<str>)> = Vec::new();
-        for (name, tenant) in &mut self.tenants {
+    }
+
+    pub(crate) fn suspended(&self) -> usize {
+        self.running.values().filter(|job| job.suspended).count()
+    }
+
+    /// A running job can be suspended.
+    pub(crate) fn set_preemptible(&mut self, number: u64) {
+        if let Some(job) = self.running.get_mut(&number) {
+            job.preemptible = true;
+        }
+    }
+
+    /// Tenants that have nothing at work, and either a short job that may begin or a suspended one.
+    fn may_preempt(&self) -> impl Iterator<Item = &Tenant<T>> {
+        let may_begin = self.suspended() < MOST_SUSPENDED;
+        let left = self.slots.memory.minus(self.planned);
+        let is_short = move |waiting: &Waiting<T>| {
+            may_begin && waiting.request.seconds <= SHORT_S && waiting.request.memory.fits(left)
+        };
+        self.tenants.values().filter(move |tenant| {
+            tenant.running == 0 && (tenant.suspended > 0 || tenant.waiting.values().next().is_some_and(&is_short))
+        })
+    }
+
+    /// The job to suspend for another tenant's.
+    fn preempted(&self) -> Option<u64> {
+        let least = self.may_preempt().map(|tenant| tenant.time).min_by(f64::total_cmp)?;
+        let at_work =
+            self.running.iter().filter(|(_, job)| job.preemptible && !job.suspended && job.since.elapsed() >= QUANTUM);
+        let times = at_work.filter_map(|(&number, job)| Some((job.time(self.tenants.get(&job.tenant)?.time), number)));
+        let (most, number) = times.max_by(|a, b| a.0.total_cmp(&b.0))?;
+        (most > least + QUANTUM.as_secs_f64()).then_some(number)
+    }
+
+    /// A job is suspended or goes on. Its tenant is charged what it took so far.
+    fn switch(&mut self, number: u64, suspended: bool) {
+        let Some(job) = self.running.get_mut(&number) else { return };
+        let took = job.since.elapsed().as_secs_f64();
+        *(if suspended { &mut job.worked } else { &mut job.rested }) += took;
+        (job.since, job.suspended) = (Instant::now(), suspended);
+        let Some(tenant) = self.tenants.get_mut(&job.tenant) else { return };
+        let (one, other) = (&mut tenant.running, &mut tenant.suspended);
+        let (from, to) = if suspended { (one, other) } else { (other, one) };
+        (*from, *to) = (*from - 1, *to + 1);
+        if suspended {
+            tenant.time += (job.worked - job.charged) / job.weight;
+            job.charged = job.worked;
+        }
+    }
+
+    /// What is next: a job that is wanted begins, or a running one makes room for another. Unwanted jobs go to `gone`. `number`
+    /// names a job that begins, for [`Self::done`].
+    pub(crate) fn next(&mut self, number: u64, is_wanted: impl Fn(&T) -> bool, gone: &mut Vec<T>) -> Option<Turn<T>> {
+        for tenant in self.tenants.values_mut() {
             while let Some(first) = tenant.waiting.first_entry().filter(|first| !is_wanted(&first.get().item)) {
                 gone.push(first.remove().item);
                 self.waiting -= 1;
             }
-            let may = at_work < self.slots.regular || tenant.running == 0;
-            if let Some((&(_, came), _)) = tenant.waiting.first_key_value().filter(|_| may) {
-                turns.push((tenant.time, came, Arc::clone(name)));
+        }
+        let at_work = self.running.len() - self.suspended();
+        if at_work > self.slots.regular {
+            let number = self.preempted()?;
+            self.switch(number, true);
+            return Some(Turn::Suspend(number));
+        }
+        let may_begin = self.suspended() <= MOST_SUSPENDED;
+        let mut turns: Vec<(f64, u64, Arc<str>)> = Vec::new();
+        for (name, tenant) in &self.tenants {
+            if at_work < self.slots.regular || tenant.running == 0 {
+                // One that has begun goes before those that wait.
+                let first = tenant.waiting.keys().next().map(|&(_, came)| came);
+                let came = if tenant.suspended > 0 { Some(0) } else { first.filter(|_| may_begin) };
+                turns.extend(came.map(|came| (tenant.time, came, Arc::clone(name))));
             }
         }
         turns.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
         let left = self.slots.memory.minus(self.planned);
         for (time, _, name) in turns {
+            let of_tenant = self.running.iter().filter(|(_, job)| job.suspended && job.tenant == name);
+            if let Some(number) = of_tenant.map(|(&number, _)| number).min() {
+                self.switch(number, false);
+                return Some(Turn::GoOn(number));
+            }
             let Some(tenant) = self.tenants.get_mut(&name) else { continue };
             let Some(mut first) = tenant.waiting.first_entry() else { continue };
-            if !first.get().request.memory.fits(left) && at_work > 0 {
+            if !first.get().request.memory.fits(left) && !self.running.is_empty() {
                 let since = *first.get_mut().bypassed.get_or_insert_with(Instant::now);
                 if since.elapsed() >= BYPASS_LIMIT {
                     return None;
@@ -224,34 +360,47 @@ impl<T> Schedule<T> {
             }
             let Waiting { item, request, .. } = first.remove();
             self.waiting -= 1;
-            let is_alone = tenant.running == 0 && tenant.waiting.is_empty();
+            let is_alone = tenant.is_idle();
             tenant.running += 1;
             tenant.time += request.seconds / request.weight;
             self.time = self.time.max(time);
             self.planned = self.planned.plus(request.memory);
             let AdmissionRequest { weight, seconds, memory, kept, .. } = request;
-            self.running.insert(number, Running { tenant: name, weight, seconds, memory });
-            return Some((item, kept, is_alone));
+            let job = Running {
+                tenant: name,
+                weight,
+                charged: seconds,
+                memory,
+                since: Instant::now(),
+                worked: 0.0,
+                rested: 0.0,
+                suspended: false,
+                preemptible: false,
+            };
+            self.running.insert(number, job);
+            return Some(Turn::Begin { item, kept, is_alone });
         }
         None
     }
 
-    /// A job that was taken is done, and took so long. Whether there was such a job.
-    pub(crate) fn done(&mut self, number: u64, seconds: f64) -> bool {
-        let Some(job) = self.running.remove(&number) else { return false };
+    /// A job that was taken is done, this long after it began. Returns its seconds at work, if there was such a job.
+    pub(crate) fn done(&mut self, number: u64, seconds: f64) -> Option<f64> {
+        let job = self.running.remove(&number)?;
         self.planned = self.planned.minus(job.memory);
+        let rests = if job.suspended { job.since.elapsed().as_secs_f64() } else { 0.0 };
+        let seconds = (seconds - job.rested - rests).max(0.0);
         if let Some(tenant) = self.tenants.get_mut(&job.tenant) {
-            tenant.running -= 1;
-            tenant.time += (seconds - job.seconds) / job.weight;
+            *(if job.suspended { &mut tenant.suspended } else { &mut tenant.running }) -= 1;
+            tenant.time += (seconds - job.charged) / job.weight;
         }
         self.forget();
-        true
+        Some(seconds)
     }
 
     /// Forgets tenants that are no different from new ones.
     fn forget(&mut self) {
         let now = self.time;
-        self.tenants.retain(|_, tenant| tenant.running > 0 || !tenant.waiting.is_empty() || tenant.time > now);
+        self.tenants.retain(|_, tenant| !tenant.is_idle() || tenant.time > now);
         if self.running.is_empty() && self.waiting == 0 {
             // A debt counts against waiting tenants, and there are none.
             self.tenants.clear();
@@ -273,7 +422,76 @@ mod tests {
     }
 
     fn next(schedule: &mut Schedule<&'static str>, number: u64) -> Option<&'static str> {
-        schedule.next(number, |_| true, &mut Vec::new()).map(|(item, ..)| item)
+        match schedule.next(number, |_| true, &mut Vec::new()) {
+            Some(Turn::Begin { item, .. }) => Some(item),
+            turn => {
+                assert_eq!(turn, None);
+                None
+            }
+        }
+    }
+
+    /// Lets the jobs at work be there for longer.
+    fn pass(schedule: &mut Schedule<&'static str>, time: Duration) {
+        schedule.running.values_mut().for_each(|job| job.since = job.since.checked_sub(time).unwrap());
+    }
+
+    #[test]
+    fn a_short_job_preempts_those_that_take_longer_than_was_predicted() {
+        let mut schedule = schedule(1, u64::MAX);
+        let turn = |schedule: &mut Schedule<_>, number| schedule.next(number, |_| true, &mut Vec::new());
+        for (number, name) in [(0, "a"), (1, "b")] {
+            schedule.push(request(name, 0.4), "wrong");
+            assert_eq!(next(&mut schedule, number), Some("wrong"));
+        }
+        schedule.push(request("c", 0.1), "tiny");
+        schedule.push(request("d", 30.0), "long");
+        pass(&mut schedule, Duration::from_secs(9));
+        assert_eq!(turn(&mut schedule, 2), None, "neither can be suspended");
+        (0..2).for_each(|number| schedule.set_preemptible(number));
+        schedule.running.get_mut(&1).unwrap().worked = 5.0;
+        assert_eq!(turn(&mut schedule, 2), Some(Turn::Suspend(1)), "its tenant has had most");
+        assert_eq!(next(&mut schedule, 2), Some("tiny"));
+        assert_eq!(turn(&mut schedule, 3), None, "the other one is not short, and the suspended one has had more");
+        assert_eq!(schedule.look_again(), Some(LOOK_AGAIN));
+        // The next short one waits for a quantum, as it would for itself.
+        assert_eq!(schedule.done(2, 0.1), Some(0.1));
+        assert_eq!(next(&mut schedule, 3), Some("long"), "whose tenant has had nothing");
+        pass(&mut schedule, Duration::from_secs(3));
+        assert_eq!(schedule.done(0, 12.0), Some(12.0));
+        assert_eq!(turn(&mut schedule, 4), Some(Turn::GoOn(1)));
+        assert_eq!((schedule.suspended(), schedule.running()), (0, 2));
+        // What it rested is not charged.
+        pass(&mut schedule, Duration::from_secs(2));
+        let seconds = schedule.done(1, 19.0).unwrap();
+        assert!((15.9..=16.0).contains(&seconds), "{seconds}");
+        assert!(schedule.done(3, 3.0).is_some());
+        assert_eq!(schedule.tenants.len(), 0);
+    }
+
+    #[test]
+    fn suspended_jobs_take_turns_and_are_bounded() {
+        let mut schedule = schedule(1, u64::MAX);
+        let names: Vec<String> = (0..20).map(|k| format!("t{k}")).collect();
+        names.iter().for_each(|name| schedule.push(request(name, 0.4), "wrong"));
+        let mut number = 0;
+        let mut most = 0;
+        for _ in 0..200 {
+            match schedule.next(number, |_| true, &mut Vec::new()) {
+                Some(Turn::Begin { .. }) => {
+                    schedule.set_preemptible(number);
+                    number += 1;
+                }
+                Some(_) => {}
+                None => pass(&mut schedule, Duration::from_secs(2)),
+            }
+            most = most.max(schedule.suspended());
+            assert!(schedule.running() - schedule.suspended() <= 2);
+        }
+        // One more while two take turns.
+        assert_eq!((most, number), (MOST_SUSPENDED + 1, MOST_SUSPENDED as u64 + 2));
+        let worked: Vec<f64> = schedule.running.values().map(Running::seconds).collect();
+        assert!(worked.iter().all(|seconds| *seconds > 4.0), "each gets on: {worked:?}");
     }
 
     #[test]
@@ -288,9 +506,9 @@ mod tests {
         assert_eq!(next(&mut schedule, 2), Some("tiny"), "which does not wait");
         schedule.push(request("other", 0.1), "tiny");
         assert_eq!(next(&mut schedule, 3), None);
-        assert!(schedule.done(0, 3.0));
+        assert!(schedule.done(0, 3.0).is_some());
         assert_eq!(next(&mut schedule, 3), None, "two are at work, one of each");
-        assert!(schedule.done(2, 0.1));
+        assert!(schedule.done(2, 0.1).is_some());
         assert_eq!(next(&mut schedule, 3), Some("tiny"), "its tenant has had less");
         assert_eq!(schedule.waiting(), 28);
     }
@@ -390,6 +608,22 @@ mod tests {
         schedule.done(3, 1.0);
         schedule.push(of("e", 1000), "monster");
         assert_eq!(next(&mut schedule, 4), Some("monster"), "it is alone");
+    }
+
+    #[test]
+    fn a_job_that_needs_more_is_planned_with_more() {
+        let mut schedule = schedule(4, 100);
+        let of =
+            |tenant: &str, host: u64| AdmissionRequest { memory: Bytes { host, device: 0 }, ..request(tenant, 1.0) };
+        schedule.push(of("a", 10), "first");
+        schedule.push(of("b", 50), "second");
+        assert_eq!(next(&mut schedule, 0), Some("first"));
+        schedule.plan_more(0, 20.0, Bytes { host: 60, device: 0 });
+        schedule.plan_more(0, 2.0, Bytes { host: 5, device: 0 });
+        assert_eq!((schedule.planned().host, next(&mut schedule, 1)), (60, None));
+        assert_eq!(schedule.tenants["a"].time, 20.0);
+        schedule.done(0, 1.0);
+        assert_eq!((schedule.planned().host, next(&mut schedule, 1)), (0, Some("second")));
     }
 
     #[test]

@@ -21,7 +21,7 @@ use crate::beside::Beside;
 use crate::engine::gate::{Gate, TOKEN_POLL};
 use crate::engine::pools::Pools;
 use crate::engine::queue::{Dequeued, Item, Lane, Popped, Queue};
-use crate::engine::schedule::{Slots, Weights};
+use crate::engine::schedule::{MOST_SUSPENDED, Slots, Weights};
 use crate::engine::watchdog::{Ceilings, Watchdog};
 use crate::observe::activity::{Activity, Observer, QueuedActivity};
 use crate::record::Bytes;
@@ -181,7 +181,8 @@ pub(super) fn run(
     };
     let _end = EndOnDrop(&shared);
     std::thread::scope(|scope| {
-        let jobs = (0..=shared.slots.regular).map(|i| (Lane::Jobs, format!("job-{i}")));
+        // One for each job that may have begun, and one that looks for the next.
+        let jobs = (0..=shared.slots.regular + 1 + MOST_SUSPENDED).map(|i| (Lane::Jobs, format!("job-{i}")));
         let short = (0..SHORT_WORKERS).map(|i| (Lane::Short, format!("short-{i}")));
         for (lane, name) in jobs.chain(short) {
             let shared = &*shared;
@@ -257,6 +258,10 @@ impl Shared {
         let Dequeued { item: mut task, is_alone, .. } = taken;
         let watched = self.watchdog.watch(task.token());
         let threads = if task.has_continuations() { None } else { Some(self.pools.take(is_alone)) };
+        // Threads that other jobs share must not wait for this one.
+        if threads.as_ref().is_some_and(|threads| threads.is_own()) {
+            self.queue.set_preemptible(taken.number);
+        }
         let mut attempts = 0;
         loop {
             let (generation, backends) = self.current();

@@ -60,6 +60,7 @@ impl Blobs<'_> {
         })
     }
 
+    /// Ends early with what is there once the token is stopped.
     fn read_once(&self, digest: Digest) -> Result<Vec<u8>, BlobError> {
         self.0.runtime.block_on(async {
             let read = self.0.stores.blobs.read(digest, 0..u64::MAX).await?;
@@ -67,6 +68,9 @@ impl Blobs<'_> {
             let mut bytes = read.bytes;
             // A file that another program changed would give another result in silence: the store checks it.
             while let Some(piece) = bytes.try_next().await? {
+                if self.1.is_stopped() {
+                    break;
+                }
                 all.extend_from_slice(&piece);
             }
             Ok(all)
@@ -74,7 +78,9 @@ impl Blobs<'_> {
     }
 
     fn read(&self, field: &str, digest: Digest) -> Result<Vec<u8>, WorkError> {
-        self.patiently(|| self.read_once(digest)).map_err(|error| unread(field, &error))
+        let bytes = self.patiently(|| self.read_once(digest)).map_err(|error| unread(field, &error))?;
+        self.1.check()?;
+        Ok(bytes)
     }
 
     fn size_bytes(&self, field: &str, digest: Digest) -> Result<u64, WorkError> {

@@ -16,12 +16,14 @@ use crate::executor::prepared::Prepared;
 use crate::observe::activity::Activity;
 use crate::record::{Command, FailureKind, Operation, ResultFormat, Task, steps};
 use crate::{BackendInfo, Backends};
+use geometry::cvt::density::{DensityOptions, Expected};
 use geometry::cvt::{Cvt, StepKind};
+use geometry::mesh::TriMesh;
 use geometry::mesh::attributes::{Attributes, ColourDepth, Colours, Normals};
 use geometry::mesh::io::{self, Format};
 use geometry::mesh::numbers::{NumberType, Order};
 use geometry::remesh::report::{IterationFigures, to_json};
-use geometry::remesh::{Observer, Remesh, RemeshOptions, Warning, remesh};
+use geometry::remesh::{Observer, Remesh, RemeshOptions, Seeds, Warning, remesh};
 use geometry::rvd::cells::CellWriter;
 use geometry::token::Token;
 use wire::proto::SeedsWanted;
@@ -36,6 +38,14 @@ pub(crate) struct JobContext<'a> {
     pub token: &'a Token,
     /// Hears of stages and steps.
     pub(crate) activity: &'a Activity,
+    /// Hears what the surface makes one expect, before the work on it.
+    pub expects: &'a dyn Fn(&Expected) -> Result<(), WorkError>,
+}
+
+impl JobContext<'_> {
+    fn look_at(&self, mesh: &TriMesh, options: &DensityOptions, seeds: &Seeds) -> Result<(), WorkError> {
+        (self.expects)(&Expected::of(mesh, options, seeds.count(), self.token)?)
+    }
 }
 
 pub(crate) fn perform(task: &Task, context: &JobContext<'_>) -> Result<Parts, WorkError> {
@@ -49,6 +59,7 @@ pub(crate) fn perform(task: &Task, context: &JobContext<'_>) -> Result<Parts, Wo
 
 fn of_remesh(task: &Task, options: &RemeshOptions, context: &JobContext<'_>) -> Result<Parts, WorkError> {
     let (mesh, options, left_aside) = context.reader.remesh(task, options.clone())?;
+    context.look_at(&mesh, &options.density, &options.seeds)?;
     let backend = Arc::clone(context.backends.choose(task.backend)?);
     let mut observer = context.activity;
     let mut done = remesh(&mesh, &options, backend.as_ref(), &mut observer, context.token)?;
@@ -151,6 +162,7 @@ fn unwritten(error: std::io::Error) -> WorkError {
 
 fn of_rvd(task: &Task, mut wanted: options::Diagram, context: &JobContext<'_>) -> Result<Parts, WorkError> {
     let input = context.reader.input(task, &mut wanted)?;
+    context.look_at(&input.mesh, &input.density, &input.seeds)?;
     let backend = Arc::clone(context.backends.choose(task.backend)?);
     context.token.enter("prepare");
     let prepared = Prepared::new(input, context.token)?;
@@ -193,6 +205,7 @@ fn of_cvt(
     context: &JobContext<'_>,
 ) -> Result<Parts, WorkError> {
     let input = context.reader.input(task, &mut session)?;
+    context.look_at(&input.mesh, &input.density, &input.seeds)?;
     let backend = Arc::clone(context.backends.choose(task.backend)?);
     let (total, most) = (steps(commands), context.reader.bounds.max_iterations);
     if total > u64::from(most) {

@@ -12,6 +12,7 @@ use glam::DVec3;
 
 use super::storage::StorageError;
 use super::{Inner, LEASE, ProgressCommand, failed, is_outdated};
+use crate::admission::forecast::must_fit;
 use crate::blob::{BlobError, Owner, put};
 use crate::engine::worker::{Device, WorkContext, text};
 use crate::executor::input::{Blobs, Reader, WorkError, failure};
@@ -22,10 +23,13 @@ use crate::record::{Cause, Change, FailureKind, Job, JobId, ResultSet};
 use crate::store::{Offer, result_pin};
 use crate::{Backends, JobError};
 use geometry::cvt::Iteration;
+use geometry::cvt::density::Expected;
 use geometry::remesh::RemeshError;
 use geometry::rvd::RvdError;
 use geometry::token::{Stopped, Token};
 
+/// Predicted time of a job that is not begun, in limits on its time: predictions are within a factor of three.
+const FAR_BEYOND: f64 = 5.0;
 /// How long the last progress of a job may take to be recorded.
 const FLUSH_TIMEOUT: Duration = Duration::from_secs(2);
 
@@ -135,13 +139,34 @@ impl AtWork {
         let (inner, job) = (&*self.inner, &self.job);
         let (token, bounds) = (&self.token, &inner.options.bounds);
         let reader = Reader { blobs: Blobs(inner, token), bounds, token };
-        let context = JobContext { backends, reader, token, activity: &self.activity };
+        let expects = |expected: &Expected| self.plan_again(expected);
+        let context = JobContext { backends, reader, token, activity: &self.activity, expects: &expects };
         let parts = perform(job.spec.task(), &context).map_err(|trouble| match (trouble, self.token.stopped()) {
             // It was stopped while it waited for its input.
             (WorkError::Failure(_), Some(reason)) => WorkError::from(reason),
             (trouble, _) => trouble,
         })?;
         self.keep(parts)
+    }
+
+    /// Counts alone do not tell of needles, fans and soups, nor of points that lengths imply: now they are known. A job that
+    /// needs more than there is, or would be at work far beyond its limit, ends before it begins.
+    fn plan_again(&self, expected: &Expected) -> Result<(), WorkError> {
+        let (inner, spec) = (&*self.inner, &self.job.spec);
+        // Its blobs were read: what cannot be counted now was counted before.
+        let Ok(counts) = inner.runtime.block_on(inner.forecast.counts_with(spec, expected)) else { return Ok(()) };
+        let need = inner.forecast.need(&counts);
+        must_fit(&need, inner.engine.memory()).map_err(|error| failure(FailureKind::TooLarge, error.to_string()))?;
+        if let Some(limit) = self.token.time_limit().filter(|limit| need.seconds > FAR_BEYOND * limit.as_secs_f64()) {
+            let (seconds, limit) = (need.seconds, limit.as_secs_f64());
+            let text = format!(
+                "its facets meet so many cells that it would take about {seconds:.0} s, and its limit is {limit} s; \
+                 give fewer points or a surface without needles and crossing facets, or raise the limit"
+            );
+            return Err(failure(FailureKind::TooLarge, text));
+        }
+        inner.engine.plan_more(&self.token, need.seconds, need.memory);
+        Ok(())
     }
 
     fn keep(&self, parts: Parts) -> Result<ResultSet, WorkError> {

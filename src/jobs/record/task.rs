@@ -97,6 +97,15 @@ pub(crate) fn steps(commands: &[Command]) -> u64 {
     commands.iter().map(steps).sum()
 }
 
+/// Sets of seeds that commands ask for, and the last one.
+pub(crate) fn sets(commands: &[Command]) -> u64 {
+    let sets = |command: &Command| match command {
+        Command::Step { iterations, seeds: SeedsWanted::Each, .. } => u64::from(*iterations),
+        Command::Step { seeds, .. } | Command::Edit { seeds, .. } => u64::from(*seeds == SeedsWanted::Last),
+    };
+    commands.iter().map(sets).sum::<u64>() + 1
+}
+
 #[derive(Clone, Debug, PartialEq)]
 pub enum MeshSource {
     File {

@@ -19,11 +19,18 @@ fn lines<'a>(text: &'a str, token: &'a Token) -> impl Iterator<Item = (usize, &'
     all.map(|(i, line)| (i + 1, line.trim())).filter(|(_, line)| !line.is_empty() && !line.starts_with('#'))
 }
 
+/// The longest number, bytes: reading one does not check the token.
+const MOST_NUMBER_BYTES: usize = 4096;
+
+fn parsed<T: FromStr>(word: &str) -> Option<T> {
+    if word.len() > MOST_NUMBER_BYTES { None } else { word.parse().ok() }
+}
+
 /// The numbers of a line that has exactly `N`.
 fn numbers<T: FromStr + Copy + Default, const N: usize>(line: &str) -> Option<[T; N]> {
     let (mut words, mut numbers) = (line.split_whitespace(), [T::default(); N]);
-    for number in &mut numbers {
-        *number = words.next()?.parse().ok()?;
+    for value in &mut numbers {
+        *value = parsed(words.next()?)?;
     }
     words.next().is_none().then_some(numbers)
 }
@@ -96,8 +103,8 @@ impl FileVertices {
             if lengths.len() == count {
                 return Err(syntax(number, format!("there are more lengths than the {count} vertices of the surface")));
             }
-            match line.parse::<f64>() {
-                Ok(length) if length.is_finite() && length > 0.0 => lengths.push(length),
+            match parsed::<f64>(line) {
+                Some(length) if length.is_finite() && length > 0.0 => lengths.push(length),
                 _ => return Err(syntax(number, format!("not a finite number above 0: {}", shown(line)))),
             }
         }
@@ -171,6 +178,8 @@ mod tests {
         let line = long("1 ");
         assert!(matches!(points(&line, 9, &token), Err(DataError::Syntax { line: 1, .. })));
         assert!(matches!(vertices.edges(&line, 2, &token), Err(DataError::Syntax { line: 1, .. })));
+        // A number as long as the text is none.
+        assert!(matches!(vertices.lengths(&long("1"), &token), Err(DataError::Syntax { line: 1, .. })));
     }
 
     #[test]

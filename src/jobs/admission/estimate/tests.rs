@@ -23,10 +23,10 @@ fn count() -> impl Strategy<Value = u64> {
 
 prop_compose! {
     fn any_counts()(
-        kind in 0usize..3, backend in 0usize..3, density in 0usize..5, flags in 0u8..16,
-        numbers in prop::array::uniform7(count()),
+        kind in 0usize..3, backend in 0usize..3, density in 0usize..5, flags in 0u8..32,
+        numbers in prop::array::uniform9(count()),
     ) -> Counts {
-        let [vertices, facets, points, steps, input_bytes, attributes, list_bytes] = numbers;
+        let [vertices, facets, points, steps, input_bytes, attributes, list_bytes, sets, extra_pairs] = numbers;
         Counts {
             kind: KINDS[kind],
             backend: BACKENDS[backend],
@@ -42,6 +42,9 @@ prop_compose! {
             refines: flags & 2 != 0,
             measures: flags & 4 != 0,
             cells: flags & 8 != 0,
+            sets,
+            extra_pairs,
+            is_crowded: flags & 16 != 0,
         }
     }
 }
@@ -52,7 +55,7 @@ fn grows(from: &Need, to: &Need) -> bool {
 
 proptest! {
     #[test]
-    fn more_of_anything_needs_no_less(counts in any_counts(), more in count(), which in 0usize..10, threads in 0usize..300) {
+    fn more_of_anything_needs_no_less(counts in any_counts(), more in count(), which in 0usize..13, threads in 0usize..300) {
         let mut larger = counts;
         let number = match which {
             0 => &mut larger.vertices,
@@ -61,13 +64,16 @@ proptest! {
             3 => &mut larger.steps,
             4 => &mut larger.input_bytes,
             5 => &mut larger.list_bytes,
+            6 => &mut larger.sets,
+            7 => &mut larger.extra_pairs,
             _ => &mut larger.attributes,
         };
         *number = number.saturating_add(more);
         match which {
-            7 => larger.refines = true,
-            8 => larger.measures = true,
-            9 => larger.cells = true,
+            8 => larger.refines = true,
+            9 => larger.measures = true,
+            10 => larger.cells = true,
+            11 => larger.is_crowded = true,
             _ => {}
         }
         let (before, after) = (need(&counts, threads), need(&larger, threads));
@@ -90,6 +96,8 @@ fn the_most_of_everything_is_a_number() {
         steps: u64::MAX,
         attributes: u64::MAX,
         list_bytes: u64::MAX,
+        sets: u64::MAX,
+        extra_pairs: u64::MAX,
         refines: true,
         ..Counts::new(Kind::Remesh, BackendKind::Gpu, u64::MAX, u64::MAX, u64::MAX)
     };
