@@ -174,7 +174,7 @@ fn gmsh(mesh: &TriMesh) -> Vec<Odd> {
     all.push(odd("parametric nodes", Format::Gmsh, file(&parametric, "", 0, ""), false));
     let placed: String = placed.lines().map(|line| format!("{}\n", line.split_once(' ').unwrap().1)).collect();
     assert_eq!(placed.lines().count(), vertices);
-    let mut binary = format!("$MeshFormat\n2.2 1 8\n").into_bytes();
+    let mut binary = b"$MeshFormat\n2.2 1 8\n".to_vec();
     binary.extend(1u32.to_le_bytes());
     binary.extend(format!("\n$EndMeshFormat\n$ParametricNodes\n{vertices}\n").into_bytes());
     for (tag, p) in (1u32..).zip(mesh.positions()) {
@@ -355,4 +355,33 @@ fn lines_have_an_end() {
     let lines = decode_with_attributes(Format::Vtk, text.as_bytes()).unwrap().left_aside;
     assert_eq!(lines.len(), 1025);
     assert!(lines[1024].to_string().contains("3976 more"), "{}", lines[1024]);
+}
+
+/// Labels of facets that a format has are told, once there are several.
+#[test]
+fn labels_of_facets_are_told() {
+    let square = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\n";
+    let facet = |z: u32| {
+        format!("facet normal 0 0 1\nouter loop\nvertex 0 0 {z}\nvertex 1 0 {z}\nvertex 0 1 {z}\nendloop\nendfacet\n")
+    };
+    let medit = |one: u32, other: u32| {
+        format!(
+            "MeshVersionFormatted 2\nDimension 3\nVertices 4\n0 0 0 0\n1 0 0 0\n1 1 0 0\n0 1 0 0\nTriangles 2\n1 2 3 {one}\n1 3 4 {other}\nEnd\n"
+        )
+    };
+    for (format, text, told) in [
+        (Format::Obj, format!("{square}usemtl a\nf 1 2 3\nf 1 3 4\n"), None),
+        (Format::Obj, format!("{square}usemtl a\nf 1 2 3\nusemtl b\nf 1 3 4\nusemtl a\n"), Some("2 materials")),
+        (Format::Obj, format!("{square}f 1 2 3\nusemtl b\nf 1 3 4\n"), Some("2 materials")),
+        (Format::Obj, format!("{square}o one\nf 1 2 3\ng two\nf 1 3 4\ng empty\n"), Some("2 groups")),
+        (Format::Stl, format!("solid a\n{}endsolid a\n", facet(0)), None),
+        (Format::Stl, format!("solid a\n{}endsolid a\nsolid b\n{}endsolid b\n", facet(0), facet(1)), Some("2 solids")),
+        (Format::Medit, medit(1, 1), None),
+        (Format::Medit, medit(1, 7), Some("2 references")),
+    ] {
+        let loaded = decode_with_attributes(format, text.as_bytes()).unwrap();
+        let said: Vec<String> = loaded.left_aside.iter().map(ToString::to_string).collect();
+        assert_eq!(said.len(), usize::from(told.is_some()), "{text}: {said:?}");
+        assert!(told.is_none_or(|told| said[0].starts_with(told)), "{text}: {said:?}");
+    }
 }

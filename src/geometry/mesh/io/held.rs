@@ -38,6 +38,13 @@ impl Raw {
         }
     }
 
+    /// Names several kinds of facets, such as materials, that the file tells apart and a surface does not.
+    pub(super) fn labels(&mut self, kinds: &str, count: usize) {
+        if count > 1 {
+            self.unreadable(&format!("{count} {kinds}"), "labels of facets are not carried".to_owned());
+        }
+    }
+
     /// The edges of `mesh` that the file names, each once. Others are left aside.
     pub(super) fn edges_of(&mut self, mesh: &TriMesh) -> Vec<[u32; 2]> {
         let mut edges = std::mem::take(&mut self.creases);

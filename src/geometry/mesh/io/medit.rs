@@ -4,6 +4,7 @@
 //! keywords are passed over. A vertex without a third coordinate, as of dimension 2, lies at 0. Our own reader: it is small.
 //! Invariant: edges never refuse a file. Must not know: other formats.
 
+use std::collections::HashSet;
 use std::fmt::Write as _;
 
 use glam::DVec3;
@@ -140,7 +141,11 @@ fn read_binary(bytes: &[u8], mode: Mode) -> Result<Reader<'_>, DataError> {
 }
 
 fn surface(reader: Reader<'_>) -> Result<Soup, DataError> {
-    let Reader { mut soup, volumes: count, lists, edges, named, .. } = reader;
+    let Reader { mut soup, mode, volumes: count, lists, edges, named, .. } = reader;
+    if mode.wanted {
+        let parts = lists.iter().flat_map(|(list, corners)| list.chunks_exact(corners + 1).map(|face| face[*corners]));
+        soup.raw.labels("references of facets", parts.collect::<HashSet<i64>>().len());
+    }
     // Faces may stand before the vertices that they name.
     for (list, corners) in lists {
         for (index, face) in list.chunks_exact(corners + 1).enumerate() {

@@ -8,6 +8,7 @@
 mod common;
 mod dialects;
 
+use std::collections::HashSet;
 use std::fmt::Write as _;
 
 use glam::{DVec2, DVec3};
@@ -42,7 +43,33 @@ const COLOURS: &str = "colours";
 /// Reads a surface; what it carries only if it is `wanted`.
 fn decode(bytes: &[u8], wanted: bool) -> Result<Soup, DataError> {
     let surface = common::read(bytes, wanted).and_then(Statements::surface);
-    surface.map_or_else(|| dialects::decode(bytes, wanted), Ok)
+    let mut soup = surface.map_or_else(|| dialects::decode(bytes, wanted), Ok)?;
+    if wanted {
+        let [materials, groups] = labels(bytes);
+        soup.raw.labels("materials", materials);
+        soup.raw.labels("groups", groups);
+    }
+    Ok(soup)
+}
+
+/// How many materials, and how many groups and objects, facets have.
+fn labels(bytes: &[u8]) -> [usize; 2] {
+    let mut found = [(); 2].map(|()| HashSet::<&[u8]>::new());
+    let mut last: [&[u8]; 2] = [b""; 2];
+    for line in bytes.split(|&byte| byte == b'\n') {
+        let line = line.trim_ascii_start();
+        let kind = match line.first() {
+            Some(b'f') => {
+                found.iter_mut().zip(last).for_each(|(found, last)| _ = found.insert(last));
+                continue;
+            }
+            Some(b'u') if line.starts_with(b"usemtl ") => 0,
+            Some(b'g' | b'o') if line.get(1).is_none_or(u8::is_ascii_whitespace) => 1,
+            _ => continue,
+        };
+        last[kind] = line.trim_ascii_end();
+    }
+    found.map(|found| found.len())
 }
 
 fn vertex_order(bytes: &[u8]) -> Result<VertexOrder, DataError> {

@@ -46,13 +46,15 @@ fn is_binary(head: &super::packed::Head<'_>) -> bool {
     declared_facets(head.bytes).is_some_and(|count| head.has_length(HEADER as u64 + RECORD as u64 * count as u64))
 }
 
-fn decode(bytes: &[u8], _wanted: bool) -> Result<Soup, DataError> {
+fn decode(bytes: &[u8], wanted: bool) -> Result<Soup, DataError> {
     let mut welder = Welder::default();
     if is_ascii(bytes) {
         let text = bytes.to_ascii_lowercase();
-        for solid in solids(&text) {
-            welder.read(&mut Cursor::new(solid))?;
+        let solids = solids(&text);
+        if wanted {
+            welder.soup.raw.labels("solids", solids.len());
         }
+        solids.into_iter().try_for_each(|solid| welder.read(&mut Cursor::new(solid)))?;
     } else {
         let short = || DataError::Truncated("it ends inside the header".to_owned());
         let declared = declared_facets(bytes).ok_or_else(short)?;

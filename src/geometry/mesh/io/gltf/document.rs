@@ -66,6 +66,8 @@ pub(super) struct Primitive {
     pub(super) attributes: Names,
     pub(super) indices: Option<u32>,
     mode: Option<u32>,
+    #[serde(deserialize_with = "loose")]
+    pub(super) material: Option<u32>,
     /// Whether it has morph targets.
     #[serde(rename = "targets", deserialize_with = "is_there")]
     pub(super) is_morphed: bool,
