@@ -112,17 +112,16 @@ fn surface(json: &[u8], binary: Option<&[u8]>, length: usize, wanted: bool) -> R
         colours: None,
         eight: true,
         is_morphed: false,
-        materials: HashSet::new(),
         reported: HashSet::new(),
     };
     nodes(&document, length, |primitive, place, skin| reader.primitive(primitive, place, skin))?;
-    let Reader { mut soup, normals, texture, colours, eight, is_morphed, materials, .. } = reader;
+    let Reader { mut soup, normals, texture, colours, eight, is_morphed, .. } = reader;
     soup.raw.normals = normals.map(Normals::PerCorner);
     soup.raw.texture = texture;
     let depth = if eight { ColourDepth::Eight } else { ColourDepth::Float };
     soup.raw.colours = colours.map(|values| Colours { values, depth });
     if wanted {
-        soup.raw.labels("materials", materials.len());
+        soup.raw.labels("materials", document.materials);
     }
     if is_morphed {
         soup.raw.unreadable("morph targets", "the surface is read without them".to_owned());
@@ -220,7 +219,6 @@ struct Reader<'a> {
     /// Whether all colours came in bytes.
     eight: bool,
     is_morphed: bool,
-    materials: HashSet<Option<u32>>,
     /// Accessors and skins that were left aside.
     reported: HashSet<(&'static str, u32)>,
 }
@@ -228,7 +226,6 @@ struct Reader<'a> {
 impl<'a> Reader<'a> {
     fn primitive(&mut self, primitive: &Primitive, place: DMat4, skin: Option<u32>) -> Result<(), DataError> {
         let Some((mode, position)) = primitive.triangles() else { return Ok(()) };
-        self.materials.insert(primitive.material);
         let source = self.source;
         let positions = source.numbers(position, 3)?;
         let count = positions.count();

@@ -50,11 +50,14 @@ fn decode(bytes: &[u8], wanted: bool) -> Result<Soup, DataError> {
     let mut welder = Welder::default();
     if is_ascii(bytes) {
         let text = bytes.to_ascii_lowercase();
-        let solids = solids(&text);
+        let mut count = 0;
+        each_solid(&text, |solid| {
+            count += 1;
+            welder.read(&mut Cursor::new(solid))
+        })?;
         if wanted {
-            welder.soup.raw.labels("solids", solids.len());
+            welder.soup.raw.labels("solids", count);
         }
-        solids.into_iter().try_for_each(|solid| welder.read(&mut Cursor::new(solid)))?;
     } else {
         let short = || DataError::Truncated("it ends inside the header".to_owned());
         let declared = declared_facets(bytes).ok_or_else(short)?;
@@ -180,9 +183,9 @@ fn is_ascii(bytes: &[u8]) -> bool {
         && !bytes[..bytes.len().min(512)].contains(&0)
 }
 
-/// Each solid of an ascii file, under a title that the crate takes.
-fn solids(text: &[u8]) -> Vec<Vec<u8>> {
-    let mut solids: Vec<Vec<u8>> = Vec::new();
+/// Visits each solid of an ascii file, under a title that the crate takes.
+fn each_solid(text: &[u8], mut visit: impl FnMut(&[u8]) -> Result<(), DataError>) -> Result<(), DataError> {
+    let mut solid: Vec<u8> = Vec::new();
     let mut open = false;
     for line in text.split(|&b| b == b'\n') {
         let word = line.trim_ascii();
@@ -190,20 +193,22 @@ fn solids(text: &[u8]) -> Vec<Vec<u8>> {
             continue;
         }
         if !open {
-            solids.push(b"solid -\n".to_vec());
+            solid.clear();
+            solid.extend_from_slice(b"solid -\n");
             open = true;
             if word.starts_with(b"solid") {
                 continue;
             }
         }
-        if let Some(solid) = solids.last_mut() {
-            // Normals are left aside, and the crate refuses those that are no numbers, as exporters give slivers.
-            solid.extend_from_slice(if word.starts_with(b"facet") { b"facet normal 0 0 0" } else { word });
-            solid.push(b'\n');
+        // Normals are left aside, and the crate refuses those that are no numbers, as exporters give slivers.
+        solid.extend_from_slice(if word.starts_with(b"facet") { b"facet normal 0 0 0" } else { word });
+        solid.push(b'\n');
+        if word.starts_with(b"endsolid") {
+            visit(&solid)?;
+            open = false;
         }
-        open = !word.starts_with(b"endsolid");
     }
-    solids
+    if open { visit(&solid) } else { Ok(()) }
 }
 
 #[derive(Default)]

@@ -36,6 +36,7 @@ pub(super) struct Document<'a> {
     pub(super) accessors: Vec<Accessor>,
     pub(super) views: Vec<View>,
     pub(super) buffers: Vec<Buffer<'a>>,
+    pub(super) materials: usize,
     packing: Option<String>,
     room: Room,
 }
@@ -66,8 +67,6 @@ pub(super) struct Primitive {
     pub(super) attributes: Names,
     pub(super) indices: Option<u32>,
     mode: Option<u32>,
-    #[serde(deserialize_with = "loose")]
-    pub(super) material: Option<u32>,
     /// Whether it has morph targets.
     #[serde(rename = "targets", deserialize_with = "is_there")]
     pub(super) is_morphed: bool,
@@ -409,6 +408,7 @@ enum At {
     Views,
     Buffers,
     Required,
+    Materials,
 }
 
 struct Reading<'d, 'a> {
@@ -451,6 +451,7 @@ impl<'a> Visitor<'a> for Reading<'_, 'a> {
                 (At::Root, "bufferViews") => At::Views,
                 (At::Root, "buffers") => At::Buffers,
                 (At::Root, "extensionsRequired") => At::Required,
+                (At::Root, "materials") => At::Materials,
                 (At::Scene, "nodes") => At::SceneNodes,
                 (At::Node, "children") => At::Children,
                 (At::Mesh, "primitives") => At::Primitives,
@@ -486,8 +487,8 @@ impl<'a> Visitor<'a> for Reading<'_, 'a> {
     fn visit_seq<A: SeqAccess<'a>>(self, mut seq: A) -> Result<(), A::Error> {
         let Self { document, at } = self;
         loop {
-            let Document { scenes, children, primitives, joints, accessors, views, buffers, packing, room, .. } =
-                document;
+            let Document { scenes, children, primitives, joints, accessors, views, buffers, .. } = document;
+            let Document { materials, packing, room, .. } = document;
             macro_rules! element {
                 ($list:expr) => {
                     seq.next_element()?.map(|element| room.push($list, element))
@@ -508,6 +509,10 @@ impl<'a> Visitor<'a> for Reading<'_, 'a> {
                 }),
                 At::Views => element!(views),
                 At::Buffers => element!(buffers),
+                At::Materials => seq.next_element::<IgnoredAny>()?.map(|_| {
+                    *materials += 1;
+                    Ok(())
+                }),
                 _ => seq.next_element::<Text<'_>>()?.map(|Text(name)| {
                     if name.contains("compression") {
                         packing.get_or_insert_with(|| plain(&name, 60));

@@ -19,22 +19,23 @@ pub(super) fn read(header: &Header<'_>, carried: &mut Carried) -> Result<Soup, D
         return Ok(soup);
     }
     let mut rows = Rows { cursor: cursor(header), positions: Vec::new(), corners: Vec::new(), carried };
-    // A face may stand before the vertices that it names, so faces are made at the end.
-    let mut ends: Vec<usize> = Vec::new();
-    let mut strips = 0..0;
+    let mut soup = Soup::default();
+    // Faces that stand before the vertices that they name are made at the end.
+    let mut early: Vec<(usize, bool)> = Vec::new();
     // Rows without properties are none.
     for element in header.elements.iter().filter(|element| !element.properties.is_empty()) {
-        let is_strips = element.name == STRIPS;
-        let first_row = ends.len();
+        let (is_strips, is_face) = (element.name == STRIPS, element.name == "face");
+        let is_early = soup.positions.is_empty() || !early.is_empty();
         let roles: Vec<Role> = element.properties.iter().map(|p| rows.carried.role(element, p)).collect();
         // Two bytes a number, at the least, or four a face.
         let (most, count) = (rows.cursor.rest.len(), element.count);
         match element.name.as_str() {
             "vertex" => rows.positions.reserve_exact(count.min(most / 3 + 1)),
-            "face" => {
-                ends.reserve_exact(count.min(most / 4 + 1));
+            "face" if is_early => {
+                early.reserve_exact(count.min(most / 4 + 1));
                 rows.corners.reserve_exact(count.saturating_mul(3).min(most / 2 + 1));
             }
+            "face" => soup.facets.reserve_exact(count.min(most / 4 + 1)),
             _ => {}
         }
         for index in 0..element.count {
@@ -48,30 +49,37 @@ pub(super) fn read(header: &Header<'_>, carried: &mut Carried) -> Result<Soup, D
             })?;
             if is_strips {
                 triangles(&rows.corners[first..]).for_each(|_| rows.carried.end_face(3));
-            } else if element.name == "face" {
+            } else if is_face {
                 rows.carried.end_face(rows.corners.len() - first);
             } else {
                 continue;
             }
-            ends.push(rows.corners.len());
+            if is_early {
+                early.push((rows.corners.len(), is_strips));
+            } else {
+                push(&mut soup, index, &rows.corners, is_strips)?;
+                rows.corners.clear();
+            }
         }
-        if is_strips {
-            strips = first_row..ends.len();
+        if element.name == "vertex" {
+            soup.positions = std::mem::take(&mut rows.positions);
         }
     }
-    let mut soup = Soup { positions: rows.positions, ..Soup::default() };
     let mut start = 0;
-    for (index, end) in ends.into_iter().enumerate() {
-        let wrong = |message| DataError::Element { element: "face", index, message };
-        let corners = &rows.corners[start..end];
-        match strips.contains(&index) {
-            true => triangles(corners).try_for_each(|triangle| soup.push_polygon(&triangle)),
-            false => soup.push_polygon(corners),
-        }
-        .map_err(wrong)?;
+    for (index, (end, is_strips)) in early.into_iter().enumerate() {
+        push(&mut soup, index, &rows.corners[start..end], is_strips)?;
         start = end;
     }
     Ok(soup)
+}
+
+/// Adds a face, or the triangles of strips.
+fn push(soup: &mut Soup, index: usize, corners: &[i64], is_strips: bool) -> Result<(), DataError> {
+    let pushed = match is_strips {
+        true => triangles(corners).try_for_each(|triangle| soup.push_polygon(&triangle)),
+        false => soup.push_polygon(corners),
+    };
+    pushed.map_err(|message| DataError::Element { element: "face", index, message })
 }
 
 /// The triangles of strips, each of which ends at a negative number. Those with a vertex twice lead from one part to another.
