@@ -230,7 +230,12 @@ const CHANGES: usize = 200;
 /// What reading may take beside the surface, in lengths of the file. Polygons of an OBJ have two bytes a corner, and
 /// take more: the crate's lists of corners grow by doubling.
 fn bound(format: Format, has_polygons: bool) -> f64 {
-    if has_polygons && format == Format::Obj { 20.0 } else { 8.0 }
+    match (format, has_polygons) {
+        (Format::Obj, true) => 20.0,
+        // What cuts a polygon has lists of its corners.
+        (Format::Ply, true) => 9.0,
+        _ => 8.0,
+    }
 }
 
 /// Files that are changed take no more than a multiple of their bytes, beyond the surface that is read.

@@ -486,9 +486,10 @@ impl Soup {
             let count = |n: usize| u32::try_from(n).unwrap_or(u32::MAX);
             self.fans.push((count(self.facets.len()), count(corners.len() - 2)));
         }
-        // A large polygon takes no more than it needs; many small ones make the list grow by doubling.
-        if corners.len() - 2 > self.facets.len() {
-            self.facets.reserve_exact(corners.len() - 2);
+        // The list grows by half, and for a large polygon by no more than that needs.
+        let more = corners.len() - 2;
+        if self.facets.capacity() - self.facets.len() < more {
+            self.facets.reserve_exact(more.max(self.facets.len() / 2));
         }
         let first = index(corners[0])?;
         let mut last = index(corners[1])?;

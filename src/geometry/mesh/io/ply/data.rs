@@ -106,6 +106,12 @@ impl Rows<'_> {
             match *role {
                 Role::Axis(axis) => position[axis] = cursor.float(property.item, "a coordinate")?,
                 Role::Corners => {
+                    // A number has two bytes at least.
+                    let most = count.min(cursor.rest.len() / 2 + 1);
+                    match self.corners.is_empty() {
+                        true => self.corners.reserve_exact(most),
+                        false => self.corners.reserve(most),
+                    }
                     for _ in 0..count {
                         self.corners.push(cursor.integer(property.item, "a vertex number")?);
                     }
