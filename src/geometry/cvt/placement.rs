@@ -186,7 +186,7 @@ impl Cvt {
 pub(super) fn closest<'a>(slot: &'a mut Option<ClosestPoint>, surface: &Surface) -> Result<&'a ClosestPoint, RvdError> {
     match slot {
         Some(tree) => Ok(tree),
-        None => Ok(slot.insert(surface.closest_points()?)),
+        None => Ok(slot.insert(surface.closest_points(&Token::default())?)),
     }
 }
 

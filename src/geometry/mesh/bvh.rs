@@ -7,6 +7,8 @@
 use glam::DVec3;
 use rayon::prelude::*;
 
+use crate::token::Token;
+
 /// Boxes in a node: as many as a processor compares at once with little left over.
 const WIDTH: usize = 8;
 /// Nodes that wait at most: seven of each level and the first, and 11 levels hold 2³¹ items.
@@ -130,18 +132,22 @@ fn bounds(corners: &[DVec3]) -> Box {
 
 /// Sorts items so that neighbours are adjacent: each eight of a node, each eight such nodes, and so on, are one part of items that
 /// were halved across their longest extent. `place` gives the place of an item. Coincident items keep their order.
-pub(crate) fn arrange<T: Copy + Send + Sync>(items: &mut Vec<T>, place: &(dyn Fn(&T) -> DVec3 + Sync)) {
+/// Ends early once the token is stopped.
+pub(crate) fn arrange<T: Copy + Send + Sync>(items: &mut Vec<T>, place: &(dyn Fn(&T) -> DVec3 + Sync), token: &Token) {
     let mut placed: Vec<(DVec3, u32)> = items.par_iter().enumerate().map(|(i, item)| (place(item), i as u32)).collect();
-    halve(&mut placed);
+    halve(&mut placed, token);
+    if token.check().is_err() {
+        return;
+    }
     *items = placed.par_iter().map(|&(_, i)| items[i as usize]).collect();
 }
 
-fn halve(placed: &mut [(DVec3, u32)]) {
+fn halve(placed: &mut [(DVec3, u32)], token: &Token) {
     let mut part = 1;
     while part * WIDTH < placed.len() {
         part *= WIDTH;
     }
-    if part == 1 {
+    if part == 1 || placed.len() > SEVERAL && token.check().is_err() {
         return;
     }
     let (low, high) = placed.iter().fold((DVec3::INFINITY, DVec3::NEG_INFINITY), |(l, h), p| (l.min(p.0), h.max(p.0)));
@@ -150,10 +156,10 @@ fn halve(placed: &mut [(DVec3, u32)]) {
     placed.select_nth_unstable_by(middle, |a, b| a.0[axis].total_cmp(&b.0[axis]).then(a.1.cmp(&b.1)));
     let (one, other) = placed.split_at_mut(middle);
     if one.len() > SEVERAL {
-        rayon::join(|| halve(one), || halve(other));
+        rayon::join(|| halve(one, token), || halve(other, token));
     } else {
-        halve(one);
-        halve(other);
+        halve(one, token);
+        halve(other, token);
     }
 }
 

@@ -10,7 +10,7 @@ use pulp::Arch;
 use rayon::prelude::*;
 
 use super::TriMesh;
-use super::adjacency::weld;
+use super::adjacency::weld_unless;
 use super::bvh::{self, Bvh, morton};
 use super::csr::Csr;
 use crate::token::{Pace, Stopped, Token};
@@ -60,22 +60,37 @@ const FAR: f64 = 1e100;
 impl ClosestPoint {
     /// Sorts the facets and puts boxes around them.
     pub fn new(mesh: &TriMesh) -> Self {
+        Self::build(mesh, &Token::default())
+    }
+
+    /// As [`Self::new`], unless it is stopped.
+    pub fn unless(mesh: &TriMesh, token: &Token) -> Result<Self, Stopped> {
+        let built = Self::build(mesh, token);
+        token.check().map(|()| built)
+    }
+
+    /// Ends early, with what it has, once the token is stopped.
+    fn build(mesh: &TriMesh, token: &Token) -> Self {
         let (low, high) = mesh.bounds();
         let centre = low * 0.5 + high * 0.5;
         let scale = inverse_power_of_two((high - low).max_element());
         let unit: Vec<DVec3> = mesh.positions().iter().map(|&p| (p - centre) * scale).collect();
-        let mut facets = distinct_facets(mesh);
+        let mut facets = distinct_facets(mesh, token).unwrap_or_default();
         let corners = |facet: &Facet| facet.0.map(|v| unit[v as usize]);
         let centroid = |corners: [DVec3; 3]| corners.iter().sum::<DVec3>() / 3.0;
-        let tree = match in_pieces(&facets, corners) {
+        // Nothing is asked of what was stopped.
+        let left = |count: usize| if token.check().is_err() { 1 } else { count };
+        let tree = match in_pieces(&facets, corners, token) {
             Some(mut pieces) => {
-                bvh::arrange(&mut pieces, &|([low, high], _)| (*low + *high) * 0.5);
+                bvh::arrange(&mut pieces, &|([low, high], _)| (*low + *high) * 0.5, token);
+                pieces.truncate(left(pieces.len()));
                 let (boxes, arranged): (Vec<[DVec3; 2]>, _) = pieces.into_iter().unzip();
                 facets = arranged;
                 Bvh::new(&boxes)
             }
             None => {
-                bvh::arrange(&mut facets, &|facet| centroid(corners(facet)));
+                bvh::arrange(&mut facets, &|facet| centroid(corners(facet)), token);
+                facets.truncate(left(facets.len()));
                 let things: Vec<[DVec3; 3]> = facets.par_iter().map(corners).collect();
                 Bvh::new(&things)
             }
@@ -212,7 +227,11 @@ const PIECE: f64 = 4.0;
 const MOST_PIECES: usize = 16;
 
 /// Boxes of facets, several along each slender one; `None` if there is none of these.
-fn in_pieces(facets: &[Facet], corners: impl Fn(&Facet) -> [DVec3; 3]) -> Option<Vec<([DVec3; 2], Facet)>> {
+fn in_pieces(
+    facets: &[Facet],
+    corners: impl Fn(&Facet) -> [DVec3; 3],
+    token: &Token,
+) -> Option<Vec<([DVec3; 2], Facet)>> {
     // From the end of the longest edge on.
     let longest_first = |[a, b, c]: [DVec3; 3]| {
         let [ab, bc, ca] = [a.distance_squared(b), b.distance_squared(c), c.distance_squared(a)];
@@ -235,7 +254,10 @@ fn in_pieces(facets: &[Facet], corners: impl Fn(&Facet) -> [DVec3; 3]) -> Option
     let area: f64 = facets.iter().map(|facet| 0.5 * twice(corners(facet))).sum();
     let part = PIECE * (area / facets.len() as f64).sqrt();
     let mut all = Vec::with_capacity(facets.len());
-    for facet in facets {
+    for (index, facet) in facets.iter().enumerate() {
+        if token.check_at(index).is_err() {
+            break;
+        }
         let whole = corners(facet);
         let (squared, [a, b, c]) = longest_first(whole);
         let count = if is_slender(whole) { (squared.sqrt() / part) as usize } else { 1 }.clamp(1, MOST_PIECES);
@@ -258,8 +280,8 @@ fn in_pieces(facets: &[Facet], corners: impl Fn(&Facet) -> [DVec3; 3]) -> Option
 }
 
 /// Facets with area; of coincident ones the lowest: else all of them would be nearest, and every query visit all.
-fn distinct_facets(mesh: &TriMesh) -> Vec<Facet> {
-    let representative = weld(mesh);
+fn distinct_facets(mesh: &TriMesh, token: &Token) -> Result<Vec<Facet>, Stopped> {
+    let representative = weld_unless(mesh, token)?;
     let place = |f: usize| {
         let mut place = mesh.facets()[f].map(|v| representative[v as usize]);
         place.sort_unstable();
@@ -275,12 +297,13 @@ fn distinct_facets(mesh: &TriMesh) -> Vec<Facet> {
     });
     let mut again = vec![false; facets.len()];
     for v in 0..mesh.positions().len() as u32 {
+        token.check_at(v as usize)?;
         let range = around.range(v);
         let here = &mut around.all_mut()[range];
         here.sort_unstable();
         here.windows(2).filter(|two| two[0].0 == two[1].0).for_each(|two| again[two[1].1 as usize] = true);
     }
-    facets.filter(is_solid).filter(|&f| !again[f]).map(|f| (mesh.facets()[f], f as u32)).collect()
+    Ok(facets.filter(is_solid).filter(|&f| !again[f]).map(|f| (mesh.facets()[f], f as u32)).collect())
 }
 
 /// A barycentric coordinate is off by a few roundings times the product of the lengths that it was computed from, by the facet's

@@ -6,10 +6,14 @@
 use std::cmp::Ordering::Equal;
 use std::collections::HashMap;
 use std::hash::{BuildHasher, RandomState};
+use std::iter::successors;
 
 use glam::DVec3;
 
 use crate::token::{Stopped, Token};
+
+/// No point.
+const NONE: u32 = u32::MAX;
 
 /// `(later, earliest)` for every point that lies exactly on an earlier one, in order of `later`.
 pub fn find(points: &[DVec3]) -> Vec<(u32, u32)> {
@@ -50,7 +54,10 @@ pub fn near(
     // The first point stands for those near it. Others are farther away, so that a cell has few. Counted from the box's
     // corner, so that numbers stay small far from the origin.
     let cell = |p: DVec3| ((p - origin) / (4.0 * reach)).floor().to_array().map(|x| x as i64);
-    let mut first_in: HashMap<[i64; 3], Vec<u32>> = HashMap::new();
+    // The first and the last point of each cell. All are in one list, with the place of the next of their cell: a list for each
+    // cell would be freed for a long time.
+    let mut cells: HashMap<[i64; 3], (u32, u32)> = HashMap::new();
+    let mut list: Vec<(u32, u32)> = Vec::new();
     let mut found = Vec::new();
     for (k, v) in numbers.into_iter().enumerate() {
         // Each looks at up to eight cells.
@@ -58,11 +65,21 @@ pub fn near(
         let (low, high) = (cell(place(v) - reach), cell(place(v) + reach));
         let along = |axis: usize| low[axis]..=high[axis];
         let around = along(0).flat_map(|x| along(1).flat_map(move |y| along(2).map(move |z| [x, y, z])));
-        let there = around.filter_map(|cell| first_in.get(&cell)).flatten();
-        let nearest = there.map(|&u| (place(u).distance(place(v)), u)).min_by(|a, b| a.partial_cmp(b).unwrap_or(Equal));
+        let next = |at: &u32| Some(list[*at as usize].1).filter(|&next| next != NONE);
+        let there = around.filter_map(|cell| cells.get(&cell)).flat_map(|&(first, _)| successors(Some(first), next));
+        let there = there.map(|at| list[at as usize].0);
+        let nearest = there.map(|u| (place(u).distance(place(v)), u)).min_by(|a, b| a.partial_cmp(b).unwrap_or(Equal));
         match nearest.filter(|(distance, _)| *distance <= reach) {
             Some((distance, u)) => found.push((v, u, distance)),
-            None => first_in.entry(cell(place(v))).or_default().push(v),
+            None => {
+                let at = list.len() as u32;
+                list.push((v, NONE));
+                let (_, last) = cells.entry(cell(place(v))).or_insert((at, at));
+                if *last != at {
+                    list[*last as usize].1 = at;
+                    *last = at;
+                }
+            }
         }
     }
     Ok(found)

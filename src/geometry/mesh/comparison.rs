@@ -47,12 +47,12 @@ impl Distances {
 impl<'a> Comparison<'a> {
     pub(crate) fn new(input: &'a TriMesh, tolerance: f64, token: &Token) -> Result<Self, Stopped> {
         let samples = probes(input, token)?;
-        Ok(Self { input, closest: ClosestPoint::new(input), samples, tolerance })
+        Ok(Self { input, closest: ClosestPoint::unless(input, token)?, samples, tolerance })
     }
 
     pub(crate) fn with(&self, result: &TriMesh, token: &Token) -> Result<Distances, Stopped> {
         let places = |samples: &[Probe]| samples.iter().map(|s| s.position).collect::<Vec<_>>();
-        let there = || ClosestPoint::new(result).distances(&places(&self.samples), token);
+        let there = || ClosestPoint::unless(result, token)?.distances(&places(&self.samples), token);
         let back = || -> Result<_, Stopped> {
             let places = places(&probes(result, token)?);
             let points = self.closest.project_all(&places, token)?;

@@ -35,7 +35,7 @@ pub fn crossings(mesh: &TriMesh, token: &Token) -> Result<Crossings, Stopped> {
     let scale = if extent > 0.0 { 2f64.powi(-(extent.log2().ceil() as i32).clamp(-1000, 1000)) } else { 1.0 };
     let corners = |facet: u32| mesh.corners(facet as usize).map(|p| p * scale);
     let mut order: Vec<u32> = (0..mesh.facets().len() as u32).filter(|&f| !mesh.is_degenerate(f as usize)).collect();
-    arrange(&mut order, &|&facet| corners(facet).into_iter().sum::<DVec3>() / 3.0);
+    arrange(&mut order, &|&facet| corners(facet).into_iter().sum::<DVec3>() / 3.0, token);
     let items: Vec<[DVec3; 3]> = order.par_iter().map(|&facet| corners(facet)).collect();
     let tree = Bvh::new(&items);
     let is_crossed = |(at, facet): (usize, &[DVec3; 3])| -> Result<bool, Stopped> {

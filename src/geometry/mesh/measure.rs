@@ -379,8 +379,7 @@ fn distances(
     let solid: Vec<u32> = solid_vertices(from).collect();
     points.extend(solid.iter().map(|&v| from.positions()[v as usize]));
     token.check()?;
-    let target = closest.unwrap_or_else(|| ClosestPoint::new(to));
-    token.check()?;
+    let target = closest.map_or_else(|| ClosestPoint::unless(to, token), Ok)?;
     let (low, high) = to.bounds();
     let unit = (high - low).max_element();
     let distances = target.distances(&points, token)?;

@@ -182,8 +182,7 @@ fn transfer(
     let Some(attributes) = &options.attributes else { return Ok((None, Vec::new())) };
     job.enter("attributes");
     let token = job.token;
-    token.check()?;
-    let closest = ClosestPoint::new(given);
+    let closest = ClosestPoint::unless(given, token)?;
     let provenance = attributes::provenance(&closest, result.positions(), token)?;
     token.check()?;
     let carried = attributes::carry(given, attributes, &closest, result, &provenance)?;
@@ -314,7 +313,7 @@ impl Laps {
 /// beside a spike keeps its barycentric coordinates, the vertex nearest to a far one goes there.
 fn put_back_spikes(done: &mut Remesh, given: &TriMesh, near: &TriMesh, token: &Token) -> Result<()> {
     let far = outliers(given);
-    let closest = ClosestPoint::new(near);
+    let closest = ClosestPoint::unless(near, token)?;
     let back = |p: DVec3, SurfacePoint { position, facet, barycentric }: SurfacePoint| {
         let corners = given.facets()[facet as usize];
         if !corners.iter().any(|v| far.binary_search(v).is_ok()) {

@@ -195,10 +195,10 @@ impl Surface {
     }
 
     /// What answers for closest points of it, unit frame.
-    pub fn closest_points(&self) -> Result<ClosestPoint, RvdError> {
+    pub fn closest_points(&self, token: &Token) -> Result<ClosestPoint, RvdError> {
         let mesh = TriMesh::new(self.positions.clone(), self.facets.clone())
             .map_err(|e| RvdError::Internal(format!("the surface was valid before: {e}")))?;
-        Ok(ClosestPoint::new(&mesh))
+        Ok(ClosestPoint::unless(&mesh, token)?)
     }
 
     /// E_hex: the energy that `seeds` seeds would have on a flat surface of this size and density if every cell were a

@@ -34,7 +34,7 @@ pub(super) fn prepare<'a>(separated: &'a TriMesh, options: &RemeshOptions, token
     let surface = Arc::new(Surface::unless(&plan.mesh, plan.weights.as_deref(), token)?);
     token.check()?;
     let find = || KeptCurves::find(separated, &plan, &surface, options, token);
-    let (curves, closest) = rayon::join(find, || surface.closest_points());
+    let (curves, closest) = rayon::join(find, || surface.closest_points(token));
     Ok(Prepared { curves: curves?, closest: closest?, plan, surface })
 }
 
