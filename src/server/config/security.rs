@@ -40,7 +40,7 @@ pub struct SecurityArgs {
     /// address alone, so that no web page in a browser can use it.
     #[arg(long, value_name = "NAME", value_delimiter = ',', env = "TESSERA_PUBLIC_HOST")]
     pub public_host: Vec<String>,
-    /// A site whose pages may use the HTTP port, as https://app.example.com; may be repeated.
+    /// A site whose pages may use the HTTP port: a scheme, a host and, if need be, a port. May be repeated.
     #[arg(long, value_name = "ORIGIN", value_delimiter = ',', env = "TESSERA_CORS_ORIGIN")]
     pub cors_origin: Vec<String>,
     /// Let other machines reach the server without TLS or without keys. For a network that you trust.
