@@ -23,7 +23,7 @@ pub fn may_take(own: usize, taken: usize, most: usize) -> bool {
     match free {
         0 => false,
         _ if own == 0 => true,
-        // Somebody's first.
+        // Kept for the first request of another tenant.
         1 => false,
         _ => own < free.saturating_mul(OF_FREE) && (is_alone || own < most.div_ceil(2)),
     }

@@ -205,14 +205,19 @@ def test_labels_keep_their_values_and_their_type(surface):
         "inside": vertices[:, 1] > 0,
         "id": np.arange(len(vertices)),
         "velocity": vertices * 2,
+        "column": np.arange(len(vertices))[:, None],
     }
     carried = tessera_remesh.remesh(*surface, points=300, attributes=given).attributes.scalars
     for name, values in given.items():
         assert carried[name].dtype == values.dtype and carried[name].shape[1:] == values.shape[1:], name
         # Nothing that was not there.
-        assert name == "velocity" or set(carried[name].tolist()) <= set(values.tolist()), name
-    with pytest.raises(InputError, match="beyond 2\\^53"):
-        tessera_remesh.remesh(*surface, points=300, attributes={"id": given["id"] + 2**60})
+        assert name == "velocity" or set(carried[name].ravel().tolist()) <= set(values.ravel().tolist()), name
+    for first in (2**53 + 1, 2**60):
+        with pytest.raises(InputError, match="not below 2\\^53"):
+            tessera_remesh.remesh(*surface, points=300, attributes={"id": given["id"] + first})
+    for columns in (0, 65):
+        with pytest.raises(InputError, match="numbers a vertex"):
+            tessera_remesh.remesh(*surface, points=300, attributes={"wide": np.zeros((len(vertices), columns))})
 
 
 def test_gaps_of_a_scalar_stay_gaps(surface):

@@ -69,8 +69,8 @@ impl Scalar {
 /// The most numbers that a scalar has at each vertex.
 pub const MAX_COMPONENTS: usize = 64;
 
-/// Doubles hold all whole numbers up to this one.
-const LARGEST_EXACT: f64 = 9_007_199_254_740_992.0;
+/// Doubles hold all whole numbers below this one, which may itself be another one rounded.
+const LEAST_INEXACT: f64 = 9_007_199_254_740_992.0;
 
 /// The longest name of a scalar, bytes.
 pub const MAX_NAME_BYTES: usize = 128;
@@ -137,7 +137,7 @@ pub enum AttributeError {
         components: usize,
     },
     /// A whole number that double precision rounds.
-    #[error("scalar {name:?}: value {index} is beyond 2^53, where whole numbers are rounded; give smaller ones")]
+    #[error("scalar {name:?}: value {index} is not below 2^53, where whole numbers are rounded; give smaller ones")]
     Inexact {
         /// The scalar's name.
         name: String,
@@ -252,7 +252,7 @@ impl Attributes {
         check_finite(&attribute, values, |x| !x.is_infinite())?;
         if scalar.number.is_float() || !values.iter().all(|&x| scalar.number.has(x)) {
             scalar.number = NumberType::F64;
-        } else if let Some(index) = values.iter().position(|x| x.abs() > LARGEST_EXACT) {
+        } else if let Some(index) = values.iter().position(|x| x.abs() >= LEAST_INEXACT) {
             return Err(AttributeError::Inexact { name: name(), index });
         }
         self.scalars.push(scalar);

@@ -85,10 +85,12 @@ class Attributes:
         return cls(**given)
 
     def _like(self, given: Attributes | None) -> Attributes:
-        """With bool where `given` has it: the engine knows bytes."""
+        """With bool, and with one column, where `given` has these: the engine knows neither."""
         for name, values in (given.scalars if given is not None else {}).items():
-            if np.asarray(values).dtype == bool and name in self.scalars:
-                self.scalars[name] = self.scalars[name].astype(bool)
+            was, carried = np.asarray(values), self.scalars.get(name)
+            if carried is not None:
+                carried = carried.astype(bool) if was.dtype == bool else carried
+                self.scalars[name] = carried.reshape(-1, 1) if was.ndim == 2 and carried.ndim == 1 else carried
         return self
 
 
@@ -143,7 +145,8 @@ def _numbers(name: str, values: ArrayLike) -> tuple[Array, str, int]:
     letter = {"f": "F", "i": "I", "u": "U", "b": "U"}[array.dtype.kind]
     form = "F64" if letter == "F" else f"{letter}{8 * array.dtype.itemsize}"
     components = array.shape[1] if array.ndim == 2 else 1
-    # A row of one number is told from a number by the shape alone.
+    if not 1 <= components <= MAX_COMPONENTS:
+        raise InputError(f"scalar {name} has {components} numbers a vertex; 1 to {MAX_COMPONENTS} are possible")
     return np.ascontiguousarray(array, dtype=np.float64).reshape(-1), form, components
 
 
@@ -302,8 +305,8 @@ def _triangles(kind: str, cells: Array) -> Array | None:
     return None
 
 
-#: The most numbers that a scalar has at each vertex, and the greatest whole number that a double holds.
-MAX_COMPONENTS, LARGEST_EXACT = 64, 2**53
+#: The most numbers that a scalar has at each vertex, and the least whole number that may be another one rounded.
+MAX_COMPONENTS, LEAST_INEXACT = 64, 2**53
 
 
 def _take_scalars(attributes: Attributes, name: str, values: Array, vertices: int) -> None:
@@ -328,8 +331,8 @@ def _take_scalars(attributes: Attributes, name: str, values: Array, vertices: in
         if infinite.any():
             warn(f"scalar {name}: {infinite.sum()} infinite values are NaN")
             values = np.where(infinite, np.nan, values)
-    elif values.size and values.dtype.itemsize == 8 and max(-int(values.min()), int(values.max())) > LARGEST_EXACT:
-        return aside("whole numbers beyond 2**53 are rounded")
+    elif values.size and values.dtype.itemsize == 8 and max(-int(values.min()), int(values.max())) >= LEAST_INEXACT:
+        return aside("whole numbers from 2**53 on are rounded")
     attributes.scalars[_unlike(attributes.scalars, scalar_name(name))] = values
     return None
 
