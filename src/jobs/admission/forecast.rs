@@ -7,6 +7,7 @@
 
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex};
+use std::time::Duration;
 
 use futures_util::TryStreamExt;
 
@@ -279,6 +280,17 @@ pub fn must_fit(need: &Need, limits: Bytes) -> Result<(), JobApiError> {
     }
 }
 
+/// Predicted time of a job that is not begun, in limits on its time: predictions are within a factor of three.
+const FAR_BEYOND: f64 = 5.0;
+
+/// Whether a job with this need would be at work far beyond its limit. Errors: `TooLong`.
+pub fn must_end(need: &Need, limit: Option<Duration>) -> Result<(), JobApiError> {
+    match limit.filter(|limit| need.seconds > FAR_BEYOND * limit.as_secs_f64()) {
+        Some(limit) => Err(JobApiError::TooLong { seconds: need.seconds.round(), limit_seconds: limit.as_secs_f64() }),
+        None => Ok(()),
+    }
+}
+
 /// The most vertices and facets that a file of `bytes` bytes is likely to hold: the shortest that writers make.
 fn most(format: Format, bytes: u64) -> (u64, u64) {
     let facets = bytes / format.facet_bytes();
@@ -345,16 +357,64 @@ mod tests {
         }
     }
 
-    /// Lists beside a surface are predicted: as long as their text, and as many numbers as the surface has places for.
-    #[tokio::test(flavor = "multi_thread")]
-    async fn lists_are_predicted() {
+    fn engine() -> (Engine, std::thread::JoinHandle<()>) {
         let backends = || {
             let parallel = Arc::new(geometry::rvd::parallel::Parallel::new(Some(1))?);
             let serial = Arc::new(geometry::rvd::serial::Serial);
             let gpu = Err("none".into());
             Ok(crate::Backends { gpu, parallel, serial, default: BackendChoice::Auto, pools: None })
         };
-        let (engine, thread) = Engine::start(backends, crate::EngineOptions::default()).unwrap();
+        Engine::start(backends, crate::EngineOptions::default()).unwrap()
+    }
+
+    /// A remesh of a file.
+    fn spec(blob: Digest, format: Format, arrays: JobArrays, tenant: &str) -> Spec {
+        let file = MeshFile { digest: blob.to_string(), format: format.number(), attributes: None };
+        // With lengths, only their ratios count.
+        let points = Some(100);
+        let message = JobSpec {
+            mesh: Some(proto::JobMesh { source: Some(job_mesh::Source::File(file)) }),
+            work: Some(job_spec::Work::Remesh(RemeshOptions { points, ..RemeshOptions::default() })),
+            arrays: Some(arrays),
+            ..JobSpec::default()
+        };
+        Spec::new(message, tenant.to_owned(), String::new()).unwrap()
+    }
+
+    /// A tenant whose files are counted leaves a place for another one's.
+    #[tokio::test(flavor = "multi_thread")]
+    async fn files_of_one_tenant_are_counted_beside_those_of_others() {
+        let (engine, thread) = engine();
+        let blobs = crate::Stores::ephemeral(crate::blob::BlobOptions::default()).blobs;
+        let forecast = Arc::new(Forecast::new(Arc::clone(&blobs), engine.clone(), 1_000_000));
+        let put = async |tenant: &str, bytes: Vec<u8>| {
+            let blob = put_of(&*blobs, tenant, None, bytes.into()).await.unwrap().digest;
+            spec(blob, Format::Obj, JobArrays::default(), tenant)
+        };
+        let count = |spec: Spec| {
+            let forecast = Arc::clone(&forecast);
+            tokio::spawn(async move { forecast.counts(&spec, None).await.unwrap() })
+        };
+        let triangle = "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n";
+        let small = put("other", triangle.into()).await;
+        let mut large = Vec::new();
+        for number in 0..8 {
+            large.push(put("greedy", format!("# {number}\n{}", triangle.repeat(1 << 19)).into_bytes()).await);
+        }
+        let greedy: Vec<_> = large.into_iter().map(count).collect();
+        assert_eq!(count(small).await.unwrap().facets, 1);
+        assert!(greedy.iter().any(|counted| !counted.is_finished()), "the other one waited for all of them");
+        for counted in greedy {
+            assert_eq!(counted.await.unwrap().facets, 1 << 19);
+        }
+        engine.close();
+        tokio::task::spawn_blocking(move || thread.join()).await.unwrap().unwrap();
+    }
+
+    /// Lists beside a surface are predicted: as long as their text, and as many numbers as the surface has places for.
+    #[tokio::test(flavor = "multi_thread")]
+    async fn lists_are_predicted() {
+        let (engine, thread) = engine();
         let blobs = crate::Stores::ephemeral(crate::blob::BlobOptions::default()).blobs;
         let put = async |bytes: Vec<u8>| put_of(&*blobs, "t", None, bytes.into()).await.unwrap().digest;
         let mesh = Shape::Torus.build(2000);
@@ -362,16 +422,7 @@ mod tests {
         let text = put(b"0 1\n".repeat(1 << 18)).await;
         let forecast = Forecast::new(Arc::clone(&blobs), engine.clone(), 1_000_000);
         let need_of = async |arrays: JobArrays| {
-            let file = MeshFile { digest: blob.to_string(), format: Format::Ply.number(), attributes: None };
-            // With lengths, only their ratios count.
-            let points = Some(100);
-            let message = JobSpec {
-                mesh: Some(proto::JobMesh { source: Some(job_mesh::Source::File(file)) }),
-                work: Some(job_spec::Work::Remesh(RemeshOptions { points, ..RemeshOptions::default() })),
-                arrays: Some(arrays),
-                ..JobSpec::default()
-            };
-            let spec = Spec::new(message, "t".to_owned(), String::new()).unwrap();
+            let spec = spec(blob, Format::Ply, arrays, "t");
             forecast.need(&forecast.counts(&spec, None).await.unwrap()).memory.host
         };
         let without = need_of(JobArrays::default()).await;

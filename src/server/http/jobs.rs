@@ -360,11 +360,11 @@ fn frame(event: &Event) -> Bytes {
         What::Progress(Progress::Stage { name, done, total }) => {
             ("stage", json!({ "name": name, "done": done, "total": total, "at_ms": at }))
         }
-        What::Progress(Progress::Iteration { index, total, kind, energy, gradient_norm, ms }) => (
+        What::Progress(Progress::Iteration { index, total, kind, energy, energy_ratio, gradient_norm, ms }) => (
             "iteration",
             json!({
-                "index": index, "total": total, "kind": kind, "energy": energy, "gradient_norm": gradient_norm,
-                "ms": ms, "at_ms": at,
+                "index": index, "total": total, "kind": kind, "energy": energy, "energy_ratio": energy_ratio,
+                "gradient_norm": gradient_norm, "ms": ms, "at_ms": at,
             }),
         ),
     };
