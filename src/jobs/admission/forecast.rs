@@ -265,6 +265,10 @@ fn look_at(format: Format, bytes: &[u8], limit: usize) -> Result<Option<File>, D
     let bytes = size_bytes.saturating_add(unpacked);
     let Some(plain) = plain else { return Ok(Some(File { counts: most(format, unpacked), bytes })) };
     let counts = io::counts_of_plain(format, &plain);
+    if counts.is_none() {
+        // What is wrong with it, in the reader's words.
+        io::decode(format, &plain)?;
+    }
     Ok(counts.map(|counts| File {
         counts: (counts.vertices, counts.facets),
         bytes: bytes.saturating_add(counts.made_bytes),

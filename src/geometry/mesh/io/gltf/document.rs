@@ -72,24 +72,59 @@ pub(super) struct Primitive {
     pub(super) is_morphed: bool,
 }
 
-#[derive(Debug, Default, Deserialize)]
-#[serde(default, rename_all = "SCREAMING_SNAKE_CASE")]
+/// Accessors of what vertices carry.
+#[derive(Debug, Default)]
 pub(super) struct Names {
     pub(super) position: Option<u32>,
-    #[serde(deserialize_with = "loose")]
     pub(super) normal: Option<u32>,
-    #[serde(rename = "TEXCOORD_0", deserialize_with = "loose")]
     pub(super) texture: Option<u32>,
-    #[serde(rename = "COLOR_0", deserialize_with = "loose")]
     pub(super) colour: Option<u32>,
-    #[serde(deserialize_with = "loose")]
     pub(super) joints_0: Option<u32>,
-    #[serde(deserialize_with = "loose")]
     pub(super) weights_0: Option<u32>,
-    #[serde(deserialize_with = "loose")]
     pub(super) joints_1: Option<u32>,
-    #[serde(deserialize_with = "loose")]
     pub(super) weights_1: Option<u32>,
+    /// Whether there are others.
+    pub(super) has_more: bool,
+}
+
+impl<'de> Deserialize<'de> for Names {
+    fn deserialize<D: Deserializer<'de>>(reader: D) -> Result<Self, D::Error> {
+        struct All;
+        impl<'de> Visitor<'de> for All {
+            type Value = Names;
+
+            fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+                f.write_str("attributes by their names")
+            }
+
+            fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<Names, A::Error> {
+                let mut names = Names::default();
+                while let Some(name) = map.next_key::<Text<'de>>()? {
+                    let to = match name.0.as_ref() {
+                        "POSITION" => {
+                            names.position = map.next_value()?;
+                            continue;
+                        }
+                        "NORMAL" => &mut names.normal,
+                        "TEXCOORD_0" => &mut names.texture,
+                        "COLOR_0" => &mut names.colour,
+                        "JOINTS_0" => &mut names.joints_0,
+                        "WEIGHTS_0" => &mut names.weights_0,
+                        "JOINTS_1" => &mut names.joints_1,
+                        "WEIGHTS_1" => &mut names.weights_1,
+                        _ => {
+                            names.has_more = true;
+                            map.next_value::<IgnoredAny>()?;
+                            continue;
+                        }
+                    };
+                    *to = map.next_value::<Loose>()?.0;
+                }
+                Ok(names)
+            }
+        }
+        reader.deserialize_map(All)
+    }
 }
 
 impl Primitive {
