@@ -146,7 +146,7 @@ pub(crate) struct Loaded {
     pub(crate) warnings: Vec<Warning>,
 }
 
-fn unread(error: FileError) -> anyhow::Error {
+pub(crate) fn unread(error: FileError) -> anyhow::Error {
     match error {
         FileError::Io { path, cause, .. } => NoInput { path, cause }.into(),
         error => BadInput(error.to_string()).into(),

@@ -3,7 +3,8 @@
 use std::fmt::Write as _;
 
 use tessera::mesh::TriMesh;
-use tessera::mesh::io::{Format, Loaded, decode, decode_with_attributes, encode};
+use tessera::mesh::attributes::{Attributes, Scalar};
+use tessera::mesh::io::{Format, Loaded, decode, decode_with_attributes, encode, encode_with_attributes};
 use tessera::mesh::shapes::Shape;
 
 /// A file with something odd in it, and whether a line is due.
@@ -271,6 +272,14 @@ fn gltf(mesh: &TriMesh) -> Vec<Odd> {
     all.push(odd("a skin that is not there", Format::Gltf, with("{\"mesh\":0}", "{\"mesh\":0,\"skin\":4}"), true));
     let morphed = with("\"mode\":4", "\"mode\":4,\"targets\":[{\"POSITION\":99}]");
     all.push(odd("morph targets", Format::Gltf, morphed, true));
+    let used = |names: &str| with("{\"asset\"", &format!("{{\"extensionsUsed\":[{names}],\"asset\""));
+    all.push(odd(
+        "materials of an extension",
+        Format::Gltf,
+        used("\"KHR_materials_unlit\",\"KHR_texture_basisu\""),
+        false,
+    ));
+    all.push(odd("instances", Format::Gltf, used("\"KHR_materials_unlit\",\"EXT_mesh_gpu_instancing\""), true));
     let animated = with("{\"asset\"", "{\"animations\":[{\"samplers\":[{\"input\":77}]}],\"materials\":[{}],\"asset\"");
     all.push(odd("animations", Format::Gltf, animated, false));
     all
@@ -406,6 +415,65 @@ fn colours_that_are_none_are_told() {
         let text = format!("v 0 0 0 {light}\nv 1 0 0 {light}\nv 0 1 0 {light}\nf 1 2 3\n");
         let loaded = decode_with_attributes(Format::Obj, text.as_bytes()).unwrap();
         assert_eq!(!loaded.left_aside.is_empty(), told, "{light}: {:?}", loaded.left_aside);
+    }
+}
+
+/// What a file requires is read, or the file is refused.
+#[test]
+fn required_extensions_are_read_or_refuse_a_file() {
+    let mesh = Shape::Torus.build(60);
+    let gltf = String::from_utf8(encode(Format::Gltf, &mesh).unwrap()).unwrap();
+    for (name, is_read) in [
+        ("KHR_materials_unlit", true),
+        ("KHR_mesh_quantization", true),
+        ("EXT_mesh_gpu_instancing", false),
+        ("KHR_draco_mesh_compression", false),
+        ("ACME_anything", false),
+    ] {
+        let text = gltf.replace("{\"asset\"", &format!("{{\"extensionsRequired\":[\"{name}\"],\"asset\""));
+        let read = decode(Format::Gltf, text.as_bytes());
+        assert_eq!(read.is_ok(), is_read, "{name}: {read:?}");
+        assert!(is_read || read.unwrap_err().to_string().contains(name));
+    }
+    let model = |attributes: &str| {
+        let text = format!(
+            "<model unit=\"millimeter\" {attributes}><resources><object id=\"7\"><mesh><vertices><vertex x=\"0\" y=\"0\" z=\"0\"/>\
+             <vertex x=\"1\" y=\"0\" z=\"0\"/><vertex x=\"0\" y=\"1\" z=\"0\"/></vertices><triangles>\
+             <triangle v1=\"0\" v2=\"1\" v3=\"2\"/></triangles></mesh></object></resources><build><item objectid=\"7\"/></build></model>"
+        );
+        crate::packages::stored(&[("3D/3dmodel.model", &text)])
+    };
+    for (attributes, is_read) in [
+        ("", true),
+        ("requiredextensions=\"\"", true),
+        ("xmlns:m=\"http://schemas.microsoft.com/3dmanufacturing/material/2015/02\" requiredextensions=\"m\"", true),
+        ("xmlns:x=\"http://acme.example/2020\" requiredextensions=\"x\"", false),
+        ("requiredextensions=\"y\"", false),
+    ] {
+        let read = decode(Format::ThreeMf, &model(attributes));
+        assert_eq!(read.is_ok(), is_read, "{attributes}: {read:?}");
+    }
+}
+
+/// Names of scalars are kept where a format can hold them.
+#[test]
+fn names_of_scalars_are_text() {
+    let mesh = Shape::Torus.build(60);
+    let mut attributes = Attributes::new(&mesh);
+    let names = ["von Mises (MPa)", "Température", "50 %", "a<b & \"c\"", "1st"];
+    for name in names {
+        let values = (0..mesh.positions().len()).map(|k| k as f64).collect();
+        attributes.add_scalar(Scalar::new(name, values)).unwrap();
+    }
+    for (format, are_kept) in
+        [(Format::Vtk, true), (Format::Vtp, true), (Format::Vtu, true), (Format::Gmsh, false), (Format::Ply, false)]
+    {
+        let (bytes, left_out) = encode_with_attributes(format, &mesh, &attributes).unwrap();
+        let loaded = decode_with_attributes(format, &bytes).unwrap();
+        let read: Vec<&str> = loaded.attributes.scalars().iter().map(|scalar| scalar.name.as_str()).collect();
+        assert_eq!(read.len(), names.len(), "{format:?}: {:?}", loaded.left_aside);
+        assert_eq!(read == names, are_kept, "{format:?}: {read:?}");
+        assert_eq!(left_out.is_empty(), are_kept, "{format:?}: {left_out:?}");
     }
 }
 

@@ -28,7 +28,7 @@ use std::path::{Path, PathBuf};
 
 use glam::DVec3;
 
-use super::attributes::{AttributeError, Attributes};
+use super::attributes::{AttributeError, Attributes, Scalar};
 use super::{MeshError, TriMesh};
 use held::{Held, Holds, Raw};
 use packed::Signature;
@@ -418,6 +418,13 @@ impl Others {
     }
 }
 
+/// What to say of scalars whose names become others in a file.
+fn renamed(scalars: &[Scalar], written: fn(&str) -> String) -> Option<String> {
+    let others = scalars.iter().filter(|scalar| written(&scalar.name) != scalar.name);
+    let names: Vec<String> = others.map(|s| format!("{:?} (it is {})", s.name, written(&s.name))).collect();
+    (!names.is_empty()).then(|| format!("the name {}", names.join(", ")))
+}
+
 fn syntax(line: usize, message: impl Into<String>) -> DataError {
     DataError::Syntax { line, message: message.into() }
 }
@@ -471,6 +478,8 @@ pub fn encode_with_attributes(
     held.left_out.extend(match format {
         Format::Stl => held::rounding(mesh),
         Format::Glb | Format::Gltf => centred(),
+        Format::Ply => renamed(held.scalars, ply::word),
+        Format::Gmsh => renamed(held.scalars, gmsh::quoted),
         _ => None,
     });
     Ok((bytes, held.left_out))

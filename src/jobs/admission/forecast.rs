@@ -22,10 +22,13 @@ use geometry::cvt::density::{Count, Expected};
 use geometry::mesh::io::{self, DataError, Format};
 use geometry::remesh::Seeds;
 use geometry::rvd::{BackendChoice, BackendKind};
+use geometry::token::Token;
 use wire::proto::ArrayForm;
 
 /// Larger blobs are not read for their counts, nor such in which more is packed.
 const READ_BYTES: u64 = 64 << 20;
+/// Bytes that reading a surface makes of each of its file, at most.
+const MADE: u64 = 8;
 /// Blobs that are read at once, one of a tenant.
 const AT_ONCE: usize = 2;
 /// Blobs whose counts are remembered.
@@ -67,6 +70,50 @@ impl Forecast {
     /// The counts of a job whose surface has been looked at.
     pub(crate) async fn counts_with(&self, spec: &Spec, expected: &Expected) -> Result<Counts, JobApiError> {
         Ok(self.counts_of(spec, None, Some(expected.points as u64)).await?.of_surface(expected))
+    }
+
+    /// As [`Self::counts`], with a look at the surface itself if its file is not large: counts alone do not tell of needles,
+    /// fans and soups, nor of points that a length implies.
+    pub async fn counts_by_surface(&self, spec: &Spec, given: Option<(u64, u64)>) -> Result<Counts, JobApiError> {
+        let counts = self.counts_of(spec, given, None).await?;
+        let task = spec.task();
+        let (MeshSource::File { blob, format, .. }, None, None) = (&task.mesh, given, task.arrays.edge_lengths) else {
+            return Ok(counts);
+        };
+        let (owner, format) = (Owner::of(&spec.tenant), *format);
+        let size_bytes = self.size_of(owner, *blob).await?;
+        if size_bytes.saturating_mul(MADE) > self.engine.memory().host.min(MADE * READ_BYTES) {
+            return Ok(counts);
+        }
+        let (density, seeds) = match &task.operation {
+            Operation::Remesh(options) => (options.density.clone(), options.seeds.clone()),
+            Operation::Rvd(diagram) => (diagram.density.clone(), diagram.seeds.clone()),
+            Operation::Cvt(session, _) => (session.density.clone(), session.seeds.clone()),
+        };
+        let _place = self.reading.wait(&owner.to_string()).await;
+        let _mark = self.engine.mark();
+        let bytes = self.whole(*blob, size_bytes).await?;
+        let look = move || {
+            let mesh = io::decode(format, &bytes).ok()?;
+            let mut seeds = seeds;
+            seeds.resolve(&mesh);
+            Expected::of(&mesh, &density, seeds.count(), &Token::default()).ok()
+        };
+        // A surface that is of no use is told when the job reads it.
+        match tokio::task::spawn_blocking(look).await.ok().flatten() {
+            Some(expected) if task.arrays.seeds.is_none() => self.counts_with(spec, &expected).await,
+            Some(expected) => Ok(counts.of_surface(&expected)),
+            None => Ok(counts),
+        }
+    }
+
+    async fn whole(&self, blob: Digest, size_bytes: u64) -> Result<Vec<u8>, BlobError> {
+        let mut pieces = self.blobs.read(blob, 0..u64::MAX).await?.bytes;
+        let mut all = Vec::with_capacity(usize::try_from(size_bytes).unwrap_or(0));
+        while let Some(piece) = pieces.try_next().await? {
+            all.extend_from_slice(&piece);
+        }
+        Ok(all)
     }
 
     async fn counts_of(
@@ -201,16 +248,15 @@ impl Forecast {
             DataError::TooLong { limit } => JobApiError::Packed { limit_bytes: limit as u64 },
             error => JobApiError::Input { field: "spec.mesh.file".to_owned(), problem: error.to_string() },
         };
-        let whole = size_bytes <= READ_BYTES;
-        let mut pieces =
-            self.blobs.read(blob, 0..if whole { u64::MAX } else { MAGIC_BYTES.min(size_bytes) }).await?.bytes;
-        let mut all = Vec::with_capacity(if whole { usize::try_from(size_bytes).unwrap_or(0) } else { 0 });
-        while let Some(piece) = pieces.try_next().await? {
-            all.extend_from_slice(&piece);
-        }
-        if whole {
+        if size_bytes <= READ_BYTES {
+            let all = self.whole(blob, size_bytes).await?;
             let counted = tokio::task::spawn_blocking(move || look_at(format, &all, limit)).await;
             return counted.unwrap_or(Ok(None)).map_err(refused)?.ok_or_else(no_surface);
+        }
+        let mut pieces = self.blobs.read(blob, 0..MAGIC_BYTES).await?.bytes;
+        let mut all = Vec::new();
+        while let Some(piece) = pieces.try_next().await? {
+            all.extend_from_slice(&piece);
         }
         if !io::are_packed(&all) {
             return Ok(File { counts: most(format, size_bytes), bytes: size_bytes });

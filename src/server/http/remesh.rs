@@ -51,7 +51,8 @@ pub(super) async fn remesh(State(desk): State<Desk>, Extension(client): Whose, r
 /// A warning of the report, as `CODE: MESSAGE`; one header for each.
 pub(super) const WARNING: &str = "tessera-warning";
 
-/// The most warnings of an answer, and the most characters of one: clients limit the size of headers.
+/// The most warnings of an answer, the last of which tells of more, and the most characters of one: clients limit the size of
+/// headers.
 const MOST_WARNINGS: usize = 16;
 const MOST_CHARACTERS: usize = 400;
 
@@ -72,12 +73,17 @@ async fn warnings(desk: &Desk, job: &Job) -> Result<Vec<HeaderValue>, RequestErr
     let read = timely(desk.blobs.read(digest, 0..u64::MAX)).await?;
     let report: Vec<Bytes> = read.bytes.try_collect().await?;
     let Ok(Report { warnings }) = serde_json::from_slice(&report.concat()) else { return Ok(Vec::new()) };
-    let header = |Warning { code, message }: Warning| {
-        let text = format!("{code}: {message}");
+    let mut said: Vec<String> =
+        warnings.into_iter().map(|Warning { code, message }| format!("{code}: {message}")).collect();
+    if said.len() > MOST_WARNINGS {
+        let more = said.split_off(MOST_WARNINGS - 1).len();
+        said.push(format!("more: the report of job {} has {more} more", job.id));
+    }
+    let header = |text: String| {
         let text = text.chars().take(MOST_CHARACTERS).map(|c| if c.is_control() { ' ' } else { c });
         HeaderValue::from_bytes(text.collect::<String>().as_bytes()).ok()
     };
-    Ok(warnings.into_iter().take(MOST_WARNINGS).filter_map(header).collect())
+    Ok(said.into_iter().filter_map(header).collect())
 }
 
 /// What is asked for, before the surface is there.

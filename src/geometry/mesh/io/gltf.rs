@@ -126,6 +126,9 @@ fn surface(json: &[u8], binary: Option<&[u8]>, length: usize, wanted: bool) -> R
         soup.raw.labels("materials", document.materials);
         soup.raw.elements("primitives of points and lines", thin);
     }
+    if let Some(name) = document.used.as_ref().filter(|_| wanted) {
+        soup.raw.unreadable(&format!("the extension {name}"), "the surface is read without it".to_owned());
+    }
     if has_more {
         let text = "a surface carries normals, colours and one set of texture coordinates".to_owned();
         soup.raw.unreadable("other attributes of vertices", text);

@@ -441,6 +441,11 @@ impl Reader<'_> {
     }
 }
 
+/// A name that stands in quotes: nothing stands for a quote itself.
+pub(super) fn quoted(name: &str) -> String {
+    name.replace('"', "'")
+}
+
 fn encode(mesh: &TriMesh, held: &Held<'_>) -> Result<Vec<u8>, DataError> {
     let (vertices, facets) = (mesh.positions().len(), mesh.facets().len());
     let mut out = Vec::with_capacity(
@@ -464,7 +469,7 @@ fn encode(mesh: &TriMesh, held: &Held<'_>) -> Result<Vec<u8>, DataError> {
     out.extend_from_slice(b"\n$EndElements");
     for scalar in held.scalars {
         // A name, a time, and three numbers: the step, how many numbers a node has, how many nodes.
-        let (name, n) = (&scalar.name, scalar.components);
+        let (name, n) = (quoted(&scalar.name), scalar.components);
         // Gmsh knows nodes of one, three and nine numbers.
         let wide = [1, 3, 9].into_iter().find(|wide| *wide >= n).unwrap_or(n);
         let head = format!("\n$NodeData\n1\n\"{name}\"\n1\n0\n3\n0\n{wide}\n{vertices}\n");

@@ -37,8 +37,21 @@ pub(super) struct Document<'a> {
     pub(super) views: Vec<View>,
     pub(super) buffers: Vec<Buffer<'a>>,
     pub(super) materials: usize,
-    packing: Option<String>,
+    /// The first extension that the surface needs and that is not read, and the first that it could do with.
+    required: Option<String>,
+    pub(super) used: Option<String>,
     room: Room,
+}
+
+/// Parts of the names of extensions that change no surface, or are read.
+const HARMLESS: [&str; 9] =
+    ["_materials_", "_texture_", "_lights_", "_animation", "_xmp", "_audio", "_image", "_quantization", "_metadata"];
+
+/// Notes the first extension that is not read.
+fn note(first: &mut Option<String>, name: &str) {
+    if !name.is_empty() && !HARMLESS.iter().any(|part| name.contains(part)) {
+        first.get_or_insert_with(|| plain(name, 60));
+    }
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -286,8 +299,8 @@ impl<'a> Document<'a> {
             true => DataError::Truncated("its JSON is not whole".to_owned()),
             false => syntax(error.line().max(1), plain(&error.to_string(), 200)),
         })?;
-        let Some(by) = document.packing else { return Ok(document) };
-        Err(DataError::Header(format!("it is packed with {by}, which is not read; export it without")))
+        let Some(by) = document.required else { return Ok(document) };
+        Err(DataError::Header(format!("it requires the extension {by}, which is not read; export it without")))
     }
 
     pub(super) fn bytes(&self) -> usize {
@@ -443,6 +456,7 @@ enum At {
     Views,
     Buffers,
     Required,
+    Used,
     Materials,
 }
 
@@ -486,6 +500,7 @@ impl<'a> Visitor<'a> for Reading<'_, 'a> {
                 (At::Root, "bufferViews") => At::Views,
                 (At::Root, "buffers") => At::Buffers,
                 (At::Root, "extensionsRequired") => At::Required,
+                (At::Root, "extensionsUsed") => At::Used,
                 (At::Root, "materials") => At::Materials,
                 (At::Scene, "nodes") => At::SceneNodes,
                 (At::Node, "children") => At::Children,
@@ -523,7 +538,7 @@ impl<'a> Visitor<'a> for Reading<'_, 'a> {
         let Self { document, at } = self;
         loop {
             let Document { scenes, children, primitives, joints, accessors, views, buffers, .. } = document;
-            let Document { materials, packing, room, .. } = document;
+            let Document { materials, required, used, room, .. } = document;
             macro_rules! element {
                 ($list:expr) => {
                     seq.next_element()?.map(|element| room.push($list, element))
@@ -549,9 +564,7 @@ impl<'a> Visitor<'a> for Reading<'_, 'a> {
                     Ok(())
                 }),
                 _ => seq.next_element::<Text<'_>>()?.map(|Text(name)| {
-                    if name.contains("compression") {
-                        packing.get_or_insert_with(|| plain(&name, 60));
-                    }
+                    note(if at == At::Required { &mut *required } else { &mut *used }, &name);
                     Ok(())
                 }),
             };

@@ -313,7 +313,7 @@ impl Reader<'_> {
 
     fn name(&mut self) -> Result<String, DataError> {
         let word = self.cursor.word().ok_or_else(|| cut("a header"))?;
-        Ok(String::from_utf8_lossy(word).into_owned())
+        Ok(String::from_utf8_lossy(&percent_decode(word)).into_owned())
     }
 
     /// Colours are bytes in binary files, and fractions in text.
@@ -400,6 +400,26 @@ impl Reader<'_> {
     }
 }
 
+/// A name as legacy files have it: other characters than visible ASCII are `%` and two hexadecimal digits for each byte.
+fn percent_encode(name: &str) -> String {
+    let byte = |b: u8| match b {
+        b'!'..=b'~' if !matches!(b, b'"' | b'%') => char::from(b).to_string(),
+        _ => format!("%{b:02X}"),
+    };
+    name.bytes().map(byte).collect()
+}
+
+fn percent_decode(word: &[u8]) -> Vec<u8> {
+    let (mut name, mut rest) = (Vec::with_capacity(word.len()), word);
+    while let [first, after @ ..] = rest {
+        let hex = after.get(..2).filter(|_| *first == b'%').and_then(|hex| std::str::from_utf8(hex).ok());
+        let byte = hex.and_then(|hex| u8::from_str_radix(hex, 16).ok());
+        name.push(byte.unwrap_or(*first));
+        rest = if byte.is_some() { &after[2..] } else { after };
+    }
+    name
+}
+
 fn encode(mesh: &TriMesh, held: &Held<'_>) -> Result<Vec<u8>, DataError> {
     let (vertices, facets) = (mesh.positions().len(), mesh.facets().len());
     let arrays = written(held);
@@ -419,7 +439,7 @@ fn encode(mesh: &TriMesh, held: &Held<'_>) -> Result<Vec<u8>, DataError> {
     let in_field = arrays.iter().filter(|a| fields(a)).count();
     let others = arrays.iter().filter(|a| !fields(a));
     for (index, array) in others.chain(arrays.iter().filter(|a| fields(a))).enumerate() {
-        let (name, n) = (&array.name, array.components);
+        let (name, n) = (percent_encode(&array.name), array.components);
         if index == arrays.len() - in_field {
             line(&mut out, format!("\nFIELD FieldData {in_field}"));
         }

@@ -14,6 +14,7 @@ use base64::engine::general_purpose::STANDARD;
 use flate2::read::ZlibDecoder;
 use glam::DVec3;
 use quick_xml::Reader;
+use quick_xml::escape::{escape, unescape};
 use quick_xml::events::{BytesStart, Event};
 
 use super::{Array, Cell, KINDS, ON_POINTS, Role, SURFACE_FIRST, carried, names, push_cells, written};
@@ -244,7 +245,8 @@ const DEEPEST: usize = 64;
 
 fn attribute(tag: &BytesStart<'_>, name: &str) -> Option<String> {
     let found = tag.attributes().with_checks(false).flatten().find(|a| a.key.as_ref() == name.as_bytes())?;
-    Some(String::from_utf8_lossy(&found.value).into_owned())
+    let text = String::from_utf8_lossy(&found.value);
+    Some(unescape(&text).map_or_else(|_| text.to_string(), |plain| plain.into_owned()))
 }
 
 fn number(tag: &BytesStart<'_>, name: &str) -> usize {
@@ -661,7 +663,8 @@ fn encode(mesh: &TriMesh, held: &Held<'_>, of: Type) -> Result<Vec<u8>, DataErro
     let mut out = String::with_capacity(1024 + 32 * vertices + 44 * facets + 11 * vertices * arrays.len());
     let array = |out: &mut String, name: &str, kind: &str, components: usize, data: Vec<u8>| {
         out.push_str(&format!(
-            "<DataArray type=\"{kind}\" Name=\"{name}\" NumberOfComponents=\"{components}\" format=\"binary\">"
+            "<DataArray type=\"{kind}\" Name=\"{}\" NumberOfComponents=\"{components}\" format=\"binary\">",
+            escape(name)
         ));
         STANDARD.encode_string((data.len() as u64).to_le_bytes(), out);
         STANDARD.encode_string(data, out);
