@@ -23,6 +23,7 @@ use super::guard::Whose;
 use super::options::{Asked, format_names, media_type};
 use super::problem::{Answered, Problem, wrong};
 use super::schema::{BYTES, EVENTS, JSON, digest, job_id as job_id_schema, named, word, word_or_null};
+use super::warnings::{REPORT, WARNING, warnings};
 use crate::service::{self, Caller, Desk, Detail, Fault, FaultKind, RequestError, job_id, to_the_end};
 use jobs::blob::Digest;
 use jobs::record::event::{Event, Progress, What};
@@ -235,9 +236,8 @@ pub(super) async fn result(
     send_result(&desk, &client, &job, &name, request.headers(), ()).await
 }
 
-/// The surface and the figures among the results of a job.
+/// The surface among the results of a job.
 pub(super) const MESH: &str = "mesh";
-pub(super) const REPORT: &str = "report";
 
 pub(super) async fn send_result(
     desk: &Desk,
@@ -257,7 +257,12 @@ pub(super) async fn send_result(
         (REPORT, _) => JSON,
         _ => BYTES,
     };
-    send(desk, &client.tenant, *digest, headers, media_type, until).await
+    let warnings = if name == MESH { warnings(desk, job).await? } else { Vec::new() };
+    let mut answer = send(desk, &client.tenant, *digest, headers, media_type, until).await?;
+    for warning in warnings {
+        answer.headers_mut().append(WARNING, warning);
+    }
+    Ok(answer)
 }
 
 fn without_result(job: &Job) -> Fault {
