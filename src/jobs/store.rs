@@ -3,7 +3,7 @@
 //! Purpose: [`JobStore`], what a store of jobs can do; [`MemoryStore`] and [`RedbStore`] are two.
 //! Invariant: an answer that is not an error says what is kept: in a journal it is on the disk. An operation that gets an error
 //! has changed nothing, except [`StoreError::Broken`] and [`StoreError::Closed`], after which it is unknown until the store
-//! is opened again. A state changes only from the version that its changer has seen. Nothing here needs the caller to be
+//! is opened again, and [`StoreError::Unavailable`], after which it is unknown until the job is read again. A state changes only from the version that its changer has seen. Nothing here needs the caller to be
 //! the only process. Only the store's own clock decides on times, leases and deadlines. The store has the index of blobs
 //! too: a job's pins are set and end in the same step as the change of the job.
 //! Must not know: messages, how jobs are done, in which order they should be, where the bytes of blobs lie.
@@ -279,4 +279,8 @@ pub enum StoreError {
     Broken { cause: String },
     #[error("the store of jobs is closed; the server is ending")]
     Closed,
+    #[error("the database of jobs does not answer ({cause}); try again")]
+    Unavailable { cause: String },
+    #[error("the database of jobs cannot be used: {cause}")]
+    Unusable { cause: String },
 }

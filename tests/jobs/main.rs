@@ -5,6 +5,9 @@
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)] // a failure here is the test's failure
 
+#[cfg(all(unix, feature = "postgres"))]
+#[path = "../common/postgres.rs"]
+mod postgres_server;
 #[path = "../common/process.rs"]
 mod process;
 
@@ -13,6 +16,8 @@ mod figures;
 mod index;
 mod journal;
 mod model;
+#[cfg(all(unix, feature = "postgres"))]
+mod postgres;
 mod random;
 mod specs;
 mod states;

@@ -21,6 +21,11 @@ pub struct Owner(pub(super) [u8; 16]);
 hex_name!(Owner);
 
 impl Owner {
+    #[cfg(feature = "postgres")]
+    pub(crate) const fn as_bytes(&self) -> &[u8; 16] {
+        &self.0
+    }
+
     pub fn of(name: &str) -> Self {
         let digest = Digest::of(name.as_bytes());
         Self(std::array::from_fn(|k| digest.as_bytes()[k]))
