@@ -308,7 +308,7 @@ fn progress_goes_with_its_day_and_states_stay() {
         knowing(open(&database), &[(input(), 1)])
     };
     let partitions = || database.sql("select count(*) from pg_inherits where inhparent = 'tessera.progress'::regclass");
-    let store = at_day(20_000);
+    let store = at_day(30_000);
     let id = wait(store.create(new(1, ""))).unwrap().job.id;
     let at = wait(store.claim_next(Offer::of("x", LEASE, id))).unwrap().unwrap().status.version;
     for _ in 0..100 {
@@ -317,7 +317,7 @@ fn progress_goes_with_its_day_and_states_stay() {
     let count = |store: &PostgresStore| wait(store.events(id, 0, 999)).unwrap().events.len();
     assert_eq!(count(&store), 2 + jobs::record::event::KEPT_PROGRESS);
     let before: usize = partitions().parse().unwrap();
-    let store = at_day(20_009);
+    let store = at_day(30_009);
     assert_eq!(count(&store), 2, "{before}");
     // Today and tomorrow, and the one for all other days.
     assert_eq!(partitions(), "3");
@@ -325,7 +325,7 @@ fn progress_goes_with_its_day_and_states_stay() {
     assert_eq!(number, 103);
     // What is kept is in the job from the next change on.
     wait(store.change(id, at, Change::Release)).unwrap();
-    let store = at_day(20_020);
+    let store = at_day(30_020);
     assert_eq!(count(&store), 4);
     wait(store.cancel(id)).unwrap();
     assert_eq!(wait(store.expire(KEEP, 1000)).unwrap(), Swept::default());
