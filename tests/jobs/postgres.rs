@@ -330,3 +330,56 @@ fn progress_goes_with_its_day_and_states_stay() {
     wait(store.cancel(id)).unwrap();
     assert_eq!(wait(store.expire(KEEP, 1000)).unwrap(), Swept::default());
 }
+
+/// `cargo test --test jobs figures -- --ignored --nocapture`. The server of the tests does not sync: what a disk adds is not seen.
+#[needs(postgres)]
+#[test]
+#[ignore = "figures, not a test"]
+fn figures_of_the_database() {
+    const JOBS: u64 = 4000;
+    const TASKS: u64 = 16;
+    let database = server::database();
+    let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build().unwrap();
+    runtime.block_on(async {
+        let options = PostgresOptions { connections: TASKS as u32, ..options(database.url()) };
+        let store = std::sync::Arc::new(PostgresStore::open(options).await.unwrap());
+        let blobs = vec![(jobs::blob::BlobInfo { digest: input(), size_bytes: 1 }, 1)];
+        store.index().enter(jobs::blob::index::Stored { blobs, ..Default::default() }).await.unwrap();
+        let all = async |what: &str, run: fn(std::sync::Arc<PostgresStore>, u64) -> BoxFuture| {
+            let start = Instant::now();
+            let tasks: Vec<_> = (0..TASKS).map(|task| tokio::spawn(run(std::sync::Arc::clone(&store), task))).collect();
+            for task in tasks {
+                task.await.unwrap();
+            }
+            println!("{what}: {:.0} a second", JOBS as f64 / start.elapsed().as_secs_f64());
+        };
+        all("creates", |store, task| {
+            Box::pin(async move {
+                for number in (task..JOBS).step_by(TASKS as usize) {
+                    store.create(new(number.into(), &format!("r{number}"))).await.unwrap();
+                }
+            })
+        })
+        .await;
+        all("claims with a renewal, an event and an end", |store, _| {
+            Box::pin(async move {
+                while let Some(job) = store.claim_next(Offer::new("x", LEASE, PLENTY)).await.unwrap() {
+                    let (id, at) = (job.id, job.status.version);
+                    store.renew(id, at, LEASE).await.unwrap();
+                    store.progress(id, at, stage()).await.unwrap();
+                    store.change(id, at, Change::Cancel).await.unwrap();
+                }
+            })
+        })
+        .await;
+        let start = Instant::now();
+        while store.expire(Retention { results: Duration::ZERO, records: Duration::ZERO }, 1000).await.unwrap().more {}
+        println!("deletes: {:.0} a second", JOBS as f64 / start.elapsed().as_secs_f64());
+    });
+    std::thread::sleep(Duration::from_secs(2));
+    let sizes = "select relname, n_tup_ins, n_tup_upd, n_tup_hot_upd, n_dead_tup, pg_table_size(relid), seq_scan, idx_scan \
+                 from pg_stat_user_tables where n_tup_ins > 0 order by relname";
+    println!("{}", database.sql(sizes));
+}
+
+type BoxFuture = std::pin::Pin<Box<dyn Future<Output = ()> + Send>>;

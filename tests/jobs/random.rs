@@ -478,6 +478,12 @@ fn what_was_acknowledged_outlives_the_crash_of_the_database() {
             }
         };
         stop.join().unwrap();
+        let start = std::time::Instant::now();
+        let spec = super::model::body("away", 0);
+        let away = wait(trial.store().create(NewJob { random: 0, spec, needs: Bytes::default() })).unwrap_err();
+        assert!(matches!(away, StoreError::Unavailable { .. }), "{away}");
+        // A caller hears within 2 s; a busy machine adds to it.
+        assert!(start.elapsed() < Duration::from_secs(3), "{:?}", start.elapsed());
         cluster.start();
         let found = trial.found();
         // It is unknown whether the last step was done.
