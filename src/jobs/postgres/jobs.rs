@@ -339,6 +339,7 @@ pub(super) async fn list(connection: impl PgExecutor<'_>, query: &Query) -> Stor
     if low.0 >= high || texts.any(|text| text.contains('\0')) {
         return Ok(Page::default());
     }
+    // Planned anew each time, since labels and tenants differ much in how many jobs they have.
     // The inner query finds a page and one more, to know whether there is another; the outer ends it where specifications are long.
     let mut sql: QueryBuilder<Postgres> = QueryBuilder::new(
         "select p.id, p.spec, p.status, l.until, p.found from (select id, spec, status, count(*) over () as found, \
@@ -365,7 +366,7 @@ pub(super) async fn list(connection: impl PgExecutor<'_>, query: &Query) -> Stor
     sql.push(" order by id desc limit ").push_bind(number(limit as u64 + 1));
     sql.push(") q) p left join tessera.leases l on l.job = p.id where p.ahead <= ");
     sql.push_bind(number(rules::PAGE_BYTES as u64)).push(" order by p.id desc");
-    let rows: Vec<ListedRow> = sql.build_query_as().fetch_all(connection).await?;
+    let rows: Vec<ListedRow> = sql.build_query_as().persistent(false).fetch_all(connection).await?;
     let found = rows.first().map_or(0, |row| count(row.found));
     let jobs: Vec<Job> = rows.into_iter().take(limit).map(|row| row.job.job()).collect::<Result<_, _>>()?;
     let next = jobs.last().filter(|_| found > jobs.len() as u64).map(|job| job.id);
