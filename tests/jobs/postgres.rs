@@ -13,6 +13,7 @@ use needs::needs;
 use sqlx::{Connection, PgConnection};
 
 use super::{KEEP, input, knowing, message, spec, wait};
+use crate::certificates::{Age, Authority};
 use crate::postgres_server::{self as server, Database, PASSWORD};
 
 const CLIENTS: usize = 4;
@@ -94,6 +95,29 @@ fn a_password_comes_with_the_address_or_from_a_file() {
     wait(PostgresStore::open(by_file)).unwrap();
     let refused = refusal(options(database.url_by_port("tessera:wrong")));
     assert!(matches!(refused, StoreError::Unusable { .. }) && !refused.to_string().contains("wrong"), "{refused}");
+}
+
+#[needs(postgres)]
+#[test]
+fn the_server_is_who_its_authority_says() {
+    let database = server::database();
+    let [authority, other] = ["ours", "other"].map(Authority::new);
+    let shown = authority.vouch(&["127.0.0.1"], Age::Good);
+    database.cluster.offer_tls(&shown.cert, &shown.key);
+    let folder = tempfile::tempdir().unwrap();
+    let open = |authority: &Authority| {
+        let ca = folder.path().join("ca.pem");
+        std::fs::write(&ca, authority.pem()).unwrap();
+        let url = database.url_by_port("tessera");
+        let url = format!("{url}?sslmode=verify-full&sslrootcert={}", ca.display());
+        let password_file = Some(folder.path().join("password"));
+        wait(PostgresStore::open(PostgresOptions { password_file, ..options(url) }))
+    };
+    std::fs::write(folder.path().join("password"), PASSWORD).unwrap();
+    let store = open(&authority).unwrap();
+    assert!(wait(store.list(Query::default())).unwrap().jobs.is_empty());
+    let refused = open(&other).unwrap_err();
+    assert!(matches!(refused, StoreError::Unusable { .. }), "{refused}");
 }
 
 #[needs(postgres)]

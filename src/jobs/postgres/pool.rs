@@ -179,6 +179,10 @@ impl From<sqlx::Error> for StoreError {
         let cause = error.to_string();
         match error {
             E::Database(error) if !error.code().is_some_and(|code| is_passing(&code)) => Self::Unusable { cause },
+            // A certificate that was refused, for example.
+            E::Io(error) if error.get_ref().is_some_and(|error| error.is::<rustls::Error>()) => {
+                Self::Unusable { cause }
+            }
             E::Database(_) | E::Io(_) | E::Protocol(_) | E::PoolTimedOut | E::WorkerCrashed | E::BeginFailed => {
                 Self::Unavailable { cause }
             }
