@@ -39,11 +39,15 @@ pub struct PostgresOptions {
     pub connections: u32,
     /// Whether `synchronous_commit` may be `off` or `local`: a crash or a failover then loses jobs that were acknowledged.
     pub may_lose: bool,
+    /// No sweep of any process for so long means that the database was away. Leases then get their length once more before
+    /// [`Orphans::LeaseOver`](crate::store::Orphans) counts. Longer than the time between sweeps, and shorter than a lease.
+    pub silence: Duration,
 }
 
 impl PostgresOptions {
     pub fn new(url: impl Into<String>, holder: impl Into<String>) -> Self {
-        Self { url: url.into(), password_file: None, holder: holder.into(), connections: 8, may_lose: false }
+        let silence = Duration::from_secs(10);
+        Self { url: url.into(), password_file: None, holder: holder.into(), connections: 8, may_lose: false, silence }
     }
 
     /// Errors: `Unusable`.
