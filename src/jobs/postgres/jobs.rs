@@ -8,6 +8,7 @@
 use sqlx::postgres::PgRow;
 use sqlx::{FromRow, PgConnection, PgExecutor, PgTransaction, Postgres, QueryBuilder, Row};
 
+use super::listen::Voice;
 use super::pool::Database;
 use super::rows::{JobRow, Locked, LockedRow, count, from_json, id_of, number, progress_log, text, to_json};
 use crate::blob::{Digest, Owner};
@@ -18,10 +19,6 @@ use crate::store::codec::encode;
 use crate::store::pins::{input_pin, over};
 use crate::store::{Created, NewJob, Offer, Page, Query, StoreError, rules};
 
-/// The channel on which all processes hear of changes.
-pub(super) const CHANNEL: &str = "tessera";
-/// Names of jobs in one notification, which has less than 8,000 bytes. Of more changes no names are given.
-const MOST_NAMES: usize = 200;
 /// Progress that is looked at, the latest: more of a job than its log keeps.
 const RECENT: i64 = 256;
 
@@ -38,19 +35,15 @@ impl Work {
         Ok(Self { transaction: database.begin().await?, touched: Vec::new() })
     }
 
-    /// Commits what was done, or undoes it.
-    pub(super) async fn end<T>(mut self, done: StoreResult<T>) -> StoreResult<T> {
+    /// Commits what was done and says so, or undoes it.
+    pub(super) async fn end<T>(self, done: StoreResult<T>, voice: &Voice) -> StoreResult<T> {
         if done.is_err() {
             // Unless the connection is lost, and the transaction with it.
             drop(self.transaction.rollback().await);
             return done;
         }
-        if !self.touched.is_empty() {
-            let names: Vec<String> = self.touched.iter().map(JobId::to_string).collect();
-            let payload = if names.len() > MOST_NAMES { String::new() } else { names.join(",") };
-            sqlx::query("select pg_notify($1, $2)").bind(CHANNEL).bind(payload).execute(self.connection()).await?;
-        }
         self.transaction.commit().await?;
+        voice.say(self.touched);
         done
     }
 
