@@ -25,7 +25,7 @@ impl PostgresStore {
     /// Connects, and brings the schema of the database up to date. Errors: `Unusable`, `Unavailable`, `UnknownVersion`.
     pub async fn open(options: PostgresOptions) -> Result<Self, StoreError> {
         let database = Database::open(&options).await?;
-        let index = Arc::new(PostgresIndex::new(database.clone()));
+        let index = Arc::new(PostgresIndex::new(database.clone(), options.same_use));
         Ok(Self { index })
     }
 
