@@ -17,6 +17,7 @@ use async_trait::async_trait;
 use sqlx::PgTransaction;
 
 use super::pool::Database;
+use super::rows::{count, number};
 use crate::blob::index::{BlobIndex, Published, Room, Stored, Terms, Used};
 use crate::blob::{BlobError, BlobInfo, Digest, NO_OWNER, Owner, UploadId, Usage};
 
@@ -41,14 +42,6 @@ impl PostgresIndex {
     fn same_use(&self) -> i64 {
         i64::try_from(self.same_use.as_nanos()).unwrap_or(i64::MAX)
     }
-}
-
-fn number(value: u64) -> i64 {
-    i64::try_from(value).unwrap_or(i64::MAX)
-}
-
-fn count(value: i64) -> u64 {
-    u64::try_from(value).unwrap_or(0)
 }
 
 fn places(value: i64) -> usize {

@@ -74,8 +74,8 @@ create table tessera.progress (
 create index progress_token on tessera.progress (token, number);
 create table tessera.progress_other partition of tessera.progress default;
 
--- Makes the partitions of today and tomorrow, and drops those of the days before the last two.
-create function tessera.turn_days() returns void language plpgsql as $$
+-- Makes the partitions of today and tomorrow, and drops those of the days before the last two. Its caller need not own them.
+create function tessera.turn_days() returns void language plpgsql security definer set search_path = pg_catalog, pg_temp as $$
 declare
     day constant bigint := 86400000;
     today constant bigint := tessera.now_ms() / day;
@@ -87,8 +87,13 @@ begin
     end if;
     for d in today .. today + 1 loop
         if to_regclass(format('tessera.progress_%s', d)) is null then
-            execute format('create table tessera.progress_%s partition of tessera.progress for values from (%s) to (%s)',
-                d, d * day, (d + 1) * day);
+            begin
+                execute format('create table tessera.progress_%s partition of tessera.progress for values from (%s) to (%s)',
+                    d, d * day, (d + 1) * day);
+            exception when check_violation then
+                -- Progress of this day came before its partition: it stays where it is.
+                null;
+            end;
         end if;
     end loop;
     for old in
@@ -98,4 +103,5 @@ begin
     loop
         execute format('drop table tessera.%I', old.relname);
     end loop;
+    delete from tessera.progress_other where at < (today - 2) * day;
 end $$;
