@@ -44,6 +44,7 @@ pub struct PostgresStore {
     database: Database,
     index: Arc<PostgresIndex>,
     holder: String,
+    silence: Duration,
     waiters: Arc<Waiters>,
     listener: JoinHandle<()>,
     /// When the days of progress were last looked at.
@@ -58,7 +59,8 @@ impl PostgresStore {
         let index = Arc::new(PostgresIndex::new(database.clone(), options.same_use));
         let waiters = Arc::<Waiters>::default();
         let listener = tokio::spawn(listen::listen(Database::apart(&options)?, Arc::clone(&waiters)));
-        Ok(Self { database, index, holder: options.holder, waiters, listener, days: Mutex::new(Instant::now()) })
+        let PostgresOptions { holder, silence, .. } = options;
+        Ok(Self { database, index, holder, silence, waiters, listener, days: Mutex::new(Instant::now()) })
     }
 
     async fn keep_days(&self) {
@@ -159,12 +161,16 @@ impl JobStore for PostgresStore {
     fn expire(&self, keep: Retention, most: usize) -> Answer<'_, Swept> {
         Box::pin(async move {
             self.keep_days().await;
+            upkeep::pulse(&self.database, self.silence).await?;
             transaction!(self.run_long, |work| work.expire(keep, most)).await
         })
     }
 
     fn recover(&self, orphans: Orphans, max_crashes: u32) -> Answer<'_, Recovered> {
-        transaction!(self.run_long, |work| work.recover(orphans, &self.holder, max_crashes))
+        Box::pin(async move {
+            let since = upkeep::pulse(&self.database, self.silence).await?;
+            transaction!(self.run_long, |work| work.recover(orphans, (&self.holder, since), max_crashes)).await
+        })
     }
 
     // What goes down with this process is seen by its leases.

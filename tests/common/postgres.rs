@@ -192,6 +192,23 @@ impl Cluster {
         String::from_utf8(out.stdout).unwrap().trim().to_owned()
     }
 
+    /// From now on the port offers TLS with this certificate and key, in PEM.
+    pub fn offer_tls(&self, cert: &str, key: &str) {
+        for (name, text) in [("server.crt", cert), ("server.key", key)] {
+            let path = self.folder.join("data").join(name);
+            fs::write(&path, text).unwrap();
+            fs::set_permissions(&path, std::os::unix::fs::PermissionsExt::from_mode(0o600)).unwrap();
+            std::os::unix::fs::chown(&path, user().map(|ids| ids.0), None).unwrap();
+        }
+        self.sql("postgres", "alter system set ssl = on");
+        self.sql("postgres", "select pg_reload_conf()");
+        let end = Instant::now() + Duration::from_secs(20);
+        while self.sql("postgres", "show ssl") != "on" {
+            assert!(Instant::now() < end, "{}", fs::read_to_string(self.folder.join("log")).unwrap());
+            std::thread::sleep(Duration::from_millis(20));
+        }
+    }
+
     fn database(&'static self) -> Database {
         let name = format!("test{}", self.databases.fetch_add(1, Ordering::Relaxed));
         self.sql("postgres", &format!("create database {name}"));

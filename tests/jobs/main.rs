@@ -6,6 +6,10 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)] // a failure here is the test's failure
 
 #[cfg(all(unix, feature = "postgres"))]
+#[path = "../common/certificates.rs"]
+#[allow(dead_code)] // for servers of our own, too
+mod certificates;
+#[cfg(all(unix, feature = "postgres"))]
 #[path = "../common/postgres.rs"]
 mod postgres_server;
 #[path = "../common/process.rs"]

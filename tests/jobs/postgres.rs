@@ -13,6 +13,7 @@ use needs::needs;
 use sqlx::{Connection, PgConnection};
 
 use super::{KEEP, input, knowing, message, spec, wait};
+use crate::certificates::{Age, Authority};
 use crate::postgres_server::{self as server, Database, PASSWORD};
 
 const CLIENTS: usize = 4;
@@ -21,7 +22,9 @@ const PLENTY: Bytes = Bytes::MAX;
 
 /// A store in this database, by a process that calls itself as the model's.
 pub fn open(database: &Database) -> PostgresStore {
-    wait(PostgresStore::open(PostgresOptions { connections: 4, ..options(database.url()) })).unwrap()
+    // The model knows of no outage.
+    let options = PostgresOptions { connections: 4, silence: Duration::MAX, ..options(database.url()) };
+    wait(PostgresStore::open(options)).unwrap()
 }
 
 /// The clock of a database, set by hand.
@@ -95,6 +98,29 @@ fn a_password_comes_with_the_address_or_from_a_file() {
     wait(PostgresStore::open(by_file)).unwrap();
     let refused = refusal(options(database.url_by_port("tessera:wrong")));
     assert!(matches!(refused, StoreError::Unusable { .. }) && !refused.to_string().contains("wrong"), "{refused}");
+}
+
+#[needs(postgres)]
+#[test]
+fn the_server_is_who_its_authority_says() {
+    let database = server::database();
+    let [authority, other] = ["ours", "other"].map(Authority::new);
+    let shown = authority.vouch(&["127.0.0.1"], Age::Good);
+    database.cluster.offer_tls(&shown.cert, &shown.key);
+    let folder = tempfile::tempdir().unwrap();
+    let open = |authority: &Authority| {
+        let ca = folder.path().join("ca.pem");
+        std::fs::write(&ca, authority.pem()).unwrap();
+        let url = database.url_by_port("tessera");
+        let url = format!("{url}?sslmode=verify-full&sslrootcert={}", ca.display());
+        let password_file = Some(folder.path().join("password"));
+        wait(PostgresStore::open(PostgresOptions { password_file, ..options(url) }))
+    };
+    std::fs::write(folder.path().join("password"), PASSWORD).unwrap();
+    let store = open(&authority).unwrap();
+    assert!(wait(store.list(Query::default())).unwrap().jobs.is_empty());
+    let refused = open(&other).unwrap_err();
+    assert!(matches!(refused, StoreError::Unusable { .. }), "{refused}");
 }
 
 #[needs(postgres)]
@@ -269,6 +295,90 @@ fn a_start_takes_back_the_jobs_of_its_own_name_alone() {
     let (own, _others, over) = (claim(1, "one", LEASE), claim(2, "two", LEASE), claim(3, "three", Duration::ZERO));
     assert_eq!(wait(store.recover(Orphans::LeaseOver, MAX_CRASHES)).unwrap().requeued, [over]);
     assert_eq!(wait(store.recover(Orphans::All, MAX_CRASHES)).unwrap().requeued, [own]);
+}
+
+#[needs(postgres)]
+#[test]
+fn after_an_outage_holders_have_one_lease_to_come_back() {
+    let database = server::database();
+    drop(open(&database));
+    let clock = Clock::new(&database);
+    let silence = Duration::from_secs(10);
+    let options = PostgresOptions { silence, ..options(database.url()) };
+    clock.set(Time(1_000_000));
+    let store = knowing(wait(PostgresStore::open(options)).unwrap(), &[(input(), 1)]);
+    let recovered = |second: u64| {
+        clock.set(Time(1_000_000 + 1000 * second));
+        wait(store.recover(Orphans::LeaseOver, MAX_CRASHES)).unwrap().requeued
+    };
+    let lease = Duration::from_secs(30);
+    let claim = |random| {
+        let id = wait(store.create(new(random, ""))).unwrap().job.id;
+        wait(store.claim_next(Offer::of("x", lease, id))).unwrap().unwrap()
+    };
+    assert!(recovered(0).is_empty());
+    let (back, gone) = (claim(1), claim(2));
+    assert!(recovered(8).is_empty());
+    // The database was away, until long after the leases.
+    assert!(recovered(100).is_empty());
+    wait(store.renew(back.id, back.status.version, lease)).unwrap();
+    assert!((101..130).step_by(5).all(|second| recovered(second).is_empty()));
+    // Both have had one lease, from the end of the outage and from the renewal.
+    assert_eq!(recovered(129), []);
+    assert_eq!(recovered(130), [back.id, gone.id]);
+}
+
+/// A connection that hears what the stores of a database say.
+async fn ear(database: &Database) -> sqlx::postgres::PgListener {
+    let mut ear = sqlx::postgres::PgListener::connect(&database.url()).await.unwrap();
+    ear.listen("tessera").await.unwrap();
+    ear
+}
+
+#[needs(postgres)]
+#[test]
+fn a_transaction_notifies_once_and_progress_never() {
+    let database = server::database();
+    let store = knowing(open(&database), &[(input(), 1)]);
+    let jobs: Vec<Job> = (0..5)
+        .map(|random| {
+            let id = wait(store.create(new(random, ""))).unwrap().job.id;
+            wait(store.claim_next(Offer::of("x", Duration::ZERO, id))).unwrap().unwrap()
+        })
+        .collect();
+    wait(async {
+        let mut ear = ear(&database).await;
+        for job in &jobs {
+            store.progress(job.id, job.status.version, stage()).await.unwrap();
+            store.renew(job.id, job.status.version, Duration::ZERO).await.unwrap();
+        }
+        let refused = store.change(jobs[0].id, 99, Change::Cancel).await;
+        assert!(matches!(refused, Err(StoreError::Stale { .. })), "{refused:?}");
+        assert_eq!(store.recover(Orphans::LeaseOver, MAX_CRASHES).await.unwrap().requeued.len(), 5);
+        let heard = ear.recv().await.unwrap();
+        let names: Vec<JobId> = heard.payload().split(',').map(|name| name.parse().unwrap()).collect();
+        assert_eq!(names, jobs.iter().map(|job| job.id).collect::<Vec<_>>());
+        let more = tokio::time::timeout(Duration::from_millis(300), ear.recv()).await;
+        assert!(more.is_err(), "{more:?}");
+    });
+}
+
+#[needs(postgres)]
+#[test]
+fn renewals_do_not_make_the_tables_grow() {
+    let database = server::database();
+    let store = knowing(open(&database), &[(input(), 1)]);
+    let id = wait(store.create(new(1, ""))).unwrap().job.id;
+    let at = wait(store.claim_next(Offer::of("x", LEASE, id))).unwrap().unwrap().status.version;
+    let size =
+        || database.sql("select pg_total_relation_size('tessera.jobs') || ' ' || pg_indexes_size('tessera.leases')");
+    let before = size();
+    for _ in 0..1500 {
+        wait(store.renew(id, at, LEASE)).unwrap();
+    }
+    assert_eq!(size(), before);
+    let pages = database.sql("select pg_relation_size('tessera.leases') / 8192");
+    assert!(pages.parse::<u32>().unwrap() <= 4, "{pages} pages");
 }
 
 #[needs(postgres)]

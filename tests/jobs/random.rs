@@ -446,7 +446,7 @@ impl Medium for &InPostgres {
 #[test]
 fn the_database_does_what_the_model_does() {
     let medium = InPostgres::new(crate::postgres_server::database());
-    sequences("postgres", 25, |ops| {
+    sequences("postgres", 15, |ops| {
         medium.clock.begin_again();
         let mut trial = Trial::new(|_| &medium);
         ops.iter().for_each(|op| trial.run(op));

@@ -203,11 +203,12 @@ impl Work {
         .execute(self.connection())
         .await?;
         if let Some(holder) = &status.holder {
-            sqlx::query("insert into tessera.leases (job, version, holder, until, next) values ($1, $2, $3, $4, $5)")
+            sqlx::query("insert into tessera.leases (job, version, holder, until, length, next) values ($1, $2, $3, $4, $5, $6)")
                 .bind(id.0.as_slice())
                 .bind(number(status.version))
                 .bind(text(&holder.name))
                 .bind(number(holder.until.0))
+                .bind(number(holder.until.0.saturating_sub(now.0)))
                 .bind(number(event + 1))
                 .execute(self.connection())
                 .await?;
@@ -391,13 +392,14 @@ pub(super) async fn renew(
     at: u64,
     lease: std::time::Duration,
 ) -> StoreResult<()> {
-    let renewed =
-        sqlx::query("update tessera.leases set until = tessera.now_ms() + $3 where job = $1 and version = $2")
-            .bind(id.0.as_slice())
-            .bind(number(at))
-            .bind(i64::try_from(lease.as_millis()).unwrap_or(i64::MAX).min(i64::MAX / 4))
-            .execute(&mut *connection)
-            .await?;
+    let renewed = sqlx::query(
+        "update tessera.leases set until = tessera.now_ms() + $3, length = $3 where job = $1 and version = $2",
+    )
+    .bind(id.0.as_slice())
+    .bind(number(at))
+    .bind(i64::try_from(lease.as_millis()).unwrap_or(i64::MAX).min(i64::MAX / 4))
+    .execute(&mut *connection)
+    .await?;
     if renewed.rows_affected() == 0 {
         return Err(not_held(connection, id, at).await);
     }

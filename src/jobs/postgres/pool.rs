@@ -44,6 +44,9 @@ pub struct PostgresOptions {
     pub same_use: Duration,
     /// Whether `synchronous_commit` may be `off` or `local`: a crash or a failover then loses jobs that were acknowledged.
     pub may_lose: bool,
+    /// No sweep of any process for so long means that the database was away. Leases then get their length once more before
+    /// [`Orphans::LeaseOver`](crate::store::Orphans) counts. Longer than the time between sweeps, and shorter than a lease.
+    pub silence: Duration,
 }
 
 impl PostgresOptions {
@@ -55,6 +58,7 @@ impl PostgresOptions {
             connections: 8,
             same_use: SAME_USE,
             may_lose: false,
+            silence: Duration::from_secs(10),
         }
     }
 
@@ -191,6 +195,10 @@ impl From<sqlx::Error> for StoreError {
         let cause = error.to_string();
         match error {
             E::Database(error) if !error.code().is_some_and(|code| is_passing(&code)) => Self::Unusable { cause },
+            // A certificate that was refused, for example.
+            E::Io(error) if error.get_ref().is_some_and(|error| error.is::<rustls::Error>()) => {
+                Self::Unusable { cause }
+            }
             E::Database(_) | E::Io(_) | E::Protocol(_) | E::PoolTimedOut | E::WorkerCrashed | E::BeginFailed => {
                 Self::Unavailable { cause }
             }

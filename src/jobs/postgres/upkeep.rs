@@ -2,16 +2,30 @@
 //!
 //! Purpose: [`Work::expire`] and [`Work::recover`], which look for jobs by the indexes and change each as any other operation does.
 //! Invariant: doing it again is harmless, also by several processes at once: a job that another transaction has locked is left
-//! to the next sweep, and what was found is looked at again under the lock. Must not know: connections.
+//! to the next sweep, and what was found is looked at again under the lock. After the database was away, its clients have time to
+//! renew their leases. Must not know: connections.
+
+use std::time::Duration;
 
 use super::jobs::{Work, ids};
-use super::rows::number;
+use super::pool::Database;
+use super::rows::{number, text};
 use crate::record::state::State;
 use crate::record::{Cause, Change, JobId};
 use crate::store::{Orphans, Recovered, Retention, StoreError, Swept, rules};
 
 /// Jobs of one transaction.
 const MOST: usize = 100;
+
+/// Says that the database answers. Gives since when it does: nothing was heard for longer than `silence` before.
+pub(super) async fn pulse(database: &Database, silence: Duration) -> Result<i64, StoreError> {
+    let since = sqlx::query_scalar(
+        "update tessera.pulse set since = case when n.now - at > $1 then n.now else since end, at = n.now \
+         from (select tessera.now_ms() as now) n returning since",
+    );
+    let silence = i64::try_from(silence.as_millis()).unwrap_or(i64::MAX);
+    Ok(since.bind(silence).fetch_one(database.pool()).await?)
+}
 
 impl Work {
     pub(super) async fn expire(&mut self, keep: Retention, most: usize) -> Result<Swept, StoreError> {
@@ -28,9 +42,7 @@ impl Work {
         let mut more = due.len() > most_now;
         due.truncate(most_now);
         let room = most_now - due.len();
-        let before = |kept: std::time::Duration| {
-            number(now.0).saturating_sub(i64::try_from(kept.as_millis()).unwrap_or(i64::MAX))
-        };
+        let before = |kept: Duration| number(now.0).saturating_sub(i64::try_from(kept.as_millis()).unwrap_or(i64::MAX));
         let over: Vec<Vec<u8>> = sqlx::query_scalar(
             "select id from ((select id, changed from tessera.jobs where state = 2 and changed <= $1 order by changed, id \
              limit $3) union all (select id, changed from tessera.jobs where state > 2 and changed <= $2 \
@@ -73,21 +85,24 @@ impl Work {
         Ok(swept)
     }
 
-    /// `own` is how this process calls itself.
+    /// `own` is how this process calls itself. The database answers since the time `since`: a lease that ended before could not
+    /// be renewed, and gets its length once more.
     pub(super) async fn recover(
         &mut self,
         orphans: Orphans,
-        own: &str,
+        (own, since): (&str, i64),
         max_crashes: u32,
     ) -> Result<Recovered, StoreError> {
-        let own = (orphans == Orphans::All).then(|| super::rows::text(own));
+        let own = (orphans == Orphans::All).then(|| text(own));
         let now = self.now().await?;
-        let orphaned: Vec<Vec<u8>> =
-            sqlx::query_scalar("select job from tessera.leases where until <= $1 or holder = $2 order by job")
-                .bind(number(now.0))
-                .bind(&own)
-                .fetch_all(self.connection())
-                .await?;
+        let orphaned: Vec<Vec<u8>> = sqlx::query_scalar(
+            "select job from tessera.leases where (until <= $1 and length <= $1 - $3) or holder = $2 order by job",
+        )
+        .bind(number(now.0))
+        .bind(&own)
+        .bind(since)
+        .fetch_all(self.connection())
+        .await?;
         let orphaned = ids(orphaned)?;
         // Of several pieces of work any one may be the cause: each job is tried once more, alone.
         let is_sure = orphaned.len() == 1;

@@ -59,9 +59,15 @@ create table tessera.leases (
     token bigint generated always as identity,
     holder text not null,
     until bigint not null,
+    -- How long it was given for at last.
+    length bigint not null,
     -- Number of the next event.
     next bigint not null
 ) with (fillfactor = 50, autovacuum_vacuum_scale_factor = 0.0, autovacuum_vacuum_threshold = 500);
+
+-- Sweeps of all processes say that the database answers: when the last one came, and since when none was missing.
+create table tessera.pulse (since bigint not null, at bigint not null);
+insert into tessera.pulse values (0, 0);
 
 -- Progress since the state last changed. A change of the state copies what is kept of it into the job's log; rows go with
 -- their partition, a day each, by tessera.turn_days.
