@@ -58,7 +58,7 @@ impl PostgresStore {
     pub async fn open(options: PostgresOptions) -> Result<Self, StoreError> {
         let database = Database::open(&options).await?;
         turn_days(&database).await?;
-        let index = Arc::new(PostgresIndex::new(database.clone()));
+        let index = Arc::new(PostgresIndex::new(database.clone(), options.same_use));
         let waiters = Arc::<Waiters>::default();
         let listener = tokio::spawn(listen::listen(Database::apart(&options)?, Arc::clone(&waiters)));
         let voice = Voice::new(database.pool().clone(), Arc::clone(&waiters));

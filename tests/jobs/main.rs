@@ -15,6 +15,8 @@ mod postgres_server;
 #[path = "../common/process.rs"]
 mod process;
 
+#[cfg(all(unix, feature = "postgres"))]
+mod clients;
 mod disk;
 mod figures;
 mod index;

@@ -25,6 +25,9 @@ const OPERATION: Duration = Duration::from_secs(8);
 /// For a sweep or a list of many jobs.
 const LONG_OPERATION: Duration = Duration::from_secs(40);
 
+/// [`PostgresOptions::same_use`], if nothing else is given.
+const SAME_USE: Duration = Duration::from_secs(10);
+
 /// How a store gets at its database.
 #[derive(Clone)]
 pub struct PostgresOptions {
@@ -37,6 +40,8 @@ pub struct PostgresOptions {
     pub holder: String,
     /// The most connections of the pool; one more listens.
     pub connections: u32,
+    /// Uses of a blob within this time count as one, which saves writes: those that go for want of room were not used for longer.
+    pub same_use: Duration,
     /// Whether `synchronous_commit` may be `off` or `local`: a crash or a failover then loses jobs that were acknowledged.
     pub may_lose: bool,
     /// No sweep of any process for so long means that the database was away. Leases then get their length once more before
@@ -46,8 +51,15 @@ pub struct PostgresOptions {
 
 impl PostgresOptions {
     pub fn new(url: impl Into<String>, holder: impl Into<String>) -> Self {
-        let silence = Duration::from_secs(10);
-        Self { url: url.into(), password_file: None, holder: holder.into(), connections: 8, may_lose: false, silence }
+        Self {
+            url: url.into(),
+            password_file: None,
+            holder: holder.into(),
+            connections: 8,
+            same_use: SAME_USE,
+            may_lose: false,
+            silence: Duration::from_secs(10),
+        }
     }
 
     /// Errors: `Unusable`.
