@@ -14,7 +14,7 @@ use super::{postgres::open, postgres_server as server, wait};
 
 const CLIENTS: usize = 4;
 const ROUNDS: usize = 250;
-const BLOBS: usize = 24;
+const BLOBS: usize = 16;
 const TERMS: Terms = Terms { quota_bytes: 300, places: 12, own_quota_bytes: Some(160) };
 
 fn blob(k: usize) -> (Digest, u64) {
@@ -47,7 +47,7 @@ impl Client<'_> {
     }
 
     async fn pause(&mut self) {
-        let micros = self.random(2000) as u64;
+        let micros = self.random(3000) as u64;
         tokio::time::sleep(Duration::from_micros(micros)).await;
     }
 
@@ -325,4 +325,56 @@ fn a_use_soon_after_another_writes_nothing() {
         database.sql("update tessera.blobs set used = used - 11000000000");
         assert!(index.touch(&[id.digest]).await.unwrap()[0].unwrap().stamp > stamp);
     });
+}
+
+#[needs(postgres)]
+#[test]
+fn many_pinned_blobs_are_looked_at_once() {
+    let database = server::database();
+    let store = open(&database);
+    let index = store.index();
+    let held = || database.sql("select count(*) from tessera.blobs where held");
+    wait(async {
+        database.sql(
+            "insert into tessera.blobs (digest, size, used) select sha256(k::text::bytea), 1, k from generate_series(1, 9000) k; \
+             insert into tessera.pins (name, digest) select 'job ' || used, digest from tessera.blobs where used < 9000",
+        );
+        let terms = Terms { quota_bytes: 9000, places: 8, own_quota_bytes: None };
+        let admit = async |k: u8| index.admit(UploadId::new(Digest::of(&[k]), 1), terms).await;
+        assert_eq!(admit(1).await.unwrap().unwrap().victims.len(), 1);
+        let full = admit(2).await.unwrap_err();
+        assert!(matches!(full, BlobError::QuotaExceeded { pinned_bytes: 8999, used_bytes: 9000, .. }), "{full}");
+        assert_eq!(held(), "8999");
+        // The last pin lets it go, also where the mark stayed.
+        index.pin(None, "other", &[Digest::of(b"77")]).await.unwrap();
+        index.unpin("job 77").await.unwrap();
+        assert_eq!(held(), "8999");
+        index.unpin("other").await.unwrap();
+        assert_eq!(held(), "8998");
+        assert_eq!(admit(2).await.unwrap().unwrap().victims[0].digest, Digest::of(b"77"));
+        database.sql(
+            "delete from tessera.pins where name = 'job 78'; update tessera.blobs set held = true where used = 78",
+        );
+        assert_eq!(admit(3).await.unwrap().unwrap().victims[0].digest, Digest::of(b"78"));
+    });
+}
+
+#[needs(postgres)]
+#[test]
+fn an_index_whose_database_is_away_can_be_asked_again() {
+    let database = server::database_apart();
+    let store = open(&database);
+    let index = store.index();
+    let id = UploadId::new(blob(1).0, 7);
+    database.cluster.stop_immediate();
+    let away = wait(index.admit(id, TERMS)).unwrap_err();
+    assert!(matches!(away, BlobError::Unavailable(_)) && away.is_temporary(), "{away}");
+    database.cluster.start();
+    wait(index.admit(id, TERMS)).unwrap().unwrap();
+    wait(index.publish(id, None)).unwrap();
+    database.cluster.stop_immediate();
+    database.cluster.start();
+    // What was answered is there after a crash, but for a first use of a connection that went down.
+    let blob = (0..20).find_map(|_| wait(index.get(id.digest)).ok()).flatten();
+    assert_eq!(blob.unwrap().size_bytes, 7);
 }

@@ -20,6 +20,7 @@ use super::pool::Database;
 use super::rows::{count, number};
 use crate::blob::index::{BlobIndex, Published, Room, Stored, Terms, Used};
 use crate::blob::{BlobError, BlobInfo, Digest, NO_OWNER, Owner, UploadId, Usage};
+use admission::Decision;
 
 type BlobResult<T> = Result<T, BlobError>;
 
@@ -112,7 +113,18 @@ impl BlobIndex for PostgresIndex {
     }
 
     async fn admit(&self, upload: UploadId, terms: Terms) -> BlobResult<Option<Room>> {
-        transaction!(self, |work| admission::admit(work, &upload, &terms))
+        loop {
+            let decision: Decision = transaction!(self, |work| admission::admit(work, &upload, &terms))?;
+            match decision {
+                Decision::Admitted(room) => return Ok(room),
+                Decision::Again => {}
+                // Nothing waits for this one.
+                Decision::Full(figures) => {
+                    let full = admission::full(self.database.pool(), figures, &upload, &terms);
+                    return Err(run!(self, full)?);
+                }
+            }
+        }
     }
 
     async fn adopt(&self, upload: UploadId, places: usize) -> BlobResult<()> {

@@ -16,13 +16,23 @@ use crate::blob::{BlobError, BlobInfo, Digest, Owner, UploadId, Usage};
 const ADMISSION: i64 = 7_310_293_847_562;
 /// Rows of `amounts` that an admission replaces by their sum.
 const MANY_AMOUNTS: i64 = 64;
-/// Blobs that are looked at for one to go: at first, and at most at once.
+/// Blobs that are looked at for some to go: at first, most in one statement, and most while others wait.
 const LOOK_AT: i64 = 16;
 const LOOK_AT_MOST: i64 = 1024;
+const LOOK_AT_IN_TURN: usize = 4096;
+
+/// What an admission comes to. All of it is committed: of a refusal, which blobs are held.
+pub(super) enum Decision {
+    Admitted(Option<Room>),
+    /// The caller gives the refusal of these figures, with pinned bytes.
+    Full(Figures),
+    /// Many pinned blobs were looked at. Others have their turn first.
+    Again,
+}
 
 /// As [`crate::blob::index::BlobIndex::admit`].
-pub(super) async fn admit(work: &mut PgConnection, id: &UploadId, terms: &Terms) -> BlobResult<Option<Room>> {
-    let Some(figures) = figures(work, id).await? else { return Ok(None) };
+pub(super) async fn admit(work: &mut PgConnection, id: &UploadId, terms: &Terms) -> BlobResult<Decision> {
+    let Some(figures) = figures(work, id).await? else { return Ok(Decision::Admitted(None)) };
     figures.check_place(id, terms.places)?;
     // The owner's first: these are locked in the order of their digests.
     let own = match (id.owner, terms.own_quota_bytes) {
@@ -30,11 +40,16 @@ pub(super) async fn admit(work: &mut PgConnection, id: &UploadId, terms: &Terms)
         _ => Vec::new(),
     };
     let excess = match figures.excess(id, terms) {
-        // Pinned bytes are in no figure yet: they only matter where there is no room.
-        Err(BlobError::QuotaExceeded { .. }) => return Err(full(work, figures, id, terms).await?),
+        // Pinned bytes are in no figure here: they only matter where there is no room.
+        Err(BlobError::QuotaExceeded { .. }) => return Ok(Decision::Full(figures)),
         excess => excess?,
     };
-    let Some(victims) = victims(work, excess).await? else { return Err(full(work, figures, id, terms).await?) };
+    let victims = match victims(work, excess).await? {
+        Found::Enough(victims) => victims,
+        Found::TooFew if release(work).await? => return Ok(Decision::Again),
+        Found::TooFew => return Ok(Decision::Full(figures)),
+        Found::Many => return Ok(Decision::Again),
+    };
     blobs::leave(work, victims.iter().map(|victim| &victim.digest)).await?;
     let mut room = Room { victims, given_up: Vec::new() };
     enter(work, id).await?;
@@ -48,7 +63,7 @@ pub(super) async fn admit(work: &mut PgConnection, id: &UploadId, terms: &Terms)
             }
         }
     }
-    Ok(Some(room))
+    Ok(Decision::Admitted(Some(room)))
 }
 
 /// As [`crate::blob::index::BlobIndex::adopt`].
@@ -115,8 +130,8 @@ const PINNED: &str = "coalesce((select sum(size) from tessera.blobs b where exis
                       (select from tessera.pins p where p.digest = b.digest)), 0)::bigint";
 
 /// The refusal, with pinned bytes.
-async fn full(work: &mut PgConnection, figures: Figures, id: &UploadId, terms: &Terms) -> BlobResult<BlobError> {
-    let pinned: i64 = sqlx::query_scalar(sqlx::AssertSqlSafe(format!("select {PINNED}"))).fetch_one(work).await?;
+pub(super) async fn full(pool: &PgPool, figures: Figures, id: &UploadId, terms: &Terms) -> BlobResult<BlobError> {
+    let pinned: i64 = sqlx::query_scalar(sqlx::AssertSqlSafe(format!("select {PINNED}"))).fetch_one(pool).await?;
     Ok(Figures { pinned_bytes: count(pinned), ..figures }.full(id, terms))
 }
 
@@ -161,29 +176,42 @@ async fn own_room(
     }
 }
 
-/// Locks the least recently used blobs that no pin holds and that nothing else is at, so that these bytes go. `None` if there are
-/// too few.
-async fn victims(work: &mut PgConnection, excess_bytes: u64) -> BlobResult<Option<Vec<BlobInfo>>> {
-    let (mut left, mut victims) = (excess_bytes, Vec::new());
+enum Found {
+    Enough(Vec<BlobInfo>),
+    TooFew,
+    /// Many pinned ones, so far.
+    Many,
+}
+
+/// Locks the least recently used blobs that no pin holds and that nothing else is at, so that these bytes go. Those that a pin
+/// holds are marked.
+async fn victims(work: &mut PgConnection, excess_bytes: u64) -> BlobResult<Found> {
+    let (mut left, mut victims, mut looked_at) = (excess_bytes, Vec::new(), 0);
     let (mut after, mut most): ((i64, Vec<u8>), i64) = ((-1, Vec::new()), LOOK_AT);
     while left > 0 {
         let some: Vec<([u8; 32], i64, i64)> = sqlx::query_as(
-            "select digest, size, used from tessera.blobs b where (used, digest) > ($1, $2) and not exists \
-             (select from tessera.pins p where p.digest = b.digest) order by used, digest limit $3 for update skip locked",
+            "select digest, size, used from tessera.blobs where not held and (used, digest) > ($1, $2) \
+             order by used, digest limit $3 for update skip locked",
         )
         .bind(after.0)
         .bind(&after.1)
         .bind(most)
         .fetch_all(&mut *work)
         .await?;
-        let Some((digest, _, used)) = some.last() else { return Ok(None) };
+        let Some((digest, _, used)) = some.last() else { return Ok(Found::TooFew) };
         after = (*used, digest.to_vec());
         most = (most * 4).min(LOOK_AT_MOST);
-        // Those that were pinned before they were locked here.
-        let pinned = "select distinct digest from tessera.pins where digest = any($1)";
-        let looked_at: Vec<&[u8]> = some.iter().map(|(digest, ..)| digest.as_slice()).collect();
-        let pinned: HashSet<[u8; 32]> =
-            sqlx::query_scalar(pinned).bind(looked_at).fetch_all(&mut *work).await?.into_iter().collect();
+        // Once they are locked no pin comes.
+        let all: Vec<&[u8]> = some.iter().map(|(digest, ..)| digest.as_slice()).collect();
+        let pinned: Vec<[u8; 32]> = sqlx::query_scalar(
+            "update tessera.blobs b set held = true where digest = any($1) and exists \
+             (select from tessera.pins p where p.digest = b.digest) returning digest",
+        )
+        .bind(all)
+        .fetch_all(&mut *work)
+        .await?;
+        let pinned: HashSet<[u8; 32]> = pinned.into_iter().collect();
+        looked_at += pinned.len();
         for (digest, size, _) in some {
             if left > 0 && !pinned.contains(&digest) {
                 let victim = blob((digest, size));
@@ -191,8 +219,19 @@ async fn victims(work: &mut PgConnection, excess_bytes: u64) -> BlobResult<Optio
                 victims.push(victim);
             }
         }
+        if left > 0 && looked_at >= LOOK_AT_IN_TURN {
+            return Ok(Found::Many);
+        }
     }
-    Ok(Some(victims))
+    Ok(Found::Enough(victims))
+}
+
+/// Clears the mark of blobs that no pin holds any more. Gives whether there were any.
+async fn release(work: &mut PgConnection) -> BlobResult<bool> {
+    let release = "with free as (select digest from tessera.blobs b where held and not exists \
+                   (select from tessera.pins p where p.digest = b.digest) for no key update skip locked) \
+                   update tessera.blobs b set held = false from free where b.digest = free.digest";
+    Ok(sqlx::query(release).execute(work).await?.rows_affected() > 0)
 }
 
 /// As [`crate::blob::index::BlobIndex::usage`].

@@ -19,9 +19,13 @@ create table tessera.blobs (
     digest bytea primary key check (octet_length(digest) = 32),
     size bigint not null,
     -- The time of the last use, nanoseconds since 1970; 0 for one that goes first.
-    used bigint not null
+    used bigint not null,
+    -- Known to be pinned, so that no admission looks at it again. Set by an admission that met it, cleared with its last pin.
+    -- If two processes take back the last two pins at once it may stay set: an admission that finds no room looks again.
+    held boolean not null default false
 ) with (autovacuum_vacuum_scale_factor = 0.05);
-create index blobs_used on tessera.blobs (used, digest);
+create index blobs_used on tessera.blobs (used, digest) where not held;
+create index blobs_held on tessera.blobs (digest) where held;
 
 -- How many blobs there are, and their bytes: the sums of all rows. Each statement that adds or removes blobs adds a row, so that
 -- none waits for another; an admission replaces many by their sum.
@@ -61,6 +65,16 @@ create table tessera.pins (
     primary key (name, digest)
 );
 create index pins_digest on tessera.pins (digest, owner);
+
+create function tessera.clear_held() returns trigger language plpgsql as $$
+begin
+    update tessera.blobs b set held = false
+        where held and digest in (select digest from changed)
+        and not exists (select from tessera.pins p where p.digest = b.digest);
+    return null;
+end $$;
+create trigger pins_removed after delete on tessera.pins
+    referencing old table as changed for each statement execute function tessera.clear_held();
 
 -- Blobs that left the index, until their bytes are removed. One that stays here, after a crash, is removed by a sweep.
 create table tessera.gone (
