@@ -8,10 +8,11 @@
 use sqlx::postgres::PgRow;
 use sqlx::{FromRow, PgConnection, PgExecutor, PgTransaction, Postgres, QueryBuilder, Row};
 
+use super::index;
 use super::listen::Voice;
 use super::pool::Database;
 use super::rows::{JobRow, Locked, LockedRow, count, from_json, id_of, number, progress_log, text, to_json};
-use crate::blob::{Digest, Owner};
+use crate::blob::{BlobError, Digest, Owner};
 use crate::record::event::{Events, Log, Progress, What};
 use crate::record::state::State;
 use crate::record::{Change, Holder, Job, JobId, Spec, Time};
@@ -112,35 +113,14 @@ impl Work {
 
     /// Pins blobs, or none. Errors: `InputMissing`: the first that is not stored.
     async fn hold(&mut self, owner: Owner, name: &str, digests: &[Digest]) -> StoreResult<()> {
-        let all: Vec<&[u8]> = digests.iter().map(|digest| digest.as_bytes().as_slice()).collect();
-        // In order, so that two that pin the same blobs do not wait for each other.
-        let stored: Vec<Vec<u8>> =
-            sqlx::query_scalar("select digest from tessera.blobs where digest = any($1) order by digest for key share")
-                .bind(&all)
-                .fetch_all(self.connection())
-                .await?;
-        let is_stored = |digest: &Digest| stored.iter().any(|found| found == digest.as_bytes());
-        if let Some(digest) = digests.iter().find(|digest| !is_stored(digest)) {
-            return Err(StoreError::InputMissing { digest: *digest });
-        }
-        sqlx::query(
-            "insert into tessera.pins (name, digest, owner) select $1, digest, $2 from unnest($3::bytea[]) digest \
-             on conflict do nothing",
-        )
-        .bind(name)
-        .bind(owner.as_bytes().as_slice())
-        .bind(&all)
-        .execute(self.connection())
-        .await?;
-        Ok(())
+        index::pin(self.connection(), Some(owner), name, digests).await.map_err(|error| match error {
+            BlobError::NotFound { digest } => StoreError::InputMissing { digest },
+            error => StoreError::Unavailable { cause: error.to_string() },
+        })
     }
 
-    async fn release(&mut self, names: Vec<String>) -> StoreResult<()> {
-        if !names.is_empty() {
-            let gone = sqlx::query("delete from tessera.pins where name = any($1)").bind(names);
-            gone.execute(self.connection()).await?;
-        }
-        Ok(())
+    async fn release(&mut self, names: &[String]) -> StoreResult<()> {
+        Ok(index::unpin(self.connection(), names).await?)
     }
 
     /// Locks a job, once it is free. Errors: `NotFound`.
@@ -206,7 +186,7 @@ impl Work {
                 .execute(self.connection())
                 .await?;
         }
-        self.release(over(id, status.state)).await?;
+        self.release(&over(id, status.state)).await?;
         self.touched.push(id);
         Ok(Job { id, spec, status })
     }
@@ -274,7 +254,7 @@ impl Work {
                 .execute(self.connection())
                 .await?;
         }
-        self.release(over(*id, State::Expired)).await?;
+        self.release(&over(*id, State::Expired)).await?;
         self.touched.push(*id);
         Ok(())
     }
