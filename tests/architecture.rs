@@ -82,7 +82,7 @@ const HOUSES: &[House] = &[
             ("observe", &["record"]),
             ("engine", &["beside", "observe", "places", "record", "memory"]),
             ("admission", &["engine", "observe", "places", "store", "record", "blob"]),
-            ("executor", &["admission", "engine", "observe", "places", "store", "record", "blob"]),
+            ("executor", &["admission", "engine", "observe", "places", "postgres", "store", "record", "blob"]),
             ("lib", &[]),
         ],
         &[("redb", &["store"]), ("sqlx", &["postgres"]), ("object_store", &["blob"]), ("reqwest", &["blob/s3"])],

@@ -44,12 +44,14 @@ async fn stores(config: &ServeConfig) -> Result<Stores> {
     };
     let cannot = |error| Unavailable(format!("cannot make {}: {error}; give another --data-dir", folder.display()));
     std::fs::create_dir_all(folder).map_err(cannot)?;
-    let stores = match &config.bucket {
-        None => Stores::in_folder(folder.clone(), room).await,
-        Some(url) => Stores::in_bucket(folder.clone(), url, room).await,
+    let stores = match (&config.database, &config.bucket) {
+        (Some((url, password)), Some(bucket)) => Stores::in_database(url, password.clone(), bucket, room).await,
+        (_, None) => Stores::in_folder(folder.clone(), room).await,
+        (None, Some(url)) => Stores::in_bucket(folder.clone(), url, room).await,
     };
     let stores = stores.map_err(|error| unusable(config, &error))?;
-    tracing::info!(folder = %folder.display(), bucket = config.bucket.as_deref(), "jobs and blobs are kept");
+    let (bucket, database) = (config.bucket.as_deref(), config.database.is_some());
+    tracing::info!(folder = %folder.display(), bucket, database, "jobs and blobs are kept");
     Ok(stores)
 }
 
@@ -80,6 +82,9 @@ fn unusable(config: &ServeConfig, error: &JobApiError) -> Unavailable {
         (_, JobApiError::Blob(error)) if config.bucket.is_some() => {
             let bucket = config.bucket.as_deref().unwrap_or_default();
             Unavailable(format!("cannot use --blobs {bucket}: {error}; see the variables AWS_ENDPOINT and AWS_REGION"))
+        }
+        (_, JobApiError::Store(error)) if config.database.is_some() => {
+            Unavailable(format!("cannot use --store: {error}"))
         }
         (Some(folder), _) => Unavailable(format!("cannot use --data-dir {}: {error}", folder.display())),
     }

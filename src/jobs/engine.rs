@@ -246,6 +246,16 @@ impl Engine {
         self.shared.queue.kept(tenant)
     }
 
+    /// Whether one more job of a store would begin at once, its memory aside.
+    pub(crate) fn has_place(&self) -> bool {
+        self.shared.queue.has_place()
+    }
+
+    /// Ends once a piece of work is done, also one since the last call. For one caller at a time.
+    pub(crate) async fn freed(&self) {
+        self.shared.queue.freed().await;
+    }
+
     /// Takes a job of the store out of the line and cancels it.
     pub(crate) fn remove_kept(&self, id: JobId) {
         self.shared.queue.remove_kept(id);

@@ -1,7 +1,8 @@
 //! Jobs that are kept, done by this process.
 //!
 //! Purpose: [`Executor`] is the [`JobApi`] of one server: it keeps jobs in a [`JobStore`], queues them for the engine, does
-//! them and stores their results; and it takes them up again after a restart.
+//! them and stores their results; and it takes them up again after a restart. Of a store that several processes share it
+//! queues none: it claims what it has room for ([`sharing`]).
 //! Invariant: an acknowledged job is in the store, which pins its input. A result is pinned from before it is visible. A
 //! job is done by the executor that claimed it: what becomes of one that was cancelled or expired meanwhile is thrown away.
 //! A job fails for crashes only if it was at work alone. Must not know: messages, clients, which store.
@@ -13,13 +14,14 @@ mod perform;
 pub mod prepared;
 mod running;
 pub mod session;
+mod sharing;
 mod storage;
 pub mod streams;
 
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, Weak};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use async_trait::async_trait;
 use tokio::runtime::Handle;
@@ -40,6 +42,8 @@ use crate::store::{
     StoreError,
 };
 use crate::{JobError, admission, lock};
+use geometry::token::Token;
+use sharing::{Leases, Numbers};
 use storage::Storage;
 use wire::counts::Bounds;
 
@@ -51,8 +55,8 @@ const STORAGE_CHECK: u32 = 5;
 const SWEEP_UPLOADS: u32 = 600;
 /// Jobs that one sweep removes at most.
 const SWEEP_BATCH: usize = 1000;
-/// How long a claim is good without another word.
-const LEASE: Duration = Duration::from_secs(60);
+/// How long a shared store may take to answer the first question of a new job.
+const PATIENCE: Duration = Duration::from_millis(1800);
 /// Between two looks whether a job that is tried alone has ended.
 const ALONE_CHECK: Duration = Duration::from_millis(50);
 /// Progress that waits to be recorded.
@@ -67,6 +71,11 @@ pub struct ExecutorOptions {
     pub keep_records: Duration,
     /// Times that a job may be at work when the process goes down; then it fails.
     pub max_crashes: u32,
+    /// How long a claim is good without a renewal.
+    pub lease: Duration,
+    /// In a store that several processes share, the lease of work that has not checked its token for so long is not renewed.
+    /// Longer than one submission to the device may take.
+    pub silence: Duration,
     pub bounds: Bounds,
 }
 
@@ -77,6 +86,8 @@ impl ExecutorOptions {
             keep_results: Duration::from_secs(24 * 3600),
             keep_records: Duration::from_secs(7 * 24 * 3600),
             max_crashes: MAX_CRASHES,
+            lease: Duration::from_secs(60),
+            silence: Duration::from_secs(120),
             bounds,
         }
     }
@@ -113,6 +124,31 @@ impl Stores {
         }
     }
 
+    /// Jobs in a PostgreSQL database that several servers share; blobs in a bucket, as in [`Self::in_bucket`]. `password` is a
+    /// file, if the URL has none. Errors: why database or bucket cannot be used.
+    pub async fn in_database(
+        database: &str,
+        password: Option<PathBuf>,
+        bucket: &str,
+        blobs: BlobOptions,
+    ) -> Result<Self, JobApiError> {
+        #[cfg(all(feature = "postgres", feature = "s3"))]
+        {
+            use crate::postgres::{PostgresOptions, PostgresStore};
+            let options =
+                PostgresOptions { password_file: password, ..PostgresOptions::new(database, sharing::unique_name()?) };
+            let jobs = PostgresStore::open(options).await?;
+            let blobs = ObjectBlobs::s3(jobs.index(), bucket, [], blobs).await?;
+            Ok(Self { jobs: Arc::new(jobs), blobs: Arc::new(blobs) })
+        }
+        #[cfg(not(all(feature = "postgres", feature = "s3")))]
+        {
+            let _ = (database, password, bucket, blobs);
+            let cause = "this program was built without the feature postgres or s3".to_owned();
+            Err(StoreError::Unusable { cause }.into())
+        }
+    }
+
     /// In memory, gone with the process.
     pub fn ephemeral(blobs: BlobOptions) -> Self {
         let jobs = MemoryStore::default();
@@ -141,6 +177,11 @@ struct Inner {
     runtime: Handle,
     draining: AtomicBool,
     held: Mutex<Held>,
+    /// Claims of this process in a shared store.
+    leases: Leases,
+    /// Held while a job is claimed.
+    claiming: tokio::sync::Mutex<()>,
+    numbers: tokio::sync::Mutex<Numbers>,
     storage: Storage,
     progress: mpsc::Sender<ProgressCommand>,
     previews: Previews,
@@ -172,15 +213,20 @@ impl Executor {
     pub async fn start(engine: Engine, stores: Stores, options: ExecutorOptions) -> Result<Self, JobApiError> {
         let (progress, commands) = mpsc::channel(PROGRESS);
         let forecast = Forecast::new(Arc::clone(&stores.blobs), engine.clone(), options.bounds.max_seeds);
+        let shared = stores.jobs.shared().map(|shared| shared.holder().to_owned());
+        let is_shared = shared.is_some();
         let inner = Arc::new(Inner {
             stores,
             engine,
             options,
             forecast,
-            name: format!("process {}", std::process::id()),
+            name: shared.unwrap_or_else(|| format!("process {}", std::process::id())),
             runtime: Handle::current(),
             draining: AtomicBool::default(),
             held: Mutex::default(),
+            leases: Leases::default(),
+            claiming: tokio::sync::Mutex::default(),
+            numbers: tokio::sync::Mutex::default(),
             storage: Storage::default(),
             progress,
             previews: Previews::default(),
@@ -188,19 +234,29 @@ impl Executor {
         });
         inner.engine.count_beside(inner.stores.jobs.beside());
         inner.recover().await?;
-        tokio::spawn(record_progress(Arc::clone(&inner.stores.jobs), commands));
+        tokio::spawn(record_progress((Arc::clone(&inner.stores.jobs), Arc::downgrade(&inner)), commands));
         tokio::spawn(sweep(Arc::downgrade(&inner)));
+        if is_shared {
+            tokio::spawn(sharing::pull(Arc::downgrade(&inner)));
+            tokio::spawn(sharing::renew(Arc::downgrade(&inner)));
+        }
         Ok(Self { inner })
     }
 }
 
 /// Records the progress of jobs. What is no longer of interest is left out by the store.
-async fn record_progress(jobs: Arc<dyn JobStore>, mut commands: mpsc::Receiver<ProgressCommand>) {
+async fn record_progress(
+    (jobs, inner): (Arc<dyn JobStore>, Weak<Inner>),
+    mut commands: mpsc::Receiver<ProgressCommand>,
+) {
     while let Some(command) = commands.recv().await {
         match command {
             ProgressCommand::Record { id, at, what } => {
                 if let Err(error) = jobs.progress(id, at, what).await {
                     tracing::debug!(%id, %error, "progress not kept");
+                    if is_outdated(&error) {
+                        inner.upgrade().iter().for_each(|inner| inner.lose(id, at));
+                    }
                 }
             }
             ProgressCommand::Flush(done) => drop(done.send(())),
@@ -210,7 +266,7 @@ async fn record_progress(jobs: Arc<dyn JobStore>, mut commands: mpsc::Receiver<P
 
 /// Lets go of what is over, again and again.
 async fn sweep(inner: Weak<Inner>) {
-    let mut sweeps = 0u32;
+    let (mut sweeps, mut recovered) = (0u32, Instant::now());
     loop {
         tokio::time::sleep(SWEEP).await;
         let Some(inner) = inner.upgrade() else { return };
@@ -227,6 +283,12 @@ async fn sweep(inner: Weak<Inner>) {
             }
             Err(error) => tracing::error!(%error, "jobs that are over could not be let go of"),
         }
+        if inner.is_recovery_due(recovered) {
+            recovered = Instant::now();
+            if let Err(error) = inner.recover_lost().await {
+                tracing::warn!(%error, "leases that are over could not be looked for");
+            }
+        }
         if sweeps.is_multiple_of(SWEEP_UPLOADS)
             && let Err(error) = inner.stores.blobs.sweep().await
         {
@@ -242,6 +304,10 @@ impl Inner {
         if !recovered.requeued.is_empty() || !recovered.failed.is_empty() {
             let (again, failed) = (recovered.requeued.len(), recovered.failed.len());
             tracing::warn!(again, failed, "the process went down with jobs at work");
+        }
+        // Each process claims what it has room for.
+        if self.shared().is_some() {
+            return Ok(());
         }
         // Blobs of earlier versions have no owner.
         for (owner, digests) in &recovered.pinned {
@@ -301,7 +367,7 @@ impl Inner {
 
     /// Kept is kept: if a job cannot be queued now, the next start does.
     async fn enqueue_or_log(self: &Arc<Self>, job: &Job) {
-        if let Err(error) = self.enqueue(job).await {
+        if let Err(error) = self.enqueue(job, None).await {
             tracing::warn!(id = %job.id, %error, "a job waits for the next start");
         }
     }
@@ -312,7 +378,8 @@ impl Inner {
         }
     }
 
-    async fn enqueue(self: &Arc<Self>, job: &Job) -> Result<(), JobApiError> {
+    /// `claimed`: the token of a job that was claimed before.
+    async fn enqueue(self: &Arc<Self>, job: &Job, claimed: Option<Token>) -> Result<(), JobApiError> {
         // Its blobs may be gone.
         let counts = self.forecast.counts(&job.spec, None).await.ok();
         let request = match &counts {
@@ -326,8 +393,8 @@ impl Inner {
             origin: counts.as_ref().map(|counts| counts.origin(Some(job.id))),
             ..request
         };
-        let token = self.engine.token_within(job.spec.task().deadlines.run);
-        let mut work = running::Work::new(Arc::downgrade(self), job.id);
+        let mut work = running::Work::new(Arc::downgrade(self), job.id, claimed.is_some().then(|| job.clone()));
+        let token = claimed.unwrap_or_else(|| self.engine.token_within(job.spec.task().deadlines.run));
         Ok(self.engine.submit_kept(token, request, move |backends, context| work.run(backends, context))?)
     }
 
@@ -381,23 +448,38 @@ impl Inner {
         missing.first().map_or(Ok(()), |digest| Err(BlobError::NotFound { digest: *digest }.into()))
     }
 
-    /// Whether one more job of a tenant may wait. Asks no store, so that excess calls are refused at once.
-    fn has_place(&self, tenant: &str) -> Result<(), JobError> {
+    /// Whether one more job of a tenant may wait. Asks a shared store once a second, and no other, so that excess calls are
+    /// refused at once.
+    async fn has_place(&self, tenant: &str) -> Result<(), JobApiError> {
         if self.is_draining() {
-            return Err(JobError::Draining);
+            return Err(JobError::Draining.into());
         }
-        let full = |waiting| Err(JobError::QueueFull { waiting, retry_after: Duration::from_secs(5) });
-        let (held, held_own) = {
-            let jobs = &lock(&self.held).jobs;
-            (jobs.len(), jobs.iter().filter(|job| job.spec.tenant == tenant).count())
+        let (own, waiting) = match self.shared() {
+            Some(shared) => self.waiting(shared, tenant).await?,
+            None => {
+                let jobs = &lock(&self.held).jobs;
+                let held_own = jobs.iter().filter(|job| job.spec.tenant == tenant).count();
+                (self.engine.kept(Some(tenant)) + held_own, self.engine.kept(None) + jobs.len())
+            }
         };
-        let (waiting, own) = (self.engine.kept(None) + held, self.engine.kept(Some(tenant)) + held_own);
-        if may_take(own, waiting, self.options.waiting_jobs) { Ok(()) } else { full(waiting) }
+        let full = JobError::QueueFull { waiting, retry_after: Duration::from_secs(5) };
+        if may_take(own, waiting, self.options.waiting_jobs) { Ok(()) } else { Err(full.into()) }
+    }
+
+    /// What must be known before the input is looked at: the job, if its request came before. Errors: as [`Self::has_place`].
+    async fn begin_create(&self, spec: &Spec) -> Result<Option<Job>, JobApiError> {
+        // Its input may be gone by now, and is not needed.
+        if !spec.request_id.is_empty()
+            && let Some(job) = self.stores.jobs.requested(spec.clone()).await?
+        {
+            return Ok(Some(job));
+        }
+        self.has_place(&spec.tenant).await.map(|()| None)
     }
 
     /// Checks all that can be checked before a job is kept; gives the memory that it needs.
     async fn admit(&self, spec: &Spec) -> Result<Bytes, JobApiError> {
-        self.has_place(&spec.tenant)?;
+        self.has_place(&spec.tenant).await?;
         self.engine.backend(spec.task().backend)?;
         let counts = self.forecast.counts(spec, None).await?;
         self.within_bounds(&counts)?;
@@ -411,16 +493,25 @@ impl Inner {
 impl JobApi for Executor {
     async fn create(&self, spec: Spec) -> Result<Created, JobApiError> {
         let this = &self.inner;
-        // Its input may be gone by now, and is not needed.
-        if !spec.request_id.is_empty()
-            && let Some(job) = this.stores.jobs.requested(spec.clone()).await?
-        {
+        let begun = match this.shared() {
+            None => this.begin_create(&spec).await?,
+            Some(_) => tokio::time::timeout(PATIENCE, this.begin_create(&spec)).await.map_err(|_| {
+                let cause = format!("no answer within {} s", PATIENCE.as_secs_f64());
+                StoreError::Unavailable { cause }
+            })??,
+        };
+        if let Some(job) = begun {
             return Ok(Created { job, existed: true });
         }
-        this.has_place(&spec.tenant)?;
         this.check_input(&spec).await?;
         let needs = this.admit(&spec).await?;
         let created = this.stores.jobs.create(NewJob { random: getrandom_u128()?, spec, needs }).await?;
+        if this.shared().is_some() {
+            if !created.existed {
+                this.count_waiting(&created.job.spec.tenant).await;
+            }
+            return Ok(created);
+        }
         let is_held = || {
             let mut held = lock(&this.held);
             held.is_trying.then(|| held.jobs.push(created.job.clone())).is_some()
@@ -455,6 +546,8 @@ impl JobApi for Executor {
         // It may have ended before it was watched.
         if self.inner.of_tenant(tenant, id).await?.status.state.is_ended() {
             self.inner.previews.end(id);
+        } else if self.inner.shared().is_some() {
+            tokio::spawn(sharing::end_preview(Arc::downgrade(&self.inner), id));
         }
         Ok(receiver)
     }
@@ -504,11 +597,12 @@ impl JobApi for Executor {
         self.inner.draining.store(true, Ordering::Release);
         // The store has those that wait.
         self.inner.engine.release_kept();
+        self.inner.stop_pulling().await;
         if *self.inner.broken.borrow() {
             // No end of theirs can be kept.
             self.inner.engine.cancel_kept();
         }
-        while self.inner.engine.kept(None) > 0 {
+        while self.inner.engine.kept(None) > 0 || !self.inner.leases.is_empty() {
             tokio::time::sleep(Duration::from_millis(10)).await;
         }
     }

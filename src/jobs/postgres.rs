@@ -14,9 +14,11 @@ mod pool;
 mod rows;
 mod upkeep;
 
+use std::collections::HashMap;
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
+use tokio::sync::watch;
 use tokio::task::JoinHandle;
 
 pub use pool::PostgresOptions;
@@ -27,7 +29,8 @@ use crate::lock;
 use crate::record::event::{Events, Progress};
 use crate::record::{Change, Job, JobId, Spec};
 use crate::store::{
-    Answer, Created, JobStore, NewJob, Offer, Orphans, Page, Query, Recovered, Retention, StoreError, Swept, Waiters,
+    Answer, Created, JobStore, NewJob, Offer, Orphans, Page, Query, Recovered, Retention, SharedStore, StoreError,
+    Swept, Waiters,
 };
 use index::PostgresIndex;
 use jobs::Work;
@@ -47,6 +50,8 @@ pub struct PostgresStore {
     holder: String,
     silence: Duration,
     waiters: Arc<Waiters>,
+    /// Changes when jobs may have come to wait.
+    work: Arc<watch::Sender<()>>,
     voice: Voice,
     listener: JoinHandle<()>,
     /// When the days of progress were last looked at.
@@ -60,10 +65,12 @@ impl PostgresStore {
         turn_days(&database).await?;
         let index = Arc::new(PostgresIndex::new(database.clone(), options.same_use));
         let waiters = Arc::<Waiters>::default();
-        let listener = tokio::spawn(listen::listen(Database::apart(&options)?, Arc::clone(&waiters)));
-        let voice = Voice::new(database.pool().clone(), Arc::clone(&waiters));
+        let work = Arc::new(watch::Sender::new(()));
+        let heard = (Arc::clone(&waiters), Arc::clone(&work));
+        let listener = tokio::spawn(listen::listen(Database::apart(&options)?, heard));
+        let voice = Voice::new(database.pool().clone(), Arc::clone(&waiters), Arc::clone(&work));
         let PostgresOptions { holder, silence, .. } = options;
-        Ok(Self { database, index, holder, silence, waiters, voice, listener, days: Mutex::new(Instant::now()) })
+        Ok(Self { database, index, holder, silence, waiters, work, voice, listener, days: Mutex::new(Instant::now()) })
     }
 
     async fn keep_days(&self) {
@@ -179,6 +186,24 @@ impl JobStore for PostgresStore {
     // What goes down with this process is seen by its leases.
     fn beside(&self) -> Beside {
         Beside::default()
+    }
+
+    fn shared(&self) -> Option<&dyn SharedStore> {
+        Some(self)
+    }
+}
+
+impl SharedStore for PostgresStore {
+    fn holder(&self) -> &str {
+        &self.holder
+    }
+
+    fn work(&self) -> watch::Receiver<()> {
+        self.work.subscribe()
+    }
+
+    fn waiting(&self) -> Answer<'_, HashMap<String, usize>> {
+        connection!(self, |connection| jobs::waiting(connection))
     }
 }
 

@@ -16,12 +16,14 @@ mod redb;
 pub(crate) mod rules;
 mod tables;
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, HashMap};
 use std::fmt;
 use std::path::PathBuf;
 use std::pin::Pin;
 use std::sync::Arc;
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
+
+use tokio::sync::watch;
 
 use crate::beside::Beside;
 use crate::blob::index::BlobIndex;
@@ -102,6 +104,23 @@ pub trait JobStore: Send + Sync {
 
     /// Marks work that is none of the store's jobs, for the next [`Self::recover`].
     fn beside(&self) -> Beside;
+
+    /// What a store has more if several processes use it at the same time. `None` in a store of one process.
+    fn shared(&self) -> Option<&dyn SharedStore> {
+        None
+    }
+}
+
+/// A store of jobs that several processes use at the same time. Each claims what it has room for, and queues nothing.
+pub trait SharedStore: Send + Sync {
+    /// The name of this process, which no other has: the holder of its leases.
+    fn holder(&self) -> &str;
+
+    /// Changes when jobs may have come to wait. A change may be missed.
+    fn work(&self) -> watch::Receiver<()>;
+
+    /// Jobs that wait, by tenant.
+    fn waiting(&self) -> Answer<'_, HashMap<String, usize>>;
 }
 
 /// Times that a job may be at work when the process goes down: the second time it fails, if it was at work alone.

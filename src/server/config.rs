@@ -106,6 +106,25 @@ mod tests {
     }
 
     #[test]
+    fn a_database_needs_a_bucket_and_its_password_is_not_repeated() {
+        let url = "postgres://me:secret@host/jobs";
+        for line in [
+            &["--store", url][..],
+            &["--store", url, "--blobs", "s3://b", "--ephemeral"],
+            &["--store", "mysql://me:secret@host/jobs", "--blobs", "s3://b"],
+            &["--store", "postgres://me@host/jobs?password=secret", "--blobs", "s3://b"],
+            &["--store", "secret", "--blobs", "s3://b", "--store-password-file", "f"],
+        ] {
+            let error = parse(line).unwrap_err();
+            assert_eq!(error.option, if line.contains(&"--ephemeral") { "--blobs" } else { "--store" });
+            assert!(line[1] == "secret" || !error.to_string().contains("secret"), "{error}");
+        }
+        assert_eq!(parse(&["--store-password-file", "f"]).unwrap_err().option, "--store-password-file");
+        #[cfg(all(feature = "postgres", feature = "s3"))]
+        assert_eq!(parse(&["--store", url, "--blobs", "s3://b"]).unwrap().database, Some((url.to_owned(), None)));
+    }
+
+    #[test]
     fn times_are_taken_with_their_unit() {
         for (text, seconds) in [("90s", 90.0), ("1.5m", 90.0), ("24h", 86_400.0), ("7d", 604_800.0), ("0s", 0.0)] {
             assert_eq!(period(text), Ok(Duration::from_secs_f64(seconds)), "{text}");

@@ -217,6 +217,7 @@ fn what_makes_no_sense_is_refused_before_anything_is_done() {
         ("ephemeral = true\ndata_dir = \"d\"", "", &["--ephemeral is given beside --data-dir (c.toml:1)"]),
         ("", "--ephemeral --data-dir d", &["--ephemeral is given beside --data-dir"]),
         ("max_streams = 8", "--max-streams=0", &["--max-streams is 0; it must be"]),
+        ("store = \"postgres://h/d\"", "", &["--store is \"postgres://h/d\" (c.toml:1)", "beside --blobs s3://BUCKET"]),
     ] {
         write(file);
         for command in ["config check", "serve"] {
@@ -246,6 +247,17 @@ fn what_makes_no_sense_is_refused_before_anything_is_done() {
     }
     let left: Vec<_> = std::fs::read_dir(folder.path()).unwrap().map(|entry| entry.unwrap().file_name()).collect();
     assert_eq!(left, ["c.toml"], "no folder was made");
+}
+
+#[test]
+fn the_password_of_a_database_is_not_printed() {
+    let folder = tempfile::tempdir().unwrap();
+    let line = words("config print --blobs s3://b --store postgres://me:secret@host/jobs");
+    let out = tessera(folder.path(), &line, &[]);
+    assert_eq!(printed(&out)["store"].0, "\"postgres://me@host/jobs\"", "{}", text(&out.stderr));
+    let variable = ("TESSERA_STORE".to_owned(), "postgres://me:secret@host/jobs".to_owned());
+    let help = tessera(folder.path(), &words("serve --help"), &[variable]);
+    assert!(help.status.success() && !text(&help.stdout).contains("secret"));
 }
 
 /// The page of options names them all, with what they are if nobody says anything.

@@ -27,6 +27,8 @@ mod outage;
 #[cfg(all(unix, feature = "postgres"))]
 mod postgres;
 mod random;
+#[cfg(all(unix, feature = "postgres"))]
+mod shared;
 mod specs;
 mod states;
 mod stores;

@@ -20,7 +20,7 @@ use wire::counts::Bounds;
 
 use crate::postgres_server as server;
 
-fn backends() -> Result<Backends, JobError> {
+pub fn backends() -> Result<Backends, JobError> {
     Ok(Backends {
         gpu: Err("none".to_owned()),
         parallel: Arc::new(Parallel::new(Some(1))?) as Arc<dyn Backend>,

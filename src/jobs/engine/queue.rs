@@ -11,6 +11,8 @@ use std::collections::{BTreeMap, HashMap, HashSet, VecDeque};
 use std::sync::{Arc, Condvar, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
+use tokio::sync::Notify;
+
 use crate::engine::schedule::{AdmissionRequest, Schedule, Slots, Turn};
 use crate::places::may_take;
 use crate::record::{Bytes, JobId};
@@ -66,6 +68,8 @@ pub(crate) enum Popped<T> {
 pub(crate) struct Queue<T> {
     state: Mutex<State<T>>,
     ready: Condvar,
+    /// An item is done: there may be a free place.
+    freed: Notify,
     limit: usize,
 }
 
@@ -127,7 +131,7 @@ impl<T: Item> Queue<T> {
             ended: false,
             mean_s: 0.5,
         };
-        Self { state: Mutex::new(state), ready: Condvar::new(), limit }
+        Self { state: Mutex::new(state), ready: Condvar::new(), freed: Notify::new(), limit }
     }
 
     /// Reserves a place for a new job. The number is for [`Self::release`]. Errors: `QueueFull`, `Draining`.
@@ -230,6 +234,18 @@ impl<T: Item> Queue<T> {
         }
         drop(state);
         self.ready.notify_all();
+        self.freed.notify_one();
+    }
+
+    /// Whether one more job would begin at once, its memory aside.
+    pub(crate) fn has_place(&self) -> bool {
+        let state = lock(&self.state);
+        !state.closed && state.jobs.has_place()
+    }
+
+    /// Ends once an item is done, also one since the last call. For one caller at a time.
+    pub(crate) async fn freed(&self) {
+        self.freed.notified().await;
     }
 
     /// Memory that jobs at work are planned to need.

@@ -207,6 +207,11 @@ impl<T> Schedule<T> {
         self.running.len()
     }
 
+    /// Whether a regular place is free that no waiting job takes.
+    pub(crate) fn has_place(&self) -> bool {
+        self.waiting + self.running.len() < self.slots.regular
+    }
+
     pub(crate) fn iter(&self) -> impl Iterator<Item = (&T, &AdmissionRequest)> {
         let waiting = self.tenants.values().flat_map(|tenant| tenant.waiting.values());
         waiting.map(|waiting| (&waiting.item, &waiting.request))

@@ -5,13 +5,13 @@
 //! pin. A stop because of a shutdown puts the job back. Must not know: queues, messages.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
-use std::sync::{Arc, Weak};
-use std::time::Duration;
+use std::sync::{Arc, Mutex, Weak};
+use std::time::{Duration, Instant};
 
 use glam::DVec3;
 
 use super::storage::{RETRY_PERIOD, StorageError};
-use super::{Inner, LEASE, ProgressCommand, failed, is_outdated};
+use super::{Inner, ProgressCommand, failed, is_outdated};
 use crate::admission::forecast::{must_end, must_fit};
 use crate::blob::{BlobError, Owner, put};
 use crate::engine::worker::{Device, WorkContext, text};
@@ -19,9 +19,10 @@ use crate::executor::input::{Blobs, Reader, WorkError, failure};
 use crate::executor::perform::{JobContext, Parts, perform};
 use crate::observe::activity::{Activity, JobOutcome, Listener};
 use crate::record::event::Progress;
+use crate::record::state::State;
 use crate::record::{Cause, Change, FailureKind, Job, JobId, ResultSet};
 use crate::store::{Offer, StoreError, result_pin};
-use crate::{Backends, JobError};
+use crate::{Backends, JobError, lock};
 use geometry::cvt::Iteration;
 use geometry::cvt::density::Expected;
 use geometry::remesh::RemeshError;
@@ -31,11 +32,28 @@ use geometry::token::{Stopped, Token};
 /// How long the last progress of a job may take to be recorded.
 const FLUSH_TIMEOUT: Duration = Duration::from_secs(2);
 
+/// Between two iterations that are recorded in a store that several processes share.
+const BETWEEN_ITERATIONS: Duration = Duration::from_millis(500);
+
 /// See the module's head. Called again after a lost device.
 pub(super) struct Work {
     inner: Weak<Inner>,
     id: JobId,
     claimed: Option<Job>,
+    /// Whether the job was claimed before it was queued: its lease is then among those of the executor.
+    is_leased: bool,
+}
+
+impl Drop for Work {
+    // Work that was never called, or not again, has recorded no end.
+    fn drop(&mut self) {
+        let Some((inner, job)) = self.inner.upgrade().zip(self.claimed.take()) else { return };
+        let (id, at) = (job.id, job.status.version);
+        if self.is_leased && inner.leases.end(id, at) {
+            let runtime = inner.runtime.clone();
+            runtime.spawn(async move { inner.give_back(id, at).await });
+        }
+    }
 }
 
 fn is_ending(inner: &Inner) -> bool {
@@ -43,14 +61,20 @@ fn is_ending(inner: &Inner) -> bool {
 }
 
 impl Work {
-    pub(super) fn new(inner: Weak<Inner>, id: JobId) -> Self {
-        Self { inner, id, claimed: None }
+    pub(super) fn new(inner: Weak<Inner>, id: JobId, claimed: Option<Job>) -> Self {
+        let is_leased = claimed.is_some();
+        Self { inner, id, claimed, is_leased }
     }
 
     pub(super) fn run(&mut self, backends: &Backends, context: &WorkContext) -> Result<(), JobError> {
         let Some(inner) = self.inner.upgrade() else { return Ok(()) };
         let Some(job) = self.claim(&inner) else { return Ok(()) };
-        let recorder = Recorder { inner: Arc::clone(&inner), id: job.id, at: job.status.version };
+        let (id, at) = (job.id, job.status.version);
+        // It was given back.
+        if self.is_leased && !inner.leases.begin(id, at) {
+            return Ok(());
+        }
+        let recorder = Recorder { inner: Arc::clone(&inner), id, at, iteration: Mutex::default() };
         context.activity.listen(Arc::new(recorder));
         let at_work = AtWork { inner, job, token: context.token.clone(), activity: Arc::clone(&context.activity) };
         // A fault of the work is an end as well.
@@ -65,6 +89,7 @@ impl Work {
             lost => {
                 at_work.record_outcome(outcome);
                 at_work.inner.previews.end(self.id);
+                at_work.inner.leases.end(id, at);
                 lost.map_or(Ok(()), Err)
             }
         }
@@ -73,7 +98,7 @@ impl Work {
     /// The job, if it still is to be done.
     fn claim(&mut self, inner: &Inner) -> Option<Job> {
         if self.claimed.is_none() && !inner.is_draining() {
-            let offer = Offer::of(&inner.name, LEASE, self.id);
+            let offer = Offer::of(&inner.name, inner.options.lease, self.id);
             match inner.runtime.block_on(inner.stores.jobs.claim_next(offer)) {
                 Ok(claimed) => self.claimed = claimed,
                 Err(error) => {
@@ -98,6 +123,8 @@ struct Recorder {
     id: JobId,
     /// The version of the claim.
     at: u64,
+    /// When an iteration was recorded last.
+    iteration: Mutex<Option<Instant>>,
 }
 
 impl Recorder {
@@ -113,6 +140,13 @@ impl Listener for Recorder {
     }
 
     fn iteration(&self, it: &Iteration, total: usize) {
+        if self.inner.shared().is_some() {
+            let mut last = lock(&self.iteration);
+            if last.is_some_and(|last| last.elapsed() < BETWEEN_ITERATIONS) {
+                return;
+            }
+            *last = Some(Instant::now());
+        }
         self.record(Progress::Iteration {
             index: it.index as u64,
             total: total as u64,
@@ -134,11 +168,26 @@ impl Listener for Recorder {
 }
 
 impl Inner {
+    /// Ends the pins of a result that was not kept. Another process that has the job pins its result under the same name; the
+    /// store ends those pins when that attempt fails.
+    async fn unpin_unneeded(&self, id: JobId) {
+        let is_needed = match self.shared() {
+            None => false,
+            Some(_) => match self.stores.jobs.get(id).await {
+                Ok(job) => !job.status.state.is_ended() || job.status.state == State::Succeeded,
+                Err(error) => !matches!(error, StoreError::NotFound { .. }),
+            },
+        };
+        if !is_needed {
+            self.unpin(&result_pin(id)).await;
+        }
+    }
+
     /// Records the end of an attempt. A store that does not answer for a while loses no result: the same change is tried again,
     /// for as long as the lease lasts. A change whose answer was lost counts if the job has become what it says.
     async fn keep_end(&self, job: &Job, change: Change) -> Result<Job, StoreError> {
         let (jobs, id, at) = (&self.stores.jobs, job.id, job.status.version);
-        let end = tokio::time::Instant::now() + LEASE;
+        let end = tokio::time::Instant::now() + self.options.lease;
         let mut changed = jobs.change(id, at, change.clone()).await;
         while matches!(changed, Err(StoreError::Unavailable { .. })) && tokio::time::Instant::now() < end {
             tokio::time::sleep(RETRY_PERIOD).await;
@@ -230,7 +279,7 @@ impl AtWork {
                 // Its caller cancelled it.
                 None => {
                     self.activity.set_outcome(JobOutcome::Cancelled);
-                    inner.runtime.block_on(inner.unpin(&result_pin(job.id)));
+                    inner.runtime.block_on(inner.unpin_unneeded(job.id));
                     return;
                 }
             },
@@ -254,7 +303,7 @@ impl AtWork {
             }
             if changed.is_err() {
                 // The store may have let go of the job before this result was pinned.
-                inner.unpin(&result_pin(job.id)).await;
+                inner.unpin_unneeded(job.id).await;
             }
         });
     }

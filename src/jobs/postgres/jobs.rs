@@ -5,6 +5,8 @@
 //! lease, its pins and its event, or not at all. All that comes from outside is bound, never part of a statement.
 //! Must not know: connections, which jobs are over.
 
+use std::collections::HashMap;
+
 use sqlx::postgres::PgRow;
 use sqlx::{FromRow, PgConnection, PgExecutor, PgTransaction, Postgres, QueryBuilder, Row};
 
@@ -29,11 +31,13 @@ pub(super) struct Work {
     transaction: PgTransaction<'static>,
     /// Jobs with something new to be seen.
     touched: Vec<JobId>,
+    /// Whether one of them waits now.
+    queued: bool,
 }
 
 impl Work {
     pub(super) async fn begin(database: &Database) -> StoreResult<Self> {
-        Ok(Self { transaction: database.begin().await?, touched: Vec::new() })
+        Ok(Self { transaction: database.begin().await?, touched: Vec::new(), queued: false })
     }
 
     /// Commits what was done and says so, or undoes it.
@@ -44,7 +48,7 @@ impl Work {
             return done;
         }
         self.transaction.commit().await?;
-        voice.say(self.touched);
+        voice.say(self.touched, self.queued);
         done
     }
 
@@ -108,6 +112,7 @@ impl Work {
         }
         self.hold(Owner::of(&spec.tenant), &input_pin(id), &spec.task().blobs()).await?;
         self.touched.push(id);
+        self.queued = true;
         Ok(Created { job: Job { id, spec, status }, existed: false })
     }
 
@@ -188,6 +193,7 @@ impl Work {
         }
         self.release(&over(id, status.state)).await?;
         self.touched.push(id);
+        self.queued |= status.state == State::Queued;
         Ok(Job { id, spec, status })
     }
 
@@ -299,6 +305,15 @@ pub(super) async fn get(connection: impl PgExecutor<'_>, id: JobId) -> StoreResu
     .fetch_optional(connection)
     .await?;
     row.ok_or(StoreError::NotFound { id })?.job()
+}
+
+/// Jobs that wait, by tenant.
+pub(super) async fn waiting(connection: impl PgExecutor<'_>) -> StoreResult<HashMap<String, usize>> {
+    let rows: Vec<(String, i64)> =
+        sqlx::query_as("select tenant, count(*) from tessera.jobs where state = 0 group by tenant")
+            .fetch_all(connection)
+            .await?;
+    Ok(rows.into_iter().map(|(tenant, jobs)| (tenant, usize::try_from(jobs).unwrap_or(0))).collect())
 }
 
 pub(super) async fn list(connection: impl PgExecutor<'_>, query: &Query) -> StoreResult<Page> {

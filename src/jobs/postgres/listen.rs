@@ -3,21 +3,23 @@
 //! Purpose: [`Voice`] says which jobs were changed; [`listen`] wakes the waits of this process when any process says so. Invariant:
 //! changes are said after their commit, those of a moment together, and never in the transaction: a transaction that
 //! notifies holds a lock of the whole server while its commit goes to the disk, so that commits would go one by one. So a change
-//! may remain unsaid, and after a connection was lost something may have been missed; a wait polls besides. Progress is not
-//! said. Must not know: statements of operations.
+//! may remain unsaid, and after a connection was lost something may have been missed; a wait polls besides. A notification also
+//! says whether a job came to wait, so that processes with room look for work. Progress is not said. Must not know: statements of operations.
 
 use std::sync::Arc;
 use std::time::Duration;
 
 use sqlx::PgPool;
 use sqlx::postgres::PgListener;
-use tokio::sync::mpsc;
+use tokio::sync::{mpsc, watch};
 
 use crate::record::JobId;
 use crate::store::Waiters;
 
 /// The channel on which all processes hear of changes.
 const CHANNEL: &str = "tessera";
+/// The first letter of a notification if a job came to wait.
+const WORK: char = '+';
 /// Names of jobs in one notification, which has less than 8,000 bytes. Of more changes no names are given.
 const MOST_NAMES: usize = 200;
 /// Transactions that wait to be said; of more nothing is said.
@@ -31,34 +33,43 @@ const PAUSE: Duration = Duration::from_secs(1);
 #[derive(Debug)]
 pub(super) struct Voice {
     waiters: Arc<Waiters>,
-    said: mpsc::Sender<Vec<JobId>>,
+    work: Arc<watch::Sender<()>>,
+    said: mpsc::Sender<Said>,
 }
+
+/// Changed jobs, and whether one of them waits now.
+type Said = (Vec<JobId>, bool);
 
 impl Voice {
     /// To be called within a runtime.
-    pub(super) fn new(pool: PgPool, waiters: Arc<Waiters>) -> Self {
+    pub(super) fn new(pool: PgPool, waiters: Arc<Waiters>, work: Arc<watch::Sender<()>>) -> Self {
         let (said, waiting) = mpsc::channel(WAITING);
         tokio::spawn(speak(pool, waiting));
-        Self { waiters, said }
+        Self { waiters, work, said }
     }
 
-    /// A transaction that changed these jobs was committed.
-    pub(super) fn say(&self, jobs: Vec<JobId>) {
+    /// A transaction that changed these jobs was committed. `queued`: one of them waits now.
+    pub(super) fn say(&self, jobs: Vec<JobId>, queued: bool) {
         if !jobs.is_empty() {
             self.waiters.wake(&jobs);
-            drop(self.said.try_send(jobs));
+            if queued {
+                self.work.send_replace(());
+            }
+            drop(self.said.try_send((jobs, queued)));
         }
     }
 }
 
-async fn speak(pool: PgPool, mut waiting: mpsc::Receiver<Vec<JobId>>) {
+async fn speak(pool: PgPool, mut waiting: mpsc::Receiver<Said>) {
     let mut moment = Vec::new();
     while waiting.recv_many(&mut moment, WAITING).await > 0 {
-        let mut jobs: Vec<JobId> = moment.drain(..).flatten().collect();
+        let has_work = moment.iter().any(|(_, queued)| *queued);
+        let mut jobs: Vec<JobId> = moment.drain(..).flat_map(|(jobs, _)| jobs).collect();
         jobs.sort_unstable();
         jobs.dedup();
         let names: Vec<String> = jobs.iter().map(JobId::to_string).collect();
-        let payload = if names.len() > MOST_NAMES { String::new() } else { names.join(",") };
+        let names = if names.len() > MOST_NAMES { String::new() } else { names.join(",") };
+        let payload = if has_work { format!("{WORK}{names}") } else { names };
         let notify = sqlx::query("select pg_notify($1, $2)").bind(CHANNEL).bind(payload);
         if let Err(error) = notify.execute(&pool).await {
             tracing::debug!(%error, "changes are not said: waits poll");
@@ -68,9 +79,9 @@ async fn speak(pool: PgPool, mut waiting: mpsc::Receiver<Vec<JobId>>) {
 }
 
 /// Runs until it is aborted.
-pub(super) async fn listen(pool: PgPool, waiters: Arc<Waiters>) {
+pub(super) async fn listen(pool: PgPool, heard: (Arc<Waiters>, Arc<watch::Sender<()>>)) {
     loop {
-        if let Err(error) = hear(&pool, &waiters).await {
+        if let Err(error) = hear(&pool, &heard.0, &heard.1).await {
             tracing::debug!(%error, "nothing is heard from the database: waits poll");
         }
         tokio::time::sleep(PAUSE).await;
@@ -78,16 +89,23 @@ pub(super) async fn listen(pool: PgPool, waiters: Arc<Waiters>) {
 }
 
 /// Ends when the connection does.
-async fn hear(pool: &PgPool, waiters: &Waiters) -> Result<(), sqlx::Error> {
+async fn hear(pool: &PgPool, waiters: &Waiters, work: &watch::Sender<()>) -> Result<(), sqlx::Error> {
     let mut listener = PgListener::connect_with(pool).await?;
     listener.listen(CHANNEL).await?;
     waiters.wake_all();
+    work.send_replace(());
     while let Some(notification) = listener.try_recv().await? {
-        let names: Result<Vec<JobId>, _> = notification.payload().split(',').map(str::parse).collect();
+        let payload = notification.payload();
+        let names = payload.strip_prefix(WORK).unwrap_or(payload);
+        let has_work = names != payload;
+        let names: Result<Vec<JobId>, _> = names.split(',').map(str::parse).collect();
         match names {
             Ok(names) => waiters.wake(&names),
             // Too many for one notification.
             Err(_) => waiters.wake_all(),
+        }
+        if has_work {
+            work.send_replace(());
         }
     }
     Ok(())

@@ -89,6 +89,14 @@ pub struct ServeArgs {
     /// credentials.
     #[arg(long, value_name = "URL", env = "TESSERA_BLOBS")]
     pub blobs: Option<String>,
+    /// Keep jobs in a PostgreSQL database that several servers share: postgres://USER@HOST/DATABASE (docs/cluster.md). Needs
+    /// --blobs. The data folder then holds keys alone.
+    #[arg(long, value_name = "URL", env = "TESSERA_STORE", hide_env_values = true)]
+    pub store: Option<String>,
+    /// File that holds the password of the database. If not given, the password comes from the URL, or from the file that the
+    /// variable PGPASSFILE names.
+    #[arg(long, value_name = "FILE", env = "TESSERA_STORE_PASSWORD_FILE")]
+    pub store_password_file: Option<PathBuf>,
     /// MiB of the disk that uploads and results leave free, so that the journal of jobs always has room.
     #[arg(long, value_name = "MIB", default_value_t = 64, value_parser = whole::<u64>, env = "TESSERA_DISK_RESERVE_MIB")]
     pub disk_reserve_mib: u64,

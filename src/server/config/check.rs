@@ -13,7 +13,7 @@ use super::limits::Limits;
 use jobs::Ceilings;
 use transport::{ConnectionLimits, TlsFiles};
 
-use super::values::{ConfigError, addresses, mebibytes, seconds, within};
+use super::values::{ConfigError, addresses, mebibytes, seconds, within, without_password};
 
 /// Indices have 31 bits, less a few that are labels.
 const MAX_ELEMENTS: u64 = i32::MAX as u64 - 8;
@@ -36,6 +36,8 @@ pub struct ServeConfig {
     pub data_dir: Option<PathBuf>,
     /// The bucket of the blobs; without one they are in the data folder.
     pub bucket: Option<String>,
+    /// The database of the jobs, and a file with its password; without one the jobs are in the data folder.
+    pub database: Option<(String, Option<PathBuf>)>,
     pub disk_reserve_bytes: u64,
     pub keep: (Duration, Duration),
     pub blob_bytes: u64,
@@ -95,6 +97,7 @@ impl ServeArgs {
             start: seconds("--start-s", self.start_s)?,
             admin: self.watching.admin(self.security.insecure)?,
             bucket: self.bucket(is_ephemeral)?,
+            database: self.database(is_ephemeral)?,
             disk_reserve_bytes: within("--disk-reserve-mib", self.disk_reserve_mib, 0..=1 << 24)? << 20,
             requires_keys: self.security.require_keys,
             data_dir: if is_ephemeral { None } else { Some(data_dir(self.data_dir.as_ref())?) },
@@ -151,6 +154,33 @@ impl ServeArgs {
         match rank("--ephemeral").cmp(&rank("--data-dir")) {
             Ordering::Equal => Err(ConfigError::new("--ephemeral", "given beside --data-dir", "one of the two")),
             order => Ok(order == Ordering::Greater),
+        }
+    }
+
+    fn database(&self, is_ephemeral: bool) -> Result<Option<(String, Option<PathBuf>)>, ConfigError> {
+        let Some(url) = &self.store else {
+            return match &self.store_password_file {
+                Some(_) => Err(ConfigError::new("--store-password-file", "given without --store", "beside --store")),
+                None => Ok(None),
+            };
+        };
+        let wrong = |must: &'static str| ConfigError::new("--store", format!("{:?}", without_password(url)), must);
+        match () {
+            () if !cfg!(feature = "postgres") => {
+                Err(wrong("absent: this program was built without the feature postgres"))
+            }
+            () if !["postgres://", "postgresql://"].iter().any(|scheme| url.starts_with(scheme)) => {
+                Err(wrong("postgres://USER@HOST/DATABASE"))
+            }
+            () if url.contains("password=") => {
+                let value = "a URL with the parameter password";
+                Err(ConfigError::new("--store", value, "without it: give --store-password-file"))
+            }
+            () if is_ephemeral => Err(wrong("absent beside --ephemeral, which keeps nothing")),
+            () if self.blobs.is_none() => {
+                Err(wrong("beside --blobs s3://BUCKET: servers that share jobs share their blobs"))
+            }
+            () => Ok(Some((url.clone(), self.store_password_file.clone()))),
         }
     }
 

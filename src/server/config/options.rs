@@ -2,7 +2,7 @@
 //!
 //! Purpose: rules for all options (keys of the file, printing, tests) use this, so that an option is described once, in
 //! `args`. [`print`] writes a configuration that can be read back and gives the same; an option without a value is a comment.
-//! Invariant: nothing here names an option. No secret is printed, since secrets are given by file.
+//! Invariant: nothing here names an option. No secret is printed: secrets are given by file, or are the password of a URL.
 //! Must not know: the use of values.
 
 use std::any::TypeId;
@@ -13,6 +13,7 @@ use clap::{Arg, ArgAction, ArgMatches, Args, Command};
 use toml::Value;
 
 use super::args::ServeArgs;
+use super::values::without_password;
 use crate::config::args::Sources;
 
 /// The option that names the file; no key of it.
@@ -134,7 +135,7 @@ fn value(arg: &Arg, found: &ArgMatches) -> Option<String> {
         .map(|raw| match kind(arg) {
             Kind::Switch => switch(arg, found).unwrap_or(false).to_string(),
             Kind::Number => number(&raw).unwrap_or_else(|| quoted(&raw)),
-            Kind::Text => quoted(&raw),
+            Kind::Text => quoted(&without_password(&raw)),
         })
         .collect();
     match is_list(arg) {

@@ -25,6 +25,16 @@ impl ConfigError {
     }
 }
 
+/// A URL without its password; any other text as it is.
+pub(super) fn without_password(text: &str) -> Cow<'_, str> {
+    let parts = text.split_once("://").and_then(|(scheme, rest)| {
+        // The last one: a password may have such letters, though it should not.
+        let (user, host) = rest.rsplit_once('@')?;
+        Some(format!("{scheme}://{}@{host}", user.split_once(':')?.0))
+    });
+    parts.map_or(Cow::Borrowed(text), Cow::Owned)
+}
+
 /// A time as people write it: a number and s, m, h or d.
 pub fn period(text: &str) -> Result<Duration, String> {
     let unit = |letter| match letter {
