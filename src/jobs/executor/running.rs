@@ -12,7 +12,7 @@ use glam::DVec3;
 
 use super::storage::StorageError;
 use super::{Inner, LEASE, ProgressCommand, failed, is_outdated};
-use crate::admission::forecast::must_fit;
+use crate::admission::forecast::{must_end, must_fit};
 use crate::blob::{BlobError, Owner, put};
 use crate::engine::worker::{Device, WorkContext, text};
 use crate::executor::input::{Blobs, Reader, WorkError, failure};
@@ -28,8 +28,6 @@ use geometry::remesh::RemeshError;
 use geometry::rvd::RvdError;
 use geometry::token::{Stopped, Token};
 
-/// Predicted time of a job that is not begun, in limits on its time: predictions are within a factor of three.
-const FAR_BEYOND: f64 = 5.0;
 /// How long the last progress of a job may take to be recorded.
 const FLUSH_TIMEOUT: Duration = Duration::from_secs(2);
 
@@ -120,6 +118,7 @@ impl Listener for Recorder {
             total: total as u64,
             kind: it.kind.name().to_owned(),
             energy: it.energy,
+            energy_ratio: it.energy_ratio,
             gradient_norm: it.gradient_norm,
             ms: it.ms,
         });
@@ -156,15 +155,9 @@ impl AtWork {
         // Its blobs were read: what cannot be counted now was counted before.
         let Ok(counts) = inner.runtime.block_on(inner.forecast.counts_with(spec, expected)) else { return Ok(()) };
         let need = inner.forecast.need(&counts);
-        must_fit(&need, inner.engine.memory()).map_err(|error| failure(FailureKind::TooLarge, error.to_string()))?;
-        if let Some(limit) = self.token.time_limit().filter(|limit| need.seconds > FAR_BEYOND * limit.as_secs_f64()) {
-            let (seconds, limit) = (need.seconds, limit.as_secs_f64());
-            let text = format!(
-                "its facets meet so many cells that it would take about {seconds:.0} s, and its limit is {limit} s; \
-                 give fewer points or a surface without needles and crossing facets, or raise the limit"
-            );
-            return Err(failure(FailureKind::TooLarge, text));
-        }
+        must_fit(&need, inner.engine.memory())
+            .and_then(|()| must_end(&need, self.token.time_limit()))
+            .map_err(|error| failure(FailureKind::TooLarge, error.to_string()))?;
         inner.engine.plan_more(&self.token, need.seconds, need.memory);
         Ok(())
     }
