@@ -20,10 +20,14 @@ mod staging;
 mod store;
 mod upload;
 
+#[cfg(feature = "postgres")]
+pub(crate) use chunk::NO_OWNER;
 pub use chunk::{Chunk, MAX_CHUNK_BYTES, UploadId, UploadStatus};
 pub use digest::{Digest, DigestError};
 pub(crate) use digest::{from_hex, to_hex};
 pub use error::BlobError;
 pub use objects::ObjectBlobs;
+#[cfg(feature = "postgres")]
+pub(crate) use owners::MOST as MOST_OWNERS;
 pub use owners::Owner;
 pub use store::{BlobInfo, BlobOptions, BlobRead, BlobStore, ByteStream, READ_BYTES, Usage, put, put_of};

@@ -21,6 +21,8 @@ pub mod executor;
 pub mod memory;
 pub mod observe;
 pub mod places;
+#[cfg(feature = "postgres")]
+pub mod postgres;
 pub mod record;
 pub mod store;
 

@@ -1,18 +1,19 @@
 //! Where jobs are kept.
 //!
-//! Purpose: [`JobStore`], what a store of jobs can do; [`MemoryStore`] and [`RedbStore`] are two.
+//! Purpose: [`JobStore`], what a store of jobs can do; [`MemoryStore`] and [`RedbStore`] are two, a third is in `postgres`.
 //! Invariant: an answer that is not an error says what is kept: in a journal it is on the disk. An operation that gets an error
 //! has changed nothing, except [`StoreError::Broken`] and [`StoreError::Closed`], after which it is unknown until the store
-//! is opened again. A state changes only from the version that its changer has seen. Nothing here needs the caller to be
+//! is opened again, and [`StoreError::Unavailable`], after which it is unknown until the job is read again. A state changes only from the version that its changer has seen. Nothing here needs the caller to be
 //! the only process. Only the store's own clock decides on times, leases and deadlines. The store has the index of blobs
 //! too: a job's pins are set and end in the same step as the change of the job.
 //! Must not know: messages, how jobs are done, in which order they should be, where the bytes of blobs lie.
 
-mod codec;
+pub(crate) mod codec;
 mod container;
 mod operations;
-mod pins;
+pub(crate) mod pins;
 mod redb;
+pub(crate) mod rules;
 mod tables;
 
 use std::collections::BTreeMap;
@@ -33,6 +34,8 @@ pub use self::redb::repair::{Findings, check, repair};
 pub use self::redb::{RedbOptions, RedbStore};
 pub use container::MemoryStore;
 pub use pins::result_pin;
+#[cfg(feature = "postgres")]
+pub(crate) use tables::Waiters;
 
 pub type Answer<'a, T> = Pin<Box<dyn Future<Output = Result<T, StoreError>> + Send + 'a>>;
 
@@ -222,7 +225,8 @@ pub struct Swept {
 /// Which running jobs have lost their executor.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Orphans {
-    /// All: the only process that can have run them says so at its start.
+    /// All: the only process that can have run them says so at its start. In a store that several processes share: those
+    /// that a process with this one's name took, and those whose lease has run out.
     All,
     /// Those whose lease has run out: where several processes share a store.
     LeaseOver,
@@ -279,4 +283,8 @@ pub enum StoreError {
     Broken { cause: String },
     #[error("the store of jobs is closed; the server is ending")]
     Closed,
+    #[error("the database of jobs does not answer ({cause}); try again")]
+    Unavailable { cause: String },
+    #[error("the database of jobs cannot be used: {cause}")]
+    Unusable { cause: String },
 }

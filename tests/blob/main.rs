@@ -7,6 +7,9 @@
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
+#[cfg(all(unix, feature = "postgres"))]
+#[path = "../common/postgres.rs"]
+mod postgres_server;
 #[path = "../common/process.rs"]
 mod process;
 
@@ -23,6 +26,7 @@ use std::sync::Arc;
 
 use bytes::Bytes;
 use futures_util::TryStreamExt;
+use jobs::blob::index::{BlobIndex, LocalIndex};
 use jobs::blob::{BlobError, BlobOptions, BlobStore, Chunk, Digest, ObjectBlobs, UploadId};
 use object_store::memory::InMemory;
 use tempfile::TempDir;
@@ -95,9 +99,13 @@ async fn read_all(store: &dyn BlobStore, digest: Digest) -> Result<Bytes, BlobEr
 }
 
 async fn local(folder: &Path, options: BlobOptions) -> ObjectBlobs {
+    local_with(|| Arc::new(LocalIndex::default()), folder, options).await
+}
+
+async fn local_with(index: impl Fn() -> Arc<dyn BlobIndex>, folder: &Path, options: BlobOptions) -> ObjectBlobs {
     let start = std::time::Instant::now();
     loop {
-        match ObjectBlobs::local(folder, options).await {
+        match ObjectBlobs::local_with(index(), folder, options).await {
             // A process that another test starts holds all files of this one until it is another program.
             Err(BlobError::InUse { .. }) if start.elapsed() < PATIENCE => {
                 tokio::time::sleep(std::time::Duration::from_millis(10)).await;
@@ -105,6 +113,14 @@ async fn local(folder: &Path, options: BlobOptions) -> ObjectBlobs {
             opened => return opened.unwrap(),
         }
     }
+}
+
+/// A store of jobs in a database that has the index. Each use of a blob counts.
+#[cfg(all(unix, feature = "postgres"))]
+async fn postgres(database: &postgres_server::Database) -> jobs::postgres::PostgresStore {
+    let options = jobs::postgres::PostgresOptions::new(database.url(), "test");
+    let options = jobs::postgres::PostgresOptions { same_use: std::time::Duration::ZERO, ..options };
+    jobs::postgres::PostgresStore::open(options).await.unwrap()
 }
 
 /// One of each kind. The folder goes with its guard.

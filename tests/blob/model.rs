@@ -2,15 +2,17 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use bytes::Bytes;
+use jobs::blob::index::BlobIndex;
 use jobs::blob::{BlobError, BlobOptions, BlobStore, Chunk, Digest, ObjectBlobs, Owner, UploadId};
 use proptest::prelude::*;
 use proptest::test_runner::{Config, RngAlgorithm, TestRng, TestRunner};
 use tokio::runtime::Runtime;
 
-use crate::{PATIENCE, content, everything, local, read};
+use crate::{PATIENCE, content, everything, local, local_with, read};
 
 /// Blobs that there may be, and their lengths.
 const LENGTHS: [usize; 6] = [0, 10, 20, 30, 40, 90];
@@ -405,20 +407,34 @@ fn options() -> BlobOptions {
     BlobOptions { keep_uploads: Duration::ZERO, fsync: false, ..options }
 }
 
-/// `on_disk`: a folder, reopened where the operations say so; otherwise memory, where reopening means to go on.
-async fn run(operations: &[Operation], on_disk: bool) -> Result<(), TestCaseError> {
+/// What a store is made of.
+enum Over {
+    /// A folder, reopened where the operations say so.
+    Folder,
+    /// There, reopening means to go on.
+    Memory,
+    /// A folder whose index outlives its process.
+    Index(Arc<dyn BlobIndex>),
+}
+
+async fn run(operations: &[Operation], over: &Over) -> Result<(), TestCaseError> {
     let folder = tempfile::tempdir().unwrap();
-    let path = on_disk.then_some(folder.path());
-    let mut model = Model::new();
-    let mut store = match path {
-        Some(path) => local(path, options()).await,
-        None => ObjectBlobs::in_memory(options()),
+    let path = (!matches!(over, Over::Memory)).then_some(folder.path());
+    let open = async |path: Option<&Path>| match (path, over) {
+        (Some(path), Over::Index(index)) => local_with(|| index.clone(), path, options()).await,
+        (Some(path), _) => local(path, options()).await,
+        (None, _) => ObjectBlobs::in_memory(options()),
     };
+    let mut model = Model::new();
+    let mut store = open(path).await;
     for (step, operation) in operations.iter().enumerate() {
         if matches!(operation, Operation::Reopen) {
-            if let Some(path) = path {
+            if path.is_some() {
+                for name in model.pins.keys() {
+                    store.unpin(&name.to_string()).await.unwrap();
+                }
                 drop(store);
-                store = local(path, options()).await;
+                store = open(path).await;
                 model.apply(operation, None).unwrap();
             }
         } else {
@@ -436,23 +452,42 @@ fn number(variable: &str, default: u64) -> u64 {
     std::env::var(variable).map_or(default, |text| text.parse().unwrap_or_else(|e| panic!("{variable}={text}: {e}")))
 }
 
-fn drive(on_disk: bool) {
-    let cases = u32::try_from(number("TESSERA_BLOB_CASES", 100)).unwrap();
+fn drive(cases: u64, mut begin: impl FnMut(&Runtime) -> Over) {
+    let cases = u32::try_from(number("TESSERA_BLOB_CASES", cases)).unwrap();
     let mut seed = [0; 32];
     seed[..8].copy_from_slice(&number("TESSERA_BLOB_SEED", 1).to_le_bytes());
     let config = Config { cases, failure_persistence: None, ..Config::default() };
     let mut runner = TestRunner::new_with_rng(config, TestRng::from_seed(RngAlgorithm::ChaCha, &seed));
     let runtime = Runtime::new().unwrap();
-    let result = runner.run(&operations(), |operations| runtime.block_on(run(&operations, on_disk)));
+    let begin = std::cell::RefCell::new(&mut begin);
+    let result = runner.run(&operations(), |operations| {
+        let over = (begin.borrow_mut())(&runtime);
+        runtime.block_on(run(&operations, &over))
+    });
     result.unwrap_or_else(|failure| panic!("{failure}"));
 }
 
 #[test]
 fn a_folder_does_what_the_model_does() {
-    drive(true);
+    drive(100, |_| Over::Folder);
 }
 
 #[test]
 fn memory_does_what_the_model_does() {
-    drive(false);
+    drive(100, |_| Over::Memory);
+}
+
+#[cfg(all(unix, feature = "postgres"))]
+#[needs::needs(postgres)]
+#[test]
+fn an_index_in_a_database_does_what_the_model_does() {
+    use jobs::store::JobStore;
+    let database = crate::postgres_server::database();
+    let mut store = None;
+    drive(30, |runtime| {
+        let store = store.get_or_insert_with(|| runtime.block_on(crate::postgres(&database)));
+        let tables = ["pins", "uploads", "blobs", "gone"];
+        database.sql(&tables.map(|table| format!("delete from tessera.{table}")).join("; "));
+        Over::Index(store.index())
+    });
 }

@@ -83,3 +83,55 @@ async fn wrong_bytes_of_many_parts_leave_nothing() {
     send(&blobs, upload_of(&right), &right).await.unwrap();
     blobs.finish(upload_of(&right), None).await.unwrap();
 }
+
+/// Two processes, one bucket, one index: the room is never exceeded, and what one removes the other does not miss.
+#[cfg(all(unix, feature = "postgres"))]
+#[needs::needs(postgres)]
+#[tokio::test(flavor = "multi_thread", worker_threads = 4)]
+async fn processes_with_one_index_stay_within_the_quota() {
+    use jobs::blob::put as put_bytes;
+    use jobs::store::JobStore;
+    const SIZE: u64 = CHUNK as u64;
+    let database = crate::postgres_server::database();
+    let bucket = Arc::new(InMemory::new());
+    let options = BlobOptions { quota_bytes: 6 * SIZE, ..BlobOptions::default() };
+    let mut processes = Vec::new();
+    for _ in 0..2 {
+        let jobs = crate::postgres(&database).await;
+        let blobs = ObjectBlobs::shared_with(jobs.index(), Arc::clone(&bucket), options).await.unwrap();
+        processes.push((jobs, blobs));
+    }
+    let mut tasks = tokio::task::JoinSet::new();
+    for writer in 0_u64..4 {
+        let blobs = processes[usize::try_from(writer % 2).unwrap()].1.clone();
+        tasks.spawn(async move {
+            for round in 0..25 {
+                let bytes = content((7 * writer + round) % 11, CHUNK);
+                let name = format!("writer {writer}");
+                match put_bytes(&blobs, bytes.clone(), Some(&name)).await {
+                    Ok(info) => {
+                        assert_eq!(crate::read(&blobs, info.digest, 0..SIZE).await.unwrap(), bytes);
+                        blobs.unpin(&name).await.unwrap();
+                    }
+                    Err(BlobError::QuotaExceeded { .. } | BlobError::UploadNotFound { .. }) => {}
+                    Err(error) => panic!("{error}"),
+                }
+                let usage = blobs.usage().await.unwrap();
+                assert!(usage.blob_bytes + usage.uploading_bytes <= 6 * SIZE, "{usage:?}");
+            }
+        });
+    }
+    tasks.join_all().await;
+    let usage = processes[0].1.usage().await.unwrap();
+    assert_eq!((usage.pinned_bytes, usage.uploads), (0, 0), "{usage:?}");
+    let mut kept = 0;
+    for seed in 0..11 {
+        let bytes = content(seed, CHUNK);
+        let digest = Digest::of(&bytes);
+        if processes[1].0.index().get(digest).await.unwrap().is_some() {
+            kept += 1;
+            assert_eq!(read_all(&processes[1].1, digest).await.unwrap(), bytes);
+        }
+    }
+    assert_eq!(kept, usage.blobs);
+}

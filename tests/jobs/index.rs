@@ -11,6 +11,7 @@ use jobs::blob::{BlobError, BlobInfo, Digest, Owner, UploadId, Usage};
 use jobs::record::*;
 use jobs::store::*;
 
+use super::stores::on_every_store;
 use super::{KEEP, input, knowing, spec, wait};
 
 const PLENTY: Terms = Terms { quota_bytes: 1000, places: 100, own_quota_bytes: None };
@@ -26,12 +27,6 @@ fn upload(name: &str, size_bytes: u64, owner: &str) -> UploadId {
 
 fn result() -> ResultSet {
     ResultSet { blobs: [("mesh".to_owned(), blob("result"))].into() }
-}
-
-fn each() -> Vec<(&'static str, Box<dyn JobStore>, Option<tempfile::TempDir>)> {
-    let folder = tempfile::tempdir().unwrap();
-    let journal = RedbStore::open(folder.path(), RedbOptions::default()).unwrap();
-    vec![("memory", Box::new(MemoryStore::default()), None), ("journal", Box::new(journal), Some(folder))]
 }
 
 fn new(number: u128) -> NewJob {
@@ -109,7 +104,8 @@ async fn pins_follow_the_job(store: &dyn JobStore) {
     index.disown(tenant, input()).await.unwrap();
 }
 
-async fn the_index_is_kept(index: &dyn BlobIndex) {
+async fn the_index_is_kept(store: &dyn JobStore) {
+    let index = &*store.index();
     let terms = Terms { quota_bytes: 100, places: 8, own_quota_bytes: Some(60) };
     let [a, b] = ["a", "b"].map(Owner::of);
     // An upload counts until it has become a blob, and is admitted once.
@@ -174,21 +170,7 @@ async fn the_index_is_kept(index: &dyn BlobIndex) {
     index.admit(upload("9", 0, "a"), terms).await.unwrap().unwrap();
 }
 
-#[test]
-fn every_store_pins_what_its_jobs_need() {
-    for (kind, store, _folder) in each() {
-        println!("{kind}");
-        wait(pins_follow_the_job(&*store));
-    }
-}
-
-#[test]
-fn every_store_has_an_index_of_blobs() {
-    for (kind, store, _folder) in each() {
-        println!("{kind}");
-        wait(the_index_is_kept(&*store.index()));
-    }
-}
+on_every_store!(pins_follow_the_job, the_index_is_kept);
 
 #[test]
 fn a_restart_pins_again_what_is_there() {

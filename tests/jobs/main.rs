@@ -1,21 +1,35 @@
 //! Jobs as data: specifications, states, and the stores that keep them.
 //!
-//! Promise: both stores do what a simple model does, whatever the order of operations, crashes and restarts; what was
+//! Promise: all stores do what a simple model does, whatever the order of operations, crashes and restarts; what was
 //! acknowledged is never lost; a journal that is damaged or in use is never taken for an empty one. Pins follow the jobs.
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)] // a failure here is the test's failure
 
+#[cfg(all(unix, feature = "postgres"))]
+#[path = "../common/certificates.rs"]
+#[allow(dead_code)] // for servers of our own, too
+mod certificates;
+#[cfg(all(unix, feature = "postgres"))]
+#[path = "../common/postgres.rs"]
+mod postgres_server;
 #[path = "../common/process.rs"]
 mod process;
 
+#[cfg(all(unix, feature = "postgres"))]
+mod clients;
 mod disk;
 mod figures;
 mod index;
 mod journal;
 mod model;
+#[cfg(all(unix, feature = "postgres"))]
+mod outage;
+#[cfg(all(unix, feature = "postgres"))]
+mod postgres;
 mod random;
 mod specs;
 mod states;
+mod stores;
 
 use std::future::Future;
 
@@ -63,8 +77,9 @@ pub const KEEP: Retention =
     Retention { results: std::time::Duration::from_millis(500), records: std::time::Duration::from_millis(200) };
 
 thread_local! {
-    static RUNTIME: tokio::runtime::Runtime =
-        tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
+    // Never dropped: at the end of a thread it could not end the connections of a pool.
+    static RUNTIME: &'static tokio::runtime::Runtime =
+        Box::leak(Box::new(tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap()));
 }
 
 /// Runs a future to its end.

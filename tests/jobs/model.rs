@@ -4,7 +4,7 @@ use std::cmp::Reverse;
 use std::collections::BTreeMap;
 use std::time::Duration;
 
-use jobs::blob::Digest;
+use jobs::blob::{BlobError, Digest};
 use jobs::record::state::{State, apply};
 use jobs::record::*;
 use jobs::store::*;
@@ -309,7 +309,10 @@ pub async fn on_store(store: &dyn JobStore, step: Step) -> Option<(Gives, Option
                 // Whoever does the job pins its result, sooner or later.
                 let body = job.spec.message().labels["body"].parse().unwrap();
                 let digests: Vec<_> = result(body).blobs.into_values().collect();
-                store.index().pin(None, &result_pin(job.id), &digests).await.unwrap();
+                match store.index().pin(None, &result_pin(job.id), &digests).await {
+                    Err(BlobError::Unavailable(_)) => return None,
+                    pinned => drop(pinned.unwrap()),
+                }
             }
             claimed.map(|claimed| Gives::Claimed(claimed.map(|job| job.id)))
         }
@@ -341,7 +344,7 @@ pub async fn on_store(store: &dyn JobStore, step: Step) -> Option<(Gives, Option
         Err(StoreError::Transition { .. }) => Gives::Transition,
         Err(StoreError::NotEnded { .. }) => Gives::NotEnded,
         Err(StoreError::Io { .. }) => Gives::Unread,
-        Err(StoreError::Broken { .. } | StoreError::Closed) => return None,
+        Err(StoreError::Broken { .. } | StoreError::Closed | StoreError::Unavailable { .. }) => return None,
         Err(error) => panic!("{error}"),
     };
     Some((gives, number))

@@ -79,6 +79,12 @@ fn op() -> impl Strategy<Value = Op> {
 trait Medium {
     fn open(&self) -> Arc<dyn JobStore>;
     fn arm(&self, _fuse: u32) {}
+    /// It is this time now.
+    fn pass(&self, _now: Time) {}
+    /// Whether operations that come at once are done in their order.
+    fn is_in_order(&self) -> bool {
+        true
+    }
     /// The process is gone, without a word if `kill`; `store` is the last handle.
     fn close(&mut self, store: Arc<dyn JobStore>, kill: bool, luck: u64);
 }
@@ -138,6 +144,7 @@ impl<M: Medium> Trial<M> {
         let time = Arc::new(AtomicU64::new(1_000_000));
         let read = Arc::clone(&time);
         let medium = medium(Clock::new(move || Time(read.load(Ordering::SeqCst))));
+        medium.pass(Time(time.load(Ordering::SeqCst)));
         let store = Some(medium.open());
         Self { medium, store, model: Model::default(), time, names: 0, seen: BTreeMap::new() }
     }
@@ -199,7 +206,10 @@ impl<M: Medium> Trial<M> {
 
     fn run(&mut self, op: &Op) {
         match op {
-            Op::Pass(ms) => drop(self.time.fetch_add((*ms).into(), Ordering::SeqCst)),
+            Op::Pass(ms) => {
+                self.time.fetch_add((*ms).into(), Ordering::SeqCst);
+                self.medium.pass(self.now());
+            }
             Op::Restart { in_order, luck } => {
                 self.restart(!in_order, *luck);
                 self.recover();
@@ -241,7 +251,15 @@ impl<M: Medium> Trial<M> {
         self.medium.arm(fuse);
         let (now, store) = (self.now(), Arc::clone(self.store()));
         let all = steps.clone();
+        let is_in_order = self.medium.is_in_order();
         let outcomes = wait(async move {
+            if !is_in_order {
+                let mut outcomes = Vec::new();
+                for step in all {
+                    outcomes.push(on_store(&*store, step).await);
+                }
+                return outcomes;
+            }
             let tasks: Vec<_> = all
                 .into_iter()
                 .map(|step| {
@@ -386,4 +404,93 @@ fn the_journal_does_what_the_model_does() {
         let mut trial = Trial::new(|clock| OnDisk(Disk::default(), clock));
         ops.iter().for_each(|op| trial.run(op));
     });
+}
+
+/// A database that the process shares with others.
+#[cfg(all(unix, feature = "postgres"))]
+struct InPostgres {
+    database: crate::postgres_server::Database,
+    clock: super::postgres::Clock,
+}
+
+#[cfg(all(unix, feature = "postgres"))]
+impl InPostgres {
+    fn new(database: crate::postgres_server::Database) -> Self {
+        // Makes the schema.
+        drop(super::postgres::open(&database));
+        let clock = super::postgres::Clock::new(&database);
+        Self { database, clock }
+    }
+}
+
+#[cfg(all(unix, feature = "postgres"))]
+impl Medium for &InPostgres {
+    fn open(&self) -> Arc<dyn JobStore> {
+        Arc::new(knowing(super::postgres::open(&self.database), &blobs()))
+    }
+
+    fn pass(&self, now: Time) {
+        self.clock.set(now);
+    }
+
+    // Several connections.
+    fn is_in_order(&self) -> bool {
+        false
+    }
+
+    fn close(&mut self, _: Arc<dyn JobStore>, _: bool, _: u64) {}
+}
+
+#[cfg(all(unix, feature = "postgres"))]
+#[needs::needs(postgres)]
+#[test]
+fn the_database_does_what_the_model_does() {
+    let medium = InPostgres::new(crate::postgres_server::database());
+    sequences("postgres", 15, |ops| {
+        medium.clock.begin_again();
+        let mut trial = Trial::new(|_| &medium);
+        ops.iter().for_each(|op| trial.run(op));
+    });
+}
+
+#[cfg(all(unix, feature = "postgres"))]
+#[needs::needs(postgres)]
+#[test]
+fn what_was_acknowledged_outlives_the_crash_of_the_database() {
+    use prop::strategy::ValueTree;
+    let medium = InPostgres::new(crate::postgres_server::database_apart());
+    let cluster = medium.database.cluster;
+    let mut trial = Trial::new(|_| &medium);
+    let mut runner = TestRunner::new_with_rng(Config::default(), TestRng::from_seed(RngAlgorithm::ChaCha, &[28; 32]));
+    for round in 0..6u64 {
+        let stop = std::thread::spawn(move || {
+            std::thread::sleep(Duration::from_millis(30 + 23 * round));
+            cluster.stop_immediate();
+        });
+        let (step, before) = loop {
+            let op = plain().new_tree(&mut runner).unwrap().current();
+            // The clock is the database's.
+            let Some(step) = trial.step(&op) else { continue };
+            let now = trial.now();
+            match wait(on_store(&**trial.store(), step.clone())) {
+                Some((gives, _)) => assert_eq!(gives, trial.model.step(&step, now), "{step:?}"),
+                None => break (step, trial.model.clone()),
+            }
+        };
+        stop.join().unwrap();
+        let start = std::time::Instant::now();
+        let spec = super::model::body("away", 0);
+        let away = wait(trial.store().create(NewJob { random: 0, spec, needs: Bytes::default() })).unwrap_err();
+        assert!(matches!(away, StoreError::Unavailable { .. }), "{away}");
+        // A caller hears within 2 s; a busy machine adds to it.
+        assert!(start.elapsed() < Duration::from_secs(3), "{:?}", start.elapsed());
+        cluster.start();
+        let found = trial.found();
+        // It is unknown whether the last step was done.
+        let mut after = before.clone();
+        after.step(&step, trial.now());
+        trial.model =
+            [before, after].into_iter().find(|model| model.jobs == found).unwrap_or_else(|| panic!("{found:#?}"));
+    }
+    assert!(!trial.model.jobs.is_empty());
 }

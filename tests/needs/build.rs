@@ -35,8 +35,26 @@ fn is_folder(variable: &str) -> bool {
     env::var_os(variable).map(PathBuf::from).is_some_and(|folder| !folder.as_os_str().is_empty())
 }
 
+/// Why tests of PostgreSQL cannot run here.
+fn missing_postgres() -> Option<&'static str> {
+    println!("cargo::rerun-if-env-changed=TESSERA_TEST_POSTGRES");
+    println!("cargo::rerun-if-env-changed=PATH");
+    match env::var("TESSERA_TEST_POSTGRES").as_deref() {
+        Ok("off") => return Some("TESSERA_TEST_POSTGRES is off"),
+        Ok("required") => return None,
+        _ => {}
+    }
+    let debian = Path::new("/usr/lib/postgresql");
+    println!("cargo::rerun-if-changed={}", debian.display());
+    let path = env::var_os("PATH").unwrap_or_default();
+    let in_path = env::split_paths(&path).any(|folder| folder.join("initdb").is_file());
+    let by_debian = debian.read_dir().is_ok_and(|mut versions| versions.any(|version| version.is_ok()));
+    (!in_path && !by_debian).then_some("PostgreSQL is not installed here (Debian: postgresql)")
+}
+
 fn main() {
     println!("cargo::rerun-if-changed=build.rs");
+    println!("cargo::rustc-env=NEEDS_POSTGRES={}", missing_postgres().unwrap_or_default());
     println!("cargo::rustc-env=NEEDS_GPU={}", missing_gpu().unwrap_or_default());
     for (name, variable, what) in [("MESHES", "TESSERA_MESHES", "real meshes"), ("SEEDS", "TESSERA_SEEDS", "seed sets")]
     {

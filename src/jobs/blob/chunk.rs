@@ -41,8 +41,8 @@ impl UploadId {
     }
 }
 
-/// Stands for no owner in names of files.
-const NO_OWNER: Owner = Owner([0; 16]);
+/// Stands for no owner in names of files and in databases.
+pub(crate) const NO_OWNER: Owner = Owner([0; 16]);
 
 /// The name under which the parts lie.
 impl fmt::Display for UploadId {

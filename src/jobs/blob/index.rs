@@ -8,6 +8,7 @@
 mod ledger;
 mod local;
 mod promises;
+pub(crate) mod rules;
 
 use std::fmt::Debug;
 use std::time::{Duration, SystemTime};
@@ -68,7 +69,7 @@ pub struct Published {
 #[async_trait]
 pub trait BlobIndex: Send + Sync + Debug {
     /// Enters what a storage has. No quota is checked. Gives the owners that count for nothing: their blob is not stored,
-    /// or has too many.
+    /// or has too many; or the index knew the blob before, without them.
     async fn enter(&self, stored: Stored) -> Result<Vec<(Digest, Owner)>, BlobError>;
 
     /// Keeps a place and room for a new upload. `None` if the upload is in the index already. To make room, the owner loses
@@ -99,9 +100,14 @@ pub trait BlobIndex: Send + Sync + Debug {
     /// used.
     async fn publish(&self, upload: UploadId, pin: Option<&str>) -> Result<Published, BlobError>;
 
+    /// The bytes of the upload are about to be shown as the blob's: until it has become a blob or nothing, or for some
+    /// minutes, no process removes them. Errors: `UploadNotFound` if another process ended it; `Unavailable` while the bytes
+    /// of a blob of the same digest that left the index are being removed.
+    async fn showing(&self, upload: UploadId) -> Result<(), BlobError>;
+
     async fn get(&self, digest: Digest) -> Result<Option<BlobInfo>, BlobError>;
 
-    /// The blobs are used now. `None` for those that are not stored.
+    /// The blobs are used now. `None` for those that are not stored. An index may leave out a use soon after the one before.
     async fn touch(&self, digests: &[Digest]) -> Result<Vec<Option<Used>>, BlobError>;
 
     /// Enters a blob whose bytes were found in the storage. Gives whether it is in the index now: one whose bytes are being
@@ -113,6 +119,13 @@ pub trait BlobIndex: Send + Sync + Debug {
 
     /// Takes a blob out on request. Errors: `NotFound`, `Pinned`.
     async fn delete(&self, digest: Digest) -> Result<BlobInfo, BlobError>;
+
+    /// Whether the caller may remove the bytes of a blob that is out of the index. Not if it has come back or is about to, nor
+    /// while another process does so. The caller calls [`BlobIndex::removed`] within some minutes.
+    async fn removing(&self, blob: BlobInfo) -> Result<bool, BlobError>;
+
+    /// Blobs that have been out of the index for `time`, and whose bytes no process reported as removed.
+    async fn left(&self, time: Duration) -> Result<Vec<BlobInfo>, BlobError>;
 
     /// The bytes of a blob that is out of the index are gone. If not, the blob is back, as the first to go.
     async fn removed(&self, blob: BlobInfo, gone: bool) -> Result<(), BlobError>;

@@ -94,7 +94,8 @@ impl ObjectBlobs {
         Self::shared_with(Arc::new(LocalIndex::default()), store, options).await
     }
 
-    async fn shared_with<S: ObjectStore + MultipartStore>(
+    /// As [`Self::shared`], with this index. If all processes have the same one, quota and pins hold for all of them.
+    pub async fn shared_with<S: ObjectStore + MultipartStore>(
         index: Arc<dyn BlobIndex>,
         store: Arc<S>,
         options: BlobOptions,

@@ -13,7 +13,7 @@ use super::digest::hex_name;
 
 /// Owners of one blob. One more replaces an owner, which can upload the blob again: a caller that invents names fills no more
 /// than this, and replaces these names: see [`Owners::add`].
-pub(super) const MOST: usize = 256;
+pub(crate) const MOST: usize = 256;
 
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct Owner(pub(super) [u8; 16]);
@@ -21,6 +21,16 @@ pub struct Owner(pub(super) [u8; 16]);
 hex_name!(Owner);
 
 impl Owner {
+    #[cfg(feature = "postgres")]
+    pub(crate) const fn from_bytes(bytes: [u8; 16]) -> Self {
+        Self(bytes)
+    }
+
+    #[cfg(feature = "postgres")]
+    pub(crate) const fn as_bytes(&self) -> &[u8; 16] {
+        &self.0
+    }
+
     pub fn of(name: &str) -> Self {
         let digest = Digest::of(name.as_bytes());
         Self(std::array::from_fn(|k| digest.as_bytes()[k]))

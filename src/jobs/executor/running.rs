@@ -10,7 +10,7 @@ use std::time::Duration;
 
 use glam::DVec3;
 
-use super::storage::StorageError;
+use super::storage::{RETRY_PERIOD, StorageError};
 use super::{Inner, LEASE, ProgressCommand, failed, is_outdated};
 use crate::admission::forecast::{must_end, must_fit};
 use crate::blob::{BlobError, Owner, put};
@@ -20,7 +20,7 @@ use crate::executor::perform::{JobContext, Parts, perform};
 use crate::observe::activity::{Activity, JobOutcome, Listener};
 use crate::record::event::Progress;
 use crate::record::{Cause, Change, FailureKind, Job, JobId, ResultSet};
-use crate::store::{Offer, result_pin};
+use crate::store::{Offer, StoreError, result_pin};
 use crate::{Backends, JobError};
 use geometry::cvt::Iteration;
 use geometry::cvt::density::Expected;
@@ -133,6 +133,28 @@ impl Listener for Recorder {
     }
 }
 
+impl Inner {
+    /// Records the end of an attempt. A store that does not answer for a while loses no result: the same change is tried again,
+    /// for as long as the lease lasts. A change whose answer was lost counts if the job has become what it says.
+    async fn keep_end(&self, job: &Job, change: Change) -> Result<Job, StoreError> {
+        let (jobs, id, at) = (&self.stores.jobs, job.id, job.status.version);
+        let end = tokio::time::Instant::now() + LEASE;
+        let mut changed = jobs.change(id, at, change.clone()).await;
+        while matches!(changed, Err(StoreError::Unavailable { .. })) && tokio::time::Instant::now() < end {
+            tokio::time::sleep(RETRY_PERIOD).await;
+            changed = match jobs.change(id, at, change.clone()).await {
+                Err(error) if is_outdated(&error) => match jobs.get(id).await {
+                    Ok(now) if job.became(&now.status, &change) => Ok(now),
+                    Err(away @ StoreError::Unavailable { .. }) => Err(away),
+                    _ => Err(error),
+                },
+                changed => changed,
+            };
+        }
+        changed
+    }
+}
+
 impl AtWork {
     fn perform(&self, backends: &Backends) -> Result<ResultSet, WorkError> {
         let (inner, job) = (&*self.inner, &self.job);
@@ -224,7 +246,7 @@ impl AtWork {
             if inner.progress.send(ProgressCommand::Flush(done)).await.is_ok() {
                 let _ = tokio::time::timeout(FLUSH_TIMEOUT, kept).await;
             }
-            let changed = inner.stores.jobs.change(job.id, job.status.version, change).await;
+            let changed = inner.keep_end(job, change).await;
             match &changed {
                 Ok(_) => tracing::info!(id = %job.id, outcome = ?name, "a job ended"),
                 Err(error) if is_outdated(error) => {}

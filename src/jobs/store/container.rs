@@ -89,7 +89,7 @@ impl<C: Container> JobStore for C {
     }
 
     fn wait(&self, id: JobId, after: u64) -> Answer<'_, ()> {
-        Box::pin(self.waiters().until(self, id, after))
+        Box::pin(self.waiters().until(self, (id, after), None))
     }
 
     fn delete(&self, id: JobId) -> Answer<'_, ()> {

@@ -14,7 +14,7 @@ pub(crate) use upkeep::{expire, recover};
 
 use super::codec::{Head, decode, encode};
 use super::tables::{Entry, Live, Order, Table, Tables, TablesMut};
-use super::{Created, NewJob, Offer, Page, Query, StoreError};
+use super::{Created, NewJob, Offer, Page, Query, StoreError, rules};
 use crate::record::event::{Event, Events, Log, Progress, What};
 use crate::record::state::State;
 use crate::record::{Bytes, Change, Holder, Job, JobId, Spec, Status, Time};
@@ -126,9 +126,7 @@ pub(crate) fn create(tables: &mut dyn TablesMut, live: &mut Live, new: NewJob, n
     if tables.get(Table::Heads, &id.0)?.is_some() {
         return Err(StoreError::NameTaken { id });
     }
-    let status = Status::new(wanted.task().deadlines, now);
-    let mut log = Log::default();
-    log.push(Event { number: 1, at: now, what: What::State { state: State::Queued, attempt: 0 } });
+    let (status, log) = rules::begun(&wanted, now);
     let head = Head {
         tenant: wanted.tenant.clone(),
         request_id: wanted.request_id.clone(),
@@ -220,7 +218,7 @@ pub(crate) fn list(tables: &dyn Tables, query: &Query) -> StoreResult<Page> {
     let (mut jobs, mut bytes) = (Vec::new(), 0);
     for (id, status) in found {
         // At least one, so that pages come to an end.
-        if bytes > PAGE_BYTES {
+        if bytes > rules::PAGE_BYTES {
             more = true;
             break;
         }
@@ -232,17 +230,6 @@ pub(crate) fn list(tables: &dyn Tables, query: &Query) -> StoreResult<Page> {
     Ok(Page { jobs, next })
 }
 
-/// Specifications of a page, encoded: a page is shorter than its limit where they are long.
-const PAGE_BYTES: usize = 2 << 20;
-
-fn at_version(head: &Head, id: JobId, at: Option<u64>) -> StoreResult<()> {
-    let found = head.status.version;
-    match at {
-        Some(expected) if expected != found => Err(StoreError::Stale { id, expected, found }),
-        _ => Ok(()),
-    }
-}
-
 /// Changes the state; of a job at version `at`, if that is given.
 pub(crate) fn change(
     tables: &mut dyn TablesMut,
@@ -252,20 +239,16 @@ pub(crate) fn change(
     now: Time,
 ) -> StoreResult<Job> {
     let before = head(tables, id)?;
-    at_version(&before, id, at)?;
+    rules::at_version(before.status.version, id, at)?;
     let spec = spec(tables, id)?;
-    let status = before
-        .status
-        .changed(spec.task().deadlines, change, now)
-        .map_err(|cause| StoreError::Transition { id, cause })?;
+    let status = rules::changed((id, &spec), &before.status, change, now)?;
     let mut log = log(tables, id)?;
     let mut number = before.reserved_events;
     if let Some(Entry { next, log: progress }) = live.jobs.remove(&id) {
         log = log.extended(&progress);
         number = next;
     }
-    let state = What::State { state: status.state, attempt: status.attempts };
-    log.push(Event { number, at: now, what: state });
+    log.push(rules::state_event(&status, number, now));
     let next_event = number + 1;
     let reserved_events = if status.state == State::Running { next_event + RESERVED } else { next_event };
     if status.state == State::Running {
@@ -334,7 +317,7 @@ pub(crate) fn renew(tables: &mut dyn TablesMut, id: JobId, at: u64, until: Time)
 /// The head of a job that runs since version `at`.
 fn running(tables: &dyn TablesMut, id: JobId, at: u64) -> StoreResult<Head> {
     let head = head(tables, id)?;
-    at_version(&head, id, Some(at))?;
+    rules::at_version(head.status.version, id, Some(at))?;
     match head.status.state {
         State::Running => Ok(head),
         // The version is that of no claim.

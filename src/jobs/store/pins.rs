@@ -1,9 +1,9 @@
 //! Pins of jobs.
 //!
-//! Purpose: what a job pins in which state, for stores of one process. The input is pinned while the job waits or runs, the
+//! Purpose: what a job pins in which state; [`Pins`] does it for stores of one process. The input is pinned while the job waits or runs, the
 //! result from before the job names it until it is let go. Invariant: a pin is set before the change that needs it is
 //! kept, and ends after the change that ends it is kept. So a crash in between leaves a pin too many, never one too few.
-//! Pins are not in the tables: they follow from the jobs, and a start sets them again. Must not know: tables, where blobs
+//! There, pins are not in the tables: they follow from the jobs, and a start sets them again. Must not know: tables, where blobs
 //! lie.
 
 use std::sync::Arc;
@@ -15,13 +15,24 @@ use crate::record::JobId;
 use crate::record::state::State;
 
 /// The name under which a job's input is pinned.
-fn input_pin(id: JobId) -> String {
+pub(crate) fn input_pin(id: JobId) -> String {
     format!("input:{id}")
 }
 
 /// The name under which a job's result is pinned. Whoever does the job pins the blobs of the result as they are stored.
 pub fn result_pin(id: JobId) -> String {
     format!("result:{id}")
+}
+
+/// The names whose pins end when a job comes to a state.
+pub(crate) fn over(id: JobId, state: State) -> Vec<String> {
+    match state {
+        State::Running => Vec::new(),
+        // Of an attempt that came to nothing.
+        State::Queued => vec![result_pin(id)],
+        State::Succeeded => vec![input_pin(id)],
+        State::Failed | State::Cancelled | State::Expired => vec![input_pin(id), result_pin(id)],
+    }
 }
 
 #[derive(Debug, Default)]
@@ -49,13 +60,7 @@ impl Pins {
 
     /// A job changed to this state.
     pub(super) fn change(&mut self, id: JobId, state: State) {
-        match state {
-            State::Running => {}
-            // Of an attempt that came to nothing.
-            State::Queued => self.over.push(result_pin(id)),
-            State::Succeeded => self.over.push(input_pin(id)),
-            State::Failed | State::Cancelled | State::Expired => self.delete(id),
-        }
+        self.over.extend(over(id, state));
     }
 
     pub(super) fn delete(&mut self, id: JobId) {

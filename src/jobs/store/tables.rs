@@ -20,6 +20,7 @@
 use std::collections::HashMap;
 use std::ops::ControlFlow;
 use std::sync::{Arc, Mutex};
+use std::time::Duration;
 
 use strum::VariantArray;
 use tokio::sync::watch;
@@ -127,15 +128,31 @@ impl Waiters {
         }
     }
 
-    /// Ends once the job has an event after number `after`, or is gone.
-    pub(crate) async fn until(&self, store: &dyn JobStore, id: JobId, after: u64) -> Result<(), StoreError> {
+    /// Wakes everybody: something may have been missed.
+    #[cfg(feature = "postgres")]
+    pub(crate) fn wake_all(&self) {
+        lock(&self.0).retain(|_, sender| sender.send(()).is_ok());
+    }
+
+    /// Ends once the job has an event after number `after`, or is gone. With `poll`, also looks without being woken.
+    pub(crate) async fn until(
+        &self,
+        store: &dyn JobStore,
+        (id, after): (JobId, u64),
+        poll: Option<Duration>,
+    ) -> Result<(), StoreError> {
         let mut changes = Place { waiters: self, id, changes: Some(self.join(id)) };
         loop {
             if !store.events(id, after, 1).await?.events.is_empty() {
                 return Ok(());
             }
             if let Some(changes) = &mut changes.changes {
-                changes.changed().await.map_err(|_| StoreError::Closed)?;
+                let changed = changes.changed();
+                let woken = match poll {
+                    Some(time) => tokio::time::timeout(time, changed).await.unwrap_or(Ok(())),
+                    None => changed.await,
+                };
+                woken.map_err(|_| StoreError::Closed)?;
             }
         }
     }

@@ -338,7 +338,13 @@ fn of_store(error: &StoreError) -> Fault {
             let text = "the store of jobs cannot be written now; its server must be started again".to_owned();
             retry(Kind::Unavailable, text, Duration::from_secs(30))
         }
+        StoreError::Unavailable { .. } => {
+            tracing::warn!(error = %text, "the database of jobs does not answer");
+            let text = "the database of jobs does not answer; try again".to_owned();
+            retry(Kind::Unavailable, text, Duration::from_secs(2))
+        }
         StoreError::InUse { .. }
+        | StoreError::Unusable { .. }
         | StoreError::Damaged { .. }
         | StoreError::Unreadable { .. }
         | StoreError::UnknownVersion { .. }

@@ -7,11 +7,15 @@
 use proc_macro::{TokenStream, TokenTree};
 
 /// What a test may need, and why it is not there; empty if it is.
-const NEEDS: [(&str, &str); 3] =
-    [("gpu", env!("NEEDS_GPU")), ("meshes", env!("NEEDS_MESHES")), ("seeds", env!("NEEDS_SEEDS"))];
+const NEEDS: [(&str, &str); 4] = [
+    ("gpu", env!("NEEDS_GPU")),
+    ("meshes", env!("NEEDS_MESHES")),
+    ("postgres", env!("NEEDS_POSTGRES")),
+    ("seeds", env!("NEEDS_SEEDS")),
+];
 
-/// Ignores a test without what it needs: `gpu` (a Vulkan driver, software too), `meshes` (the folder `TESSERA_MESHES`), `seeds`
-/// (the folder `TESSERA_SEEDS`). Write it above `#[test]`, with one name or more.
+/// Ignores a test without what it needs: `gpu` (a Vulkan driver, software too), `meshes` (the folder `TESSERA_MESHES`),
+/// `postgres` (the programs of PostgreSQL), `seeds` (the folder `TESSERA_SEEDS`). Write it above `#[test]`, with one name or more.
 #[proc_macro_attribute]
 pub fn needs(names: TokenStream, test: TokenStream) -> TokenStream {
     let mut missing = "";
@@ -24,7 +28,9 @@ pub fn needs(names: TokenStream, test: TokenStream) -> TokenStream {
             Some((_, why)) if missing.is_empty() => missing = why,
             Some(_) => {}
             None => {
-                return written(&format!("compile_error!(\"no test can need `{name}`: say gpu, meshes or seeds\");"));
+                return written(&format!(
+                    "compile_error!(\"no test can need `{name}`: say gpu, meshes, postgres or seeds\");"
+                ));
             }
         }
     }

@@ -9,6 +9,7 @@ use std::collections::{BTreeSet, HashMap, HashSet};
 use std::time::SystemTime;
 
 use super::promises::Promises;
+use super::rules::{Figures, OwnRoom};
 use super::{Published, Room, Stored, Terms, Used};
 use crate::blob::chunk::UploadId;
 use crate::blob::owners::Owners;
@@ -114,14 +115,18 @@ impl Ledger {
         if self.promises.has(&id) {
             return Ok(None);
         }
-        self.promises.check_place(&id, terms.places)?;
-        let promised = self.promises.of_owner(&id);
+        let promised = self.promises.figures(&id);
+        let figures = Figures { blob_bytes: self.blob_bytes, pinned_bytes: self.pinned_bytes, ..promised };
+        figures.check_place(&id, terms.places)?;
         let own = match (id.owner, terms.own_quota_bytes) {
-            (Some(owner), Some(limit)) => self.own_room(owner, id.size_bytes, promised.unwrap_or(0), limit)?,
+            (Some(owner), Some(limit_bytes)) => {
+                let used_bytes = self.owned_bytes(owner).saturating_add(figures.own_uploading_bytes);
+                self.own_room(owner, OwnRoom { needed_bytes: id.size_bytes, used_bytes, limit_bytes })?
+            }
             _ => Vec::new(),
         };
-        let mut room =
-            Room { victims: self.make_room(id.size_bytes, promised, terms.quota_bytes)?, given_up: Vec::new() };
+        let excess = figures.excess(&id, terms)?;
+        let mut room = Room { victims: self.make_room(excess), given_up: Vec::new() };
         self.promises.enter(id, SystemTime::now());
         for digest in own {
             // It may be among the victims by now.
@@ -138,49 +143,22 @@ impl Ledger {
     /// An upload that another process began. Errors: `TooManyUploads`.
     pub(super) fn adopt(&mut self, id: UploadId, places: usize) -> Result<(), BlobError> {
         if !self.promises.has(&id) {
-            self.promises.check_place(&id, places)?;
+            self.promises.figures(&id).check_place(&id, places)?;
             self.promises.enter(id, SystemTime::now());
         }
         Ok(())
     }
 
-    /// Makes room for `size_bytes`. The victims are forgotten here. `own_bytes` has what the owner has promised already; `None`
-    /// is the server itself. Errors: `TooLarge` if it could never fit, `QuotaExceeded` if it does not fit now.
-    fn make_room(
-        &mut self,
-        size_bytes: u64,
-        own_bytes: Option<u64>,
-        limit_bytes: u64,
-    ) -> Result<Vec<BlobInfo>, BlobError> {
-        if size_bytes > limit_bytes {
-            return Err(BlobError::TooLarge { size_bytes, limit_bytes });
-        }
-        let uploading_bytes = self.promises.bytes();
-        let used_bytes = self.blob_bytes.saturating_add(uploading_bytes);
-        let firm_bytes = self.pinned_bytes.saturating_add(uploading_bytes);
-        let promised_bytes = uploading_bytes.saturating_add(size_bytes);
-        let quarter = limit_bytes / 4;
-        let crowds = size_bytes > 0
-            && own_bytes.is_some_and(|own| {
-                (own > 0 && own.saturating_add(size_bytes) > quarter)
-                    || (uploading_bytes > 0 && promised_bytes > 3 * quarter)
-            });
-        if crowds || firm_bytes.saturating_add(size_bytes) > limit_bytes {
-            return Err(BlobError::QuotaExceeded {
-                needed_bytes: size_bytes,
-                limit_bytes,
-                used_bytes,
-                pinned_bytes: self.pinned_bytes,
-                uploading_bytes,
-            });
-        }
+    /// Forgets the least recently used blobs until these bytes have gone.
+    fn make_room(&mut self, excess_bytes: u64) -> Vec<BlobInfo> {
+        let kept_bytes = self.blob_bytes.saturating_sub(excess_bytes);
         let mut victims = Vec::new();
-        while self.blob_bytes.saturating_add(promised_bytes) > limit_bytes {
+        while self.blob_bytes > kept_bytes {
             let Some(&(_, digest)) = self.unpinned.first() else { break };
             self.leaving.insert(digest);
             victims.extend(self.forget(&digest));
         }
-        Ok(victims)
+        victims
     }
 
     /// As [`super::BlobIndex::publish`].
@@ -312,34 +290,13 @@ impl Ledger {
         self.owners.bytes(owner)
     }
 
-    /// What an owner gives up, the longest held first, to have room for `size_bytes` more beside what it has and has promised.
-    /// Nothing is changed. Errors: `OwnQuotaExceeded`.
-    fn own_room(
-        &self,
-        owner: Owner,
-        size_bytes: u64,
-        promised_bytes: u64,
-        limit_bytes: u64,
-    ) -> Result<Vec<Digest>, BlobError> {
-        let used_bytes = self.owned_bytes(owner).saturating_add(promised_bytes);
-        let mut over_bytes = used_bytes.saturating_add(size_bytes).saturating_sub(limit_bytes);
-        let mut given_up = Vec::new();
-        if over_bytes == 0 {
-            return Ok(given_up);
+    /// What an owner gives up to have room. Nothing is changed. Errors: `OwnQuotaExceeded`.
+    fn own_room(&self, owner: Owner, room: OwnRoom) -> Result<Vec<Digest>, BlobError> {
+        if room.excess() == 0 {
+            return Ok(Vec::new());
         }
-        for (digest, size) in self.owners.oldest(owner) {
-            if over_bytes == 0 {
-                break;
-            }
-            if size > 0 && !self.pinned_for.contains_key(&(owner, digest)) {
-                given_up.push(digest);
-                over_bytes = over_bytes.saturating_sub(size);
-            }
-        }
-        match over_bytes {
-            0 => Ok(given_up),
-            _ => Err(BlobError::OwnQuotaExceeded { needed_bytes: size_bytes, used_bytes, limit_bytes }),
-        }
+        let held = self.owners.oldest(owner).into_iter();
+        room.give_up(held.filter(|(digest, _)| !self.pinned_for.contains_key(&(owner, *digest))))
     }
 
     /// What is in use. The limit is not known here.

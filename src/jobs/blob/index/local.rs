@@ -69,6 +69,11 @@ impl BlobIndex for LocalIndex {
         Ok(lock(&self.0).publish(upload, pin))
     }
 
+    // Within one process the store of blobs locks the digest.
+    async fn showing(&self, _: UploadId) -> Result<(), BlobError> {
+        Ok(())
+    }
+
     async fn get(&self, digest: Digest) -> Result<Option<BlobInfo>, BlobError> {
         Ok(lock(&self.0).get(&digest))
     }
@@ -88,6 +93,15 @@ impl BlobIndex for LocalIndex {
 
     async fn delete(&self, digest: Digest) -> Result<BlobInfo, BlobError> {
         lock(&self.0).delete(&digest)
+    }
+
+    async fn removing(&self, blob: BlobInfo) -> Result<bool, BlobError> {
+        Ok(lock(&self.0).get(&blob.digest).is_none())
+    }
+
+    // What a crash leaves is entered as blobs by the next process.
+    async fn left(&self, _: Duration) -> Result<Vec<BlobInfo>, BlobError> {
+        Ok(Vec::new())
     }
 
     async fn removed(&self, blob: BlobInfo, gone: bool) -> Result<(), BlobError> {

@@ -6,13 +6,8 @@
 use std::collections::HashMap;
 use std::time::{Duration, SystemTime};
 
-use crate::blob::BlobError;
+use super::rules::Figures;
 use crate::blob::chunk::UploadId;
-
-/// One owner has at most the `SHARE`th part of all places for uploads.
-const SHARE: usize = 4;
-/// The least that this part is, if there are that many places.
-const FEW: usize = 8;
 
 #[derive(Debug, Default)]
 pub(super) struct Promises {
@@ -43,25 +38,17 @@ impl Promises {
         self.touched.contains_key(id)
     }
 
-    /// Whether one more upload has a place among `limit`. The server's own always have. Errors: `TooManyUploads`.
-    pub(super) fn check_place(&self, id: &UploadId, limit: usize) -> Result<(), BlobError> {
-        if id.owner.is_none() {
-            return Ok(());
+    /// What uploads have beside this one. Those of the server itself are nobody's.
+    pub(super) fn figures(&self, id: &UploadId) -> Figures {
+        let mut figures = Figures { uploading_bytes: self.bytes, ..Figures::default() };
+        for other in self.touched.keys().filter(|other| other.owner.is_some()) {
+            figures.uploads += 1;
+            if other.owner == id.owner {
+                figures.own_uploads += 1;
+                figures.own_uploading_bytes = figures.own_uploading_bytes.saturating_add(other.size_bytes);
+            }
         }
-        let own = self.touched.keys().filter(|other| other.owner == id.owner).count();
-        let all = self.touched.keys().filter(|other| other.owner.is_some()).count();
-        let share = (limit / SHARE).max(FEW).min(limit);
-        match () {
-            () if all >= limit => Err(BlobError::TooManyUploads { limit }),
-            () if own >= share => Err(BlobError::TooManyUploads { limit: share }),
-            () => Ok(()),
-        }
-    }
-
-    /// The bytes that the owner of an upload has promised besides; `None` for the server's own.
-    pub(super) fn of_owner(&self, id: &UploadId) -> Option<u64> {
-        let own = self.touched.keys().filter(|other| other.owner == id.owner).map(|other| other.size_bytes);
-        id.owner.is_some().then(|| own.fold(0, u64::saturating_add))
+        figures
     }
 
     pub(super) fn touch(&mut self, id: &UploadId) {

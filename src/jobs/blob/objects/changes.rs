@@ -28,6 +28,9 @@ use crate::blob::{BlobError, BlobInfo, BlobOptions, ByteStream, Digest, Owner};
 /// Removals and questions to the store that run at once.
 const AT_ONCE: usize = 16;
 
+/// How long a process has to remove the bytes of blobs that it took out of the index, until another does.
+const LEFT: Duration = Duration::from_secs(3600);
+
 /// What sets stores apart.
 #[derive(Debug)]
 pub(super) enum Kind {
@@ -319,7 +322,7 @@ impl Inner {
     async fn remove(&self, blob: BlobInfo) -> Result<(), BlobError> {
         let digest = blob.digest;
         let _turn = self.lock_bytes(&digest).await;
-        if self.index.get(digest).await?.is_some() {
+        if !self.index.removing(blob).await? {
             // It has come back, with other owners.
             return self.unmark_others(digest).await;
         }
@@ -365,13 +368,7 @@ impl Inner {
     pub(super) async fn finish(&self, id: UploadId, pin: Option<&str>) -> Result<BlobInfo, BlobError> {
         let digest = id.digest;
         let gone = BlobError::UploadNotFound { digest };
-        let Some(mut slot) = self.turn(id).await? else {
-            let info = self.whole(id).await?;
-            if let Some(name) = pin {
-                self.index.pin(None, name, &[digest]).await.map_err(|_| gone)?;
-            }
-            return Ok(info);
-        };
+        let Some(mut slot) = self.turn(id).await? else { return self.finished(id, pin).await };
         let Slot::Open(part) = &mut *slot else { return Err(gone) };
         let missing = (part.tally().bytes() != id.size_bytes)
             .then_some(BlobError::Incomplete { kept_bytes: part.tally().bytes(), size_bytes: id.size_bytes });
@@ -386,6 +383,13 @@ impl Inner {
             Some(owner) => self.is_owned(owner, digest).await?,
             None => true,
         };
+        match self.index.showing(id).await {
+            Err(BlobError::UploadNotFound { .. }) => {
+                self.uploads.remove(&id, &mut slot);
+                return self.finished(id, pin).await;
+            }
+            shown => shown?,
+        }
         let turn = self.lock_bytes(&digest).await;
         if has && self.stored_in_turn(digest).await?.is_some_and(|info| info.size_bytes == id.size_bytes) {
             // Another stream was faster, and the caller may have been told so.
@@ -422,6 +426,16 @@ impl Inner {
         Ok(BlobInfo { digest, size_bytes: id.size_bytes })
     }
 
+    /// As [`Self::finish`], for an upload that has ended.
+    async fn finished(&self, id: UploadId, pin: Option<&str>) -> Result<BlobInfo, BlobError> {
+        let info = self.whole(id).await?;
+        if let Some(name) = pin {
+            let pinned = self.index.pin(None, name, &[id.digest]).await;
+            pinned.map_err(|_| BlobError::UploadNotFound { digest: id.digest })?;
+        }
+        Ok(info)
+    }
+
     /// Removes what is staged of an upload that has ended. What stays after a fault is an idle upload to the next
     /// process, and goes with those.
     async fn discard(&self, id: UploadId) {
@@ -453,6 +467,12 @@ impl Inner {
                 Ok(gone) => swept += usize::from(gone),
                 Err(BlobError::UploadNotFound { .. }) => {}
                 Err(error) => return Err(error),
+            }
+        }
+        // A process that went down left them.
+        for blob in self.index.left(LEFT).await? {
+            if let Err(error) = self.remove(blob).await {
+                tracing::warn!(digest = %blob.digest, %error, "the bytes of a blob that nobody has were not removed");
             }
         }
         Ok(swept)

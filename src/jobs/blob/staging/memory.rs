@@ -64,7 +64,7 @@ impl Part for Buffer {
             data.try_reserve_exact(size - data.len()).map_err(|_| BlobError::StorageFull)?;
             data.extend_from_slice(&bytes);
             tally.add(&bytes);
-            Ok((data, tally))
+            Ok::<_, BlobError>((data, tally))
         });
         self.state = task.await.map_err(join)??;
         Ok(())

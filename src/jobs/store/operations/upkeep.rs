@@ -9,9 +9,9 @@ use std::time::Duration;
 use super::{StoreResult, change, delete, head, id_of, line_key, spec, state_key, time_key};
 use crate::blob::{Digest, Owner};
 use crate::record::state::State;
-use crate::record::{Cause, Change, Failure, FailureKind, JobId, Outcome, Time};
+use crate::record::{Cause, Change, JobId, Outcome, Time};
 use crate::store::tables::{Live, Order, Table, TablesMut};
-use crate::store::{Orphans, Recovered, Retention, Swept};
+use crate::store::{Orphans, Recovered, Retention, Swept, rules};
 
 pub(crate) fn expire(
     tables: &mut dyn TablesMut,
@@ -49,10 +49,7 @@ pub(crate) fn expire(
         Ok(ControlFlow::Continue(()))
     })?;
     for id in due {
-        let cause = match head(tables, id)?.status.state {
-            State::Queued => Cause::QueueDeadline,
-            _ => Cause::RunDeadline,
-        };
+        let cause = rules::due_cause(head(tables, id)?.status.state);
         change(tables, live, (id, None), Change::Expire(cause), now)?;
         swept.expired.push(id);
     }
@@ -96,17 +93,10 @@ pub(crate) fn recover(
     // Of several pieces of work any one may be the cause: each job is tried once more, alone.
     let is_sure = orphaned.len() == 1 && !had_others;
     for (id, status) in orphaned {
-        if status.crashes + 1 < max_crashes || !is_sure {
-            change(tables, live, (id, None), Change::Orphan, now)?;
-            recovered.requeued.push(id);
-        } else {
-            let times = status.crashes + 1;
-            let message =
-                format!("the server went down {times} times with this job, the last time with nothing else at work");
-            let failure = Failure { kind: FailureKind::Crashed, message };
-            change(tables, live, (id, None), Change::Fail(failure), now)?;
-            recovered.failed.push(id);
-        }
+        let orphaned = rules::orphaned(&status, is_sure, max_crashes);
+        let ids = if orphaned == Change::Orphan { &mut recovered.requeued } else { &mut recovered.failed };
+        ids.push(id);
+        change(tables, live, (id, None), orphaned, now)?;
     }
     recovered.queued = in_state(tables, State::Queued)?;
     // Journals of earlier releases have no line.

@@ -1,0 +1,92 @@
+//! Uploads in the database.
+//!
+//! Purpose: when each was continued last, and [`show`]. Must not know: blobs, quotas, where bytes lie.
+
+use std::time::{Duration, SystemTime};
+
+use sqlx::{PgConnection, PgPool};
+
+use super::{BlobResult, count, key_of, micros, number};
+use crate::blob::{BlobError, NO_OWNER, Owner, UploadId};
+
+/// Chunks within this time are one sign that an upload goes on. Short against the time after which one is idle.
+const SAME_SIGN: Duration = Duration::from_secs(5);
+/// How long an upload's bytes may take to be shown. Longer than the store of objects tries.
+const SHOWING: Duration = Duration::from_secs(900);
+/// How often, and how many times, is looked for the end of a removal.
+pub(super) const LOOK: Duration = Duration::from_millis(50);
+pub(super) const LOOKS: usize = 40;
+
+/// Its row: digest, size, owner.
+type Row = ([u8; 32], i64, [u8; 16]);
+
+fn id((digest, size, owner): Row) -> UploadId {
+    let owner = Some(Owner::from_bytes(owner)).filter(|owner| *owner != NO_OWNER);
+    UploadId { digest: digest.into(), size_bytes: count(size), owner }
+}
+
+macro_rules! of {
+    ($sql:expr, $id:ident) => {
+        sqlx::query_as($sql).bind($id.digest.as_bytes().as_slice()).bind(number($id.size_bytes)).bind(key_of($id.owner))
+    };
+}
+
+pub(super) async fn enter(pool: &PgPool, uploads: &[(UploadId, SystemTime)]) -> BlobResult<()> {
+    for (id, touched) in uploads {
+        let touched = touched.duration_since(SystemTime::UNIX_EPOCH).unwrap_or_default();
+        let enter = "insert into tessera.uploads (digest, size, owner, touched) \
+                     values ($1, $2, $3, least($4, tessera.now_us())) on conflict do nothing";
+        let enter = sqlx::query(enter).bind(id.digest.as_bytes().as_slice()).bind(number(id.size_bytes));
+        enter.bind(key_of(id.owner)).bind(micros(touched)).execute(pool).await?;
+    }
+    Ok(())
+}
+
+pub(super) async fn touch(pool: &PgPool, id: &UploadId) -> BlobResult<()> {
+    let touch = "update tessera.uploads set touched = tessera.now_us() where digest = $1 and size = $2 and owner = $3 \
+                 and touched < tessera.now_us() - $4";
+    let touch = sqlx::query(touch).bind(id.digest.as_bytes().as_slice()).bind(number(id.size_bytes));
+    touch.bind(key_of(id.owner)).bind(micros(SAME_SIGN)).execute(pool).await?;
+    Ok(())
+}
+
+pub(super) async fn end(pool: &PgPool, id: &UploadId) -> BlobResult<()> {
+    let end = "delete from tessera.uploads where digest = $1 and size = $2 and owner = $3 returning true";
+    let _ended: Option<(bool,)> = of!(end, id).fetch_optional(pool).await?;
+    Ok(())
+}
+
+pub(super) async fn idle_time(pool: &PgPool, id: &UploadId) -> BlobResult<Option<Duration>> {
+    let idle = "select tessera.now_us() - touched from tessera.uploads where digest = $1 and size = $2 and owner = $3";
+    let idle: Option<(i64,)> = of!(idle, id).fetch_optional(pool).await?;
+    Ok(idle.map(|(idle,)| Duration::from_micros(count(idle))))
+}
+
+pub(super) async fn idle(pool: &PgPool, time: Duration) -> BlobResult<Vec<UploadId>> {
+    let idle = "select digest, size, owner from tessera.uploads where touched <= tessera.now_us() - $1";
+    let rows: Vec<Row> = sqlx::query_as(idle).bind(micros(time)).fetch_all(pool).await?;
+    Ok(rows.into_iter().map(id).collect())
+}
+
+pub(super) async fn stalest(pool: &PgPool, upload: &UploadId, time: Duration) -> BlobResult<Option<UploadId>> {
+    let stalest = "select digest, size, owner from tessera.uploads where owner <> $1 and touched <= tessera.now_us() - $2 \
+                   order by owner = $3 desc, touched limit 1";
+    let stalest = sqlx::query_as(stalest).bind(key_of(None)).bind(micros(time)).bind(key_of(upload.owner));
+    let row: Option<Row> = stalest.fetch_optional(pool).await?;
+    Ok(row.map(id))
+}
+
+/// Keeps removals away from the bytes of a blob that is about to be shown. Not while there is one. Errors: `UploadNotFound`.
+pub(super) async fn show(work: &mut PgConnection, id: &UploadId) -> BlobResult<bool> {
+    super::blobs::lock(work, &id.digest).await?;
+    let removing = "select exists (select from tessera.gone where digest = $1 and removing > tessera.now_ms())";
+    let removing: bool =
+        sqlx::query_scalar(removing).bind(id.digest.as_bytes().as_slice()).fetch_one(&mut *work).await?;
+    if removing {
+        return Ok(false);
+    }
+    let show = "update tessera.uploads set showing = tessera.now_ms() + $4 where digest = $1 and size = $2 and owner = $3 \
+                returning true";
+    let shown: Option<(bool,)> = of!(show, id).bind(micros(SHOWING) / 1000).fetch_optional(work).await?;
+    shown.map(|(shown,)| shown).ok_or(BlobError::UploadNotFound { digest: id.digest })
+}
