@@ -66,15 +66,6 @@ pub(super) async fn admit(work: &mut PgConnection, id: &UploadId, terms: &Terms)
     Ok(Decision::Admitted(Some(room)))
 }
 
-/// As [`crate::blob::index::BlobIndex::adopt`].
-pub(super) async fn adopt(work: &mut PgConnection, id: &UploadId, places: usize) -> BlobResult<()> {
-    if let Some(figures) = figures(work, id).await? {
-        figures.check_place(id, places)?;
-        enter(work, id).await?;
-    }
-    Ok(())
-}
-
 async fn enter(work: &mut PgConnection, id: &UploadId) -> BlobResult<()> {
     let enter = "insert into tessera.uploads (digest, size, owner, touched) values ($1, $2, $3, tessera.now_us()) \
                  on conflict do nothing";

@@ -76,16 +76,19 @@ end $$;
 create trigger pins_removed after delete on tessera.pins
     referencing old table as changed for each statement execute function tessera.clear_held();
 
--- Blobs that left the index, until their bytes are removed. One that stays here, after a crash, is removed by a sweep.
+-- Blobs that left the index. Bytes that nothing removed, after a crash, are removed by a sweep. A row stays for a while after
+-- that, so that a process that saw the bytes before does not enter them.
 create table tessera.gone (
     digest bytea primary key,
     size bigint not null,
     -- When it left, milliseconds since 1970.
     since bigint not null,
     -- Until when a process may be removing its bytes, milliseconds since 1970.
-    removing bigint not null default 0
+    removing bigint not null default 0,
+    -- Whether its bytes are removed; since says when.
+    done boolean not null default false
 );
-create index gone_since on tessera.gone (since);
+create index gone_since on tessera.gone (done, since);
 
 create table tessera.uploads (
     digest bytea not null,
@@ -94,8 +97,10 @@ create table tessera.uploads (
     owner bytea not null,
     -- When it was continued last, microseconds since 1970.
     touched bigint not null,
-    -- Until when its bytes may be shown as the blob's, milliseconds since 1970. Nothing removes them before.
+    -- Until when a process may be showing its bytes as the blob's, milliseconds since 1970, and which. Nothing removes them before,
+    -- and no other process ends the upload.
     showing bigint not null default 0,
+    shown_by bigint not null default 0,
     -- How far it is in an object store; not used yet.
     multipart text,
     kept bigint not null default 0,
