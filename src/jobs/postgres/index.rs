@@ -200,7 +200,7 @@ impl BlobIndex for PostgresIndex {
     }
 
     async fn left(&self, time: Duration) -> BlobResult<Vec<BlobInfo>> {
-        run!(self, blobs::left(self.database.pool(), time))
+        transaction!(self, |work| blobs::left(work, time))
     }
 
     async fn removed(&self, blob: BlobInfo, gone: bool) -> BlobResult<()> {

@@ -199,13 +199,22 @@ pub(super) async fn removing(work: &mut PgConnection, blob: BlobInfo) -> BlobRes
     Ok(claimed.is_some())
 }
 
+/// Clears the mark of blobs that no pin holds any more. Gives whether there were any.
+pub(super) async fn release(work: &mut PgConnection) -> BlobResult<bool> {
+    let release = "with free as (select digest from tessera.blobs b where held and not exists \
+                   (select from tessera.pins p where p.digest = b.digest) for no key update skip locked) \
+                   update tessera.blobs b set held = false from free where b.digest = free.digest";
+    Ok(sqlx::query(release).execute(work).await?.rows_affected() > 0)
+}
+
 /// As [`crate::blob::index::BlobIndex::left`].
-pub(super) async fn left(pool: &PgPool, time: Duration) -> BlobResult<Vec<BlobInfo>> {
+pub(super) async fn left(work: &mut PgConnection, time: Duration) -> BlobResult<Vec<BlobInfo>> {
+    release(work).await?;
     let forget = "delete from tessera.gone where done and since <= tessera.now_ms() - $1";
-    sqlx::query(forget).bind(micros(SEEN_BEFORE) / 1000).execute(pool).await?;
+    sqlx::query(forget).bind(micros(SEEN_BEFORE) / 1000).execute(&mut *work).await?;
     let left = "select digest, size from tessera.gone where not done and since <= tessera.now_ms() - $1 \
                 order by since limit $2";
-    let left = sqlx::query_as(left).bind(micros(time) / 1000).bind(LEFT_AT_ONCE).fetch_all(pool).await?;
+    let left = sqlx::query_as(left).bind(micros(time) / 1000).bind(LEFT_AT_ONCE).fetch_all(work).await?;
     Ok(left.into_iter().map(blob).collect())
 }
 

@@ -21,7 +21,8 @@ create table tessera.blobs (
     -- The time of the last use, nanoseconds since 1970; 0 for one that goes first.
     used bigint not null,
     -- Known to be pinned, so that no admission looks at it again. Set by an admission that met it, cleared with its last pin.
-    -- If two processes take back the last two pins at once it may stay set: an admission that finds no room looks again.
+    -- It may stay set, if two processes take back the last two pins at once or the row is locked: a sweep, or an admission that
+    -- finds no room, clears it then.
     held boolean not null default false
 ) with (autovacuum_vacuum_scale_factor = 0.05);
 create index blobs_used on tessera.blobs (used, digest) where not held;
@@ -68,9 +69,14 @@ create index pins_digest on tessera.pins (digest, owner);
 
 create function tessera.clear_held() returns trigger language plpgsql as $$
 begin
-    update tessera.blobs b set held = false
-        where held and digest in (select digest from changed)
-        and not exists (select from tessera.pins p where p.digest = b.digest);
+    -- Waits for no lock: the transaction may hold others, in any order.
+    with free as (
+        select digest from tessera.blobs b
+            where held and digest in (select digest from changed)
+            and not exists (select from tessera.pins p where p.digest = b.digest)
+            for no key update skip locked
+    )
+    update tessera.blobs b set held = false from free where b.digest = free.digest;
     return null;
 end $$;
 create trigger pins_removed after delete on tessera.pins
