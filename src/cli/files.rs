@@ -146,7 +146,7 @@ pub(crate) struct Loaded {
     pub(crate) warnings: Vec<Warning>,
 }
 
-fn unread(error: FileError) -> anyhow::Error {
+pub(crate) fn unread(error: FileError) -> anyhow::Error {
     match error {
         FileError::Io { path, cause, .. } => NoInput { path, cause }.into(),
         error => BadInput(error.to_string()).into(),
@@ -184,8 +184,10 @@ pub(crate) fn check_output(path: &Path, extensions: &[&str]) -> Result<()> {
 
 /// Whether a name is of a device or a pipe, which takes what comes and cannot be replaced.
 fn is_stream(path: &Path) -> bool {
-    // Where the standard output is a file, the name of its device leads there.
-    path.starts_with("/dev") || path.starts_with("/proc") || std::fs::metadata(path).is_ok_and(|meta| !meta.is_file())
+    // Where the standard output is a file, the name of its device leads there: `/dev/stdout`, `/proc/self/fd/1`.
+    let leads_away = || path.canonicalize().is_ok_and(|place| place != path);
+    ((path.starts_with("/dev") || path.starts_with("/proc")) && leads_away())
+        || std::fs::metadata(path).is_ok_and(|meta| !meta.is_file())
 }
 
 fn folder_of(path: &Path) -> &Path {

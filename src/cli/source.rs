@@ -4,13 +4,15 @@
 //! is kept in a temporary file. Must not know: where it is sent.
 
 use std::fs::File;
-use std::io::{self, BufReader, Read, Seek, SeekFrom, Write};
+use std::io::{BufReader, ErrorKind, Read, Result as IoResult, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
 use tempfile::NamedTempFile;
 
 use super::exit::NoInput;
+use super::files::unread;
+use geometry::mesh::io::{self, Format};
 use wire::pieces::{Hash, PIECE_BYTES};
 
 #[derive(Debug)]
@@ -29,7 +31,7 @@ impl Source {
         let file = File::open(path).map_err(unread)?;
         let meta = file.metadata().map_err(unread)?;
         if meta.is_dir() {
-            return Err(unread(io::ErrorKind::IsADirectory.into()).into());
+            return Err(unread(ErrorKind::IsADirectory.into()).into());
         }
         let kept = (!meta.is_file()).then(NamedTempFile::new).transpose();
         let mut kept = kept.context("cannot keep what the pipe brings")?;
@@ -42,15 +44,28 @@ impl Source {
                     let keep = kept.as_mut().map_or(Ok(()), |kept| kept.write_all(&buffer[..bytes]));
                     keep.context("cannot keep what the pipe brings")?;
                 }
-                Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
+                Err(error) if error.kind() == ErrorKind::Interrupted => {}
                 Err(error) => return Err(unread(error).into()),
             }
         }
         Ok(Self { path: path.to_owned(), digest: hash.digest(), size: hash.bytes(), kept })
     }
 
+    /// A surface, which stands by itself: a `.gltf` takes in the files that it names.
+    pub(crate) fn surface(path: &Path, format: Format) -> Result<Self> {
+        if format != Format::Gltf {
+            return Self::open(path);
+        }
+        let bytes = io::read_bytes(path, format).map_err(unread)?;
+        let mut kept = NamedTempFile::new().context("cannot keep what the surface takes in")?;
+        kept.write_all(&bytes).context("cannot keep what the surface takes in")?;
+        let mut hash = Hash::default();
+        hash.add(&bytes);
+        Ok(Self { path: path.to_owned(), digest: hash.digest(), size: hash.bytes(), kept: Some(kept) })
+    }
+
     /// The pieces from byte `offset` on: where each begins, and its bytes. After an error there are no more.
-    pub(crate) fn pieces(&self, offset: u64) -> io::Result<Pieces> {
+    pub(crate) fn pieces(&self, offset: u64) -> IoResult<Pieces> {
         let mut file = File::open(self.kept.as_ref().map_or(self.path.as_path(), |kept| kept.path()))?;
         file.seek(SeekFrom::Start(offset))?;
         Ok(Pieces { file, at: offset, size: self.size })
@@ -65,7 +80,7 @@ pub(crate) struct Pieces {
 }
 
 impl Iterator for Pieces {
-    type Item = io::Result<(u64, Vec<u8>)>;
+    type Item = IoResult<(u64, Vec<u8>)>;
 
     fn next(&mut self) -> Option<Self::Item> {
         let (at, left) = (self.at, self.size - self.at.min(self.size));
@@ -79,7 +94,7 @@ impl Iterator for Pieces {
             Err(error) => {
                 self.at = self.size;
                 Err(match error.kind() {
-                    io::ErrorKind::UnexpectedEof => io::Error::other("it became shorter while it was read"),
+                    ErrorKind::UnexpectedEof => std::io::Error::other("it became shorter while it was read"),
                     _ => error,
                 })
             }

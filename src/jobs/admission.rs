@@ -50,6 +50,11 @@ pub enum JobApiError {
     Input { field: String, problem: String },
     #[error("the job needs {needed_bytes} bytes {of}, and this server has {limit_bytes} for a job; ask for less")]
     TooLarge { of: Memory, needed_bytes: u64, limit_bytes: u64 },
+    #[error(
+        "the facets meet so many cells that the job would take about {seconds} s, and its limit is {limit_seconds} s; give \
+         fewer points or a surface without needles and crossing facets, or raise the limit"
+    )]
+    TooLong { seconds: f64, limit_seconds: f64 },
     #[error("more than {limit_bytes} bytes are packed in the file; unpack it first (gunzip)")]
     Packed { limit_bytes: u64 },
     #[error(transparent)]

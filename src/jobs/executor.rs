@@ -475,7 +475,7 @@ impl JobApi for Executor {
     async fn estimate(&self, spec: Spec, vertices: Option<u64>, facets: Option<u64>) -> Result<Estimate, JobApiError> {
         self.inner.engine.backend(spec.task().backend)?;
         let given = vertices.zip(facets);
-        let counts = self.inner.forecast.counts(&spec, given).await?;
+        let counts = self.inner.forecast.counts_by_surface(&spec, given).await?;
         let need = self.inner.forecast.need(&counts);
         let limits = self.inner.engine.memory();
         let in_bounds = self.inner.within_bounds(&counts).is_ok();

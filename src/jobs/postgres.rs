@@ -31,6 +31,7 @@ use crate::store::{
 };
 use index::PostgresIndex;
 use jobs::Work;
+use listen::Voice;
 use pool::Database;
 
 /// A wait looks this often, woken or not: progress wakes nothing.
@@ -46,6 +47,7 @@ pub struct PostgresStore {
     holder: String,
     silence: Duration,
     waiters: Arc<Waiters>,
+    voice: Voice,
     listener: JoinHandle<()>,
     /// When the days of progress were last looked at.
     days: Mutex<Instant>,
@@ -59,8 +61,9 @@ impl PostgresStore {
         let index = Arc::new(PostgresIndex::new(database.clone(), options.same_use));
         let waiters = Arc::<Waiters>::default();
         let listener = tokio::spawn(listen::listen(Database::apart(&options)?, Arc::clone(&waiters)));
+        let voice = Voice::new(database.pool().clone(), Arc::clone(&waiters));
         let PostgresOptions { holder, silence, .. } = options;
-        Ok(Self { database, index, holder, silence, waiters, listener, days: Mutex::new(Instant::now()) })
+        Ok(Self { database, index, holder, silence, waiters, voice, listener, days: Mutex::new(Instant::now()) })
     }
 
     async fn keep_days(&self) {
@@ -89,7 +92,7 @@ macro_rules! transaction {
         Box::pin($store.database.$run(async move {
             let mut $work = Work::begin(&$store.database).await?;
             let done = $operation.await;
-            $work.end(done).await
+            $work.end(done, &$store.voice).await
         }))
     };
 }

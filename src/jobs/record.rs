@@ -98,6 +98,14 @@ pub struct Job {
     pub status: Status,
 }
 
+impl Job {
+    /// Whether a later status is what this change of the job made.
+    pub fn became(&self, later: &Status, change: &Change) -> bool {
+        let made = self.status.changed(self.spec.task().deadlines, change.clone(), later.changed);
+        made.is_ok_and(|made| made == *later)
+    }
+}
+
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Status {

@@ -20,6 +20,7 @@ mod problem;
 mod remesh;
 mod schema;
 mod state;
+mod warnings;
 
 use std::sync::LazyLock;
 use std::time::Duration;
@@ -87,7 +88,7 @@ const IF_RANGE: Parameter =
     Parameter::header("If-Range", "Send the range only if the ETag is this one, else all bytes.", text);
 const ETAG: Parameter = Parameter::header("ETag", "The digest, in quotes.", text);
 const WARNING: Parameter = Parameter::header(
-    remesh::WARNING,
+    warnings::WARNING,
     "A warning of the report, as `CODE: MESSAGE`. There is one header for each, at most 16.",
     text,
 );
@@ -246,7 +247,11 @@ pub const ROUTES: &[Route] = &[
             IF_NONE_MATCH,
             IF_RANGE,
         ],
-        answers: DOWNLOAD,
+        answers: &[
+            Answer::new(200, "All bytes.", FILE).with(&[ETAG, WARNING]),
+            Answer::new(206, "The range.", FILE).with(&[ETAG, WARNING]),
+            Answer::new(304, "The client has these bytes.", Content::Nothing),
+        ],
         ..route("GET", "/v1/jobs/{id}/result", Role::Read, Kind::Stream, || get(jobs::result))
     },
     Route {
@@ -328,7 +333,8 @@ const SENT: &[&str] = &[
     "tessera-tenant",
     "traceparent",
 ];
-const READ: &[&str] = &["content-range", "etag", "location", "retry-after", jobs::ENDED, jobs::STEPS, remesh::WARNING];
+const READ: &[&str] =
+    &["content-range", "etag", "location", "retry-after", jobs::ENDED, jobs::STEPS, warnings::WARNING];
 
 fn routes(desk: Desk) -> Router {
     let mut router = Router::new();

@@ -5,7 +5,7 @@
 
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum Rejection {
-    #[error("{needed_bytes} more bytes do not fit now: {left_bytes} are left for all streams")]
+    #[error("{needed_bytes} more bytes do not fit now: {left_bytes} are left")]
     Memory { needed_bytes: u64, left_bytes: u64 },
     #[error("a message of {length} bytes came, where none is longer than {most}")]
     MessageTooLong { length: u64, most: u64 },

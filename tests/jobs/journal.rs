@@ -104,7 +104,8 @@ fn a_watcher_goes_on_where_it_was() {
         watcher.await.unwrap().unwrap();
         for index in 0..1000 {
             let (kind, energy, gradient_norm, ms) = ("lloyd".to_owned(), 1.0, f64::NAN, 1.0);
-            let step = Progress::Iteration { index, total: 1000, kind, energy, gradient_norm, ms };
+            let step =
+                Progress::Iteration { index, total: 1000, kind, energy, energy_ratio: energy, gradient_norm, ms };
             store.progress(id, at, step).await.unwrap();
         }
         store.change(id, at, Change::Succeed(ResultSet::default())).await.unwrap();

@@ -23,6 +23,8 @@ mod index;
 mod journal;
 mod model;
 #[cfg(all(unix, feature = "postgres"))]
+mod outage;
+#[cfg(all(unix, feature = "postgres"))]
 mod postgres;
 mod random;
 mod specs;

@@ -337,7 +337,7 @@ async fn ear(database: &Database) -> sqlx::postgres::PgListener {
 
 #[needs(postgres)]
 #[test]
-fn a_transaction_notifies_once_and_progress_never() {
+fn changes_are_said_together_and_progress_never() {
     let database = server::database();
     let store = knowing(open(&database), &[(input(), 1)]);
     let jobs: Vec<Job> = (0..5)
@@ -347,6 +347,8 @@ fn a_transaction_notifies_once_and_progress_never() {
         })
         .collect();
     wait(async {
+        // What was said of the claims.
+        tokio::time::sleep(Duration::from_millis(200)).await;
         let mut ear = ear(&database).await;
         for job in &jobs {
             store.progress(job.id, job.status.version, stage()).await.unwrap();

@@ -150,12 +150,12 @@ fn vtk_dialects() {
                 1 0 0 1 0 0 1 0 0 1 0 0 1 0 0 1 0 0 0 0.5 0\nSCALARS bits bit\nLOOKUP_TABLE default\n1 0 1 0 1 0 1\n";
     let loaded = decode_with_attributes(Format::Vtk, text.as_bytes()).unwrap();
     assert_eq!((loaded.mesh.positions().len(), loaded.mesh.facets().len(), loaded.mesh.area()), (7, 3, 1.5));
-    // The array of cells; a scalar may have gaps.
-    assert_eq!(loaded.left_aside.len(), 1, "{:?}", loaded.left_aside);
+    // The array of cells, a point and a line; a scalar may have gaps.
+    assert_eq!(loaded.left_aside.len(), 2, "{:?}", loaded.left_aside);
     assert!(loaded.attributes.scalars().iter().any(|scalar| (scalar.name.as_str(), scalar.components) == ("speed", 3)));
     assert!(loaded.attributes.scalars().iter().find(|scalar| scalar.name == "height").unwrap().values[5].is_nan());
     let wrong = text.replace("nan(ind)", "north");
-    assert_eq!(decode_with_attributes(Format::Vtk, wrong.as_bytes()).unwrap().left_aside.len(), 2);
+    assert_eq!(decode_with_attributes(Format::Vtk, wrong.as_bytes()).unwrap().left_aside.len(), 3);
     let colours = loaded.attributes.colours().unwrap();
     assert_eq!((colours.values[6], colours.depth), ([0.0, 0.5, 0.0, 1.0], ColourDepth::Float));
     let shorter = text.replace("POINT_DATA 7", "POINT_DATA 4000000000");
@@ -277,8 +277,8 @@ fn volumes_are_left_aside_or_refused() {
     assert!(error.contains("fill space"), "{error}");
     let both = msh(&format!("{tetrahedron}2 2 2 1 1 11 7 9\n3 1 2 1 1 7 9\n"));
     let loaded = decode_with_attributes(Format::Gmsh, both.as_bytes()).unwrap();
-    // The tetrahedron, and the name of its group.
-    assert_eq!((loaded.mesh.area(), loaded.left_aside.len()), (0.5, 2));
+    // The tetrahedron, the name of its group, and a line.
+    assert_eq!((loaded.mesh.area(), loaded.left_aside.len()), (0.5, 3));
     let unknown = msh("2 2 2 1 1 11 7 8\n");
     assert!(matches!(
         decode(Format::Gmsh, unknown.as_bytes()),

@@ -3,7 +3,8 @@
 use std::fmt::Write as _;
 
 use tessera::mesh::TriMesh;
-use tessera::mesh::io::{Format, Loaded, decode, decode_with_attributes, encode};
+use tessera::mesh::attributes::{Attributes, Scalar};
+use tessera::mesh::io::{Format, Loaded, decode, decode_with_attributes, encode, encode_with_attributes};
 use tessera::mesh::shapes::Shape;
 
 /// A file with something odd in it, and whether a line is due.
@@ -87,10 +88,9 @@ fn xml_vtk(mesh: &TriMesh) -> Vec<Odd> {
             ("no base64", "<DataArray type=\"Float32\" Name=\"odd\" format=\"binary\">###</DataArray>"),
             ("no data", "<DataArray type=\"Float32\" Name=\"odd\" format=\"appended\" offset=\"99\"/>"),
         ] {
-            let is_array = array.starts_with("<DataArray");
-            all.push(odd(what, format, plain.replace("</PointData>", &format!("{array}</PointData>")), is_array));
+            all.push(odd(what, format, plain.replace("</PointData>", &format!("{array}</PointData>")), true));
             let cells = format!("</PointData><CellData>{array}</CellData>");
-            all.push(odd(format!("{what} of cells"), format, plain.replace("</PointData>", &cells), is_array));
+            all.push(odd(format!("{what} of cells"), format, plain.replace("</PointData>", &cells), true));
             let field = format!("<FieldData>{array}</FieldData><Piece ");
             all.push(odd(format!("{what} of the file"), format, plain.replace("<Piece ", &field), false));
         }
@@ -126,14 +126,16 @@ fn ply(mesh: &TriMesh) -> Vec<Odd> {
         ("an element of nothing", "element void 3\n", ""),
         ("very much of nothing", "element void 999999999999\n", ""),
     ] {
-        all.push(odd(what, Format::Ply, file(nothing, nothing, (header, rows)), false));
+        all.push(odd(what, Format::Ply, file(nothing, nothing, (header, rows)), true));
     }
     // Behind the surface.
     let binary = encode(Format::Ply, mesh).unwrap();
     let at = binary.windows(10).position(|window| window == b"end_header").unwrap();
     let odd_element = b"element odd 2\nproperty half h\n";
     let bytes = [&binary[..at], odd_element, &binary[at..], &[1, 2, 3, 4]].concat();
-    all.push(odd("binary halves behind the faces", Format::Ply, bytes, false));
+    all.push(odd("binary halves behind the faces", Format::Ply, bytes, true));
+    let whole = file(("property int64 id\n", " 7"), nothing, nothing);
+    all.push(odd("numbers of 64 bits", Format::Ply, whole, false));
     all
 }
 
@@ -219,10 +221,12 @@ fn medit(mesh: &TriMesh) -> Vec<Odd> {
         )
     };
     [
-        ("corners", "Corners\n2\n1\n2\n", false),
-        ("normals", "Normals\n1\n0 0 1\nNormalAtVertices\n1\n1 1\n", false),
-        ("an unknown keyword", "Colours\n3\nred green blue\n", false),
-        ("edges", "Edges\n1\n1 2 0\n", false),
+        ("corners", "Corners\n2\n1\n2\n", true),
+        ("no corners", "Corners\n0\n", false),
+        ("normals", "Normals\n1\n0 0 1\nNormalAtVertices\n1\n1 1\n", true),
+        ("an unknown keyword", "Colours\n3\nred green blue\n", true),
+        ("edges", "Edges\n1\n1 2 0\n", true),
+        ("edges that are ridges", "Edges\n1\n1 2 0\nRidges\n1\n1\n", false),
         ("too many edges", "Edges\n1000000\n1 2 0\n", true),
         ("edges without numbers", "Edges\nmany\n", true),
         ("ridges of nothing", "Ridges\n2\n1\n77\n", true),
@@ -260,7 +264,7 @@ fn gltf(mesh: &TriMesh) -> Vec<Odd> {
         plain.replace(from, to)
     };
     let attribute = |text: &str| with("\"POSITION\":0", &format!("\"POSITION\":0,{text}"));
-    all.push(odd("a name for an accessor", Format::Gltf, attribute("\"COLOR_0\":\"red\",\"_ID\":{}"), false));
+    all.push(odd("a name for an accessor", Format::Gltf, attribute("\"COLOR_0\":\"red\",\"_ID\":{}"), true));
     all.push(odd("no accessor", Format::Gltf, attribute("\"NORMAL\":99"), true));
     let image = "\"buffers\":[{\"byteLength\":5,\"uri\":\"photo.bin\"},";
     let moved = with("\"buffers\":[", image).replace("\"buffer\":0", "\"buffer\":1");
@@ -268,6 +272,14 @@ fn gltf(mesh: &TriMesh) -> Vec<Odd> {
     all.push(odd("a skin that is not there", Format::Gltf, with("{\"mesh\":0}", "{\"mesh\":0,\"skin\":4}"), true));
     let morphed = with("\"mode\":4", "\"mode\":4,\"targets\":[{\"POSITION\":99}]");
     all.push(odd("morph targets", Format::Gltf, morphed, true));
+    let used = |names: &str| with("{\"asset\"", &format!("{{\"extensionsUsed\":[{names}],\"asset\""));
+    all.push(odd(
+        "materials of an extension",
+        Format::Gltf,
+        used("\"KHR_materials_unlit\",\"KHR_texture_basisu\""),
+        false,
+    ));
+    all.push(odd("instances", Format::Gltf, used("\"KHR_materials_unlit\",\"EXT_mesh_gpu_instancing\""), true));
     let animated = with("{\"asset\"", "{\"animations\":[{\"samplers\":[{\"input\":77}]}],\"materials\":[{}],\"asset\"");
     all.push(odd("animations", Format::Gltf, animated, false));
     all
@@ -276,8 +288,60 @@ fn gltf(mesh: &TriMesh) -> Vec<Odd> {
 fn others(mesh: &TriMesh) -> Vec<Odd> {
     let mut all = Vec::new();
     let obj = String::from_utf8(encode(Format::Obj, mesh).unwrap()).unwrap();
-    for line in ["mtllib none.mtl", "curv 0 1 1 2", "vp 1 2", "s off", "csh -x", "lod 3", "# f 1 2 99"] {
+    for line in ["mtllib none.mtl", "vp 1 2", "s off", "csh -x", "lod 3", "# f 1 2 99"] {
         all.push(odd(line, Format::Obj, format!("{line}\n{obj}{line}\n"), false));
+    }
+    for line in ["l 1 2 3", "p 4", "curv 0 1 1 2", "surf 0 1 0 1 1 2 3 4"] {
+        all.push(odd(line, Format::Obj, format!("{obj}{line}\n"), true));
+    }
+    let rows: Vec<&str> = obj.lines().collect();
+    let each = |change: &dyn Fn(usize, &str) -> String| -> String {
+        rows.iter().enumerate().map(|(k, row)| change(k, row) + "\n").collect()
+    };
+    let coloured = |every: usize, light: &str| {
+        each(&|k, row| {
+            if row.starts_with("v ") && k % every == 0 { format!("{row} {light}") } else { (*row).to_owned() }
+        })
+    };
+    let textured = |every: usize, point: &str| {
+        let corners = |row: &str| row.replace(' ', "/1 ") + "/1";
+        let faces = each(&|k, row| match row.strip_prefix("f ") {
+            Some(face) if k % every == 0 => format!("f {}", corners(face)),
+            _ => row.to_owned(),
+        });
+        format!("{faces}{point}\n")
+    };
+    all.push(odd("colours", Format::Obj, coloured(1, "1 0.5 0"), false));
+    all.push(odd("colours of some vertices", Format::Obj, coloured(2, "1 0.5 0"), true));
+    all.push(odd("texture", Format::Obj, textured(1, "vt 0 0 0"), false));
+    all.push(odd("texture of some facets", Format::Obj, textured(2, "vt 0 0"), true));
+    all.push(odd("texture in space", Format::Obj, textured(1, "vt 0 0 0.5"), true));
+    let stl = encode(Format::Stl, mesh).unwrap();
+    let marked = |mark: &dyn Fn(usize) -> u16, head: &[u8]| {
+        let mut bytes = stl.clone();
+        bytes[..head.len()].copy_from_slice(head);
+        for (facet, record) in bytes[84..].chunks_exact_mut(50).enumerate() {
+            record[48..].copy_from_slice(&mark(facet).to_le_bytes());
+        }
+        bytes
+    };
+    all.push(odd("one mark", Format::Stl, marked(&|_| 0x8000, b"any"), false));
+    all.push(odd("colours of facets", Format::Stl, marked(&|facet| 0x8000 | (facet % 2) as u16, b"any"), true));
+    all.push(odd("a colour in the header", Format::Stl, marked(&|_| 0, b"COLOR=\xff\0\0\xff"), true));
+    let off = |kind: &str, more: &str, face: &str| {
+        let rows: String = points(mesh).lines().map(|line| format!("{line}{more}\n")).collect();
+        let (vertices, facets) = (mesh.positions().len(), mesh.facets().len());
+        format!("{kind}OFF\n{vertices} {facets} 0\n{rows}{}", faces(mesh, "3 ", 0, face))
+    };
+    for (what, kind, more, face, told) in [
+        ("colours", "C", " 255 0 0 255", "", false),
+        ("colours without opacity", "C", " 255 0 0", "", false),
+        ("colours that are not announced", "", " 255 0 0", "", true),
+        ("more than colours", "C", " 255 0 0 255 7", "", true),
+        ("colours of faces", "", "", " 255 0 0", true),
+        ("an index of a colour", "", "", " 3", true),
+    ] {
+        all.push(odd(what, Format::Off, off(kind, more, face), told));
     }
     let model = |resources: &str, object: &str| {
         let mut text = String::from(
@@ -344,6 +408,75 @@ fn odd_parts_refuse_no_file() {
     assert!(wrong.is_empty(), "{}", wrong.join("\n"));
 }
 
+/// Colours are from 0 to 1 or from 0 to 255.
+#[test]
+fn colours_that_are_none_are_told() {
+    for (light, told) in [("255 0.5 0", false), ("1 0.5 0", false), ("300 0.5 0", true), ("-1 0 0", true)] {
+        let text = format!("v 0 0 0 {light}\nv 1 0 0 {light}\nv 0 1 0 {light}\nf 1 2 3\n");
+        let loaded = decode_with_attributes(Format::Obj, text.as_bytes()).unwrap();
+        assert_eq!(!loaded.left_aside.is_empty(), told, "{light}: {:?}", loaded.left_aside);
+    }
+}
+
+/// What a file requires is read, or the file is refused.
+#[test]
+fn required_extensions_are_read_or_refuse_a_file() {
+    let mesh = Shape::Torus.build(60);
+    let gltf = String::from_utf8(encode(Format::Gltf, &mesh).unwrap()).unwrap();
+    for (name, is_read) in [
+        ("KHR_materials_unlit", true),
+        ("KHR_mesh_quantization", true),
+        ("EXT_mesh_gpu_instancing", false),
+        ("KHR_draco_mesh_compression", false),
+        ("ACME_anything", false),
+    ] {
+        let text = gltf.replace("{\"asset\"", &format!("{{\"extensionsRequired\":[\"{name}\"],\"asset\""));
+        let read = decode(Format::Gltf, text.as_bytes());
+        assert_eq!(read.is_ok(), is_read, "{name}: {read:?}");
+        assert!(is_read || read.unwrap_err().to_string().contains(name));
+    }
+    let model = |attributes: &str| {
+        let text = format!(
+            "<model unit=\"millimeter\" {attributes}><resources><object id=\"7\"><mesh><vertices><vertex x=\"0\" y=\"0\" z=\"0\"/>\
+             <vertex x=\"1\" y=\"0\" z=\"0\"/><vertex x=\"0\" y=\"1\" z=\"0\"/></vertices><triangles>\
+             <triangle v1=\"0\" v2=\"1\" v3=\"2\"/></triangles></mesh></object></resources><build><item objectid=\"7\"/></build></model>"
+        );
+        crate::packages::stored(&[("3D/3dmodel.model", &text)])
+    };
+    for (attributes, is_read) in [
+        ("", true),
+        ("requiredextensions=\"\"", true),
+        ("xmlns:m=\"http://schemas.microsoft.com/3dmanufacturing/material/2015/02\" requiredextensions=\"m\"", true),
+        ("xmlns:x=\"http://acme.example/2020\" requiredextensions=\"x\"", false),
+        ("requiredextensions=\"y\"", false),
+    ] {
+        let read = decode(Format::ThreeMf, &model(attributes));
+        assert_eq!(read.is_ok(), is_read, "{attributes}: {read:?}");
+    }
+}
+
+/// Names of scalars are kept where a format can hold them.
+#[test]
+fn names_of_scalars_are_text() {
+    let mesh = Shape::Torus.build(60);
+    let mut attributes = Attributes::new(&mesh);
+    let names = ["von Mises (MPa)", "Température", "50 %", "a<b & \"c\"", "1st"];
+    for name in names {
+        let values = (0..mesh.positions().len()).map(|k| k as f64).collect();
+        attributes.add_scalar(Scalar::new(name, values)).unwrap();
+    }
+    for (format, are_kept) in
+        [(Format::Vtk, true), (Format::Vtp, true), (Format::Vtu, true), (Format::Gmsh, false), (Format::Ply, false)]
+    {
+        let (bytes, left_out) = encode_with_attributes(format, &mesh, &attributes).unwrap();
+        let loaded = decode_with_attributes(format, &bytes).unwrap();
+        let read: Vec<&str> = loaded.attributes.scalars().iter().map(|scalar| scalar.name.as_str()).collect();
+        assert_eq!(read.len(), names.len(), "{format:?}: {:?}", loaded.left_aside);
+        assert_eq!(read == names, are_kept, "{format:?}: {read:?}");
+        assert_eq!(left_out.is_empty(), are_kept, "{format:?}: {left_out:?}");
+    }
+}
+
 /// Lists of odd arrays have an end.
 #[test]
 fn lines_have_an_end() {
@@ -369,6 +502,12 @@ fn labels_of_facets_are_told() {
             "MeshVersionFormatted 2\nDimension 3\nVertices 4\n0 0 0 0\n1 0 0 0\n1 1 0 0\n0 1 0 0\nTriangles 2\n1 2 3 {one}\n1 3 4 {other}\nEnd\n"
         )
     };
+    let gmsh = |one: u32, other: u32| {
+        format!(
+            "$MeshFormat\n2.2 0 8\n$EndMeshFormat\n$Nodes\n4\n1 0 0 0\n2 1 0 0\n3 1 1 0\n4 0 1 0\n$EndNodes\n$Elements\n2\n\
+             1 2 2 {one} 1 1 2 3\n2 2 2 {other} 1 1 3 4\n$EndElements\n"
+        )
+    };
     for (format, text, told) in [
         (Format::Obj, format!("{square}usemtl a\nf 1 2 3\nf 1 3 4\n"), None),
         (Format::Obj, format!("{square}usemtl a\nf 1 2 3\nusemtl b\nf 1 3 4\nusemtl a\n"), Some("2 materials")),
@@ -378,6 +517,10 @@ fn labels_of_facets_are_told() {
         (Format::Stl, format!("solid a\n{}endsolid a\nsolid b\n{}endsolid b\n", facet(0), facet(1)), Some("2 solids")),
         (Format::Medit, medit(1, 1), None),
         (Format::Medit, medit(1, 7), Some("2 references")),
+        (Format::Medit, medit(1, 1).replace("1 0 0 0", "1 0 0 5"), Some("2 references of vertices")),
+        (Format::Gmsh, gmsh(1, 1), None),
+        (Format::Gmsh, gmsh(1, 7), Some("2 physical groups")),
+        (Format::Gmsh, gmsh(1, 1).replace("2 2 2 1 1", "2 2 2 1 5"), Some("2 parts of the model")),
     ] {
         let loaded = decode_with_attributes(format, text.as_bytes()).unwrap();
         let said: Vec<String> = loaded.left_aside.iter().map(ToString::to_string).collect();

@@ -254,7 +254,7 @@ fn grids_of_cells() {
     let loaded = decode_with_attributes(Format::Vtu, all.as_bytes()).unwrap();
     assert_eq!((loaded.mesh.facets().len(), loaded.mesh.area()), (9, 4.5));
     assert_eq!(loaded.attributes.scalars()[0].values[7], 7.0);
-    assert_eq!(loaded.left_aside.len(), 1, "{:?}", loaded.left_aside);
+    assert_eq!(loaded.left_aside.len(), 2, "{:?}", loaded.left_aside);
     assert!(loaded.left_aside[0].to_string().contains("cell array"), "{:?}", loaded.left_aside);
     // A hexahedron beside a triangle is left aside; alone it is no surface.
     let both = file("12 5", "0 1 2 3 4 5 6 7 0 1 2", "8 11", 2);

@@ -4,9 +4,10 @@ use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::Duration;
 
+use glam::DVec3;
 use jobs::Ceilings;
 use server::service::ServeError;
-use tessera::proto::BackendChoice;
+use tessera::proto::{BackendChoice, RvdOutput};
 use tonic::Code;
 use tonic_health::pb::HealthCheckRequest;
 use tonic_health::pb::health_check_response::ServingStatus;
@@ -78,6 +79,21 @@ async fn a_job_that_never_fits_is_refused_at_its_header() {
     };
     assert_eq!(status.code(), Code::InvalidArgument, "{status:?}");
     assert!(status.message().contains("1048576"), "both figures are said: {status:?}");
+    server.stop().await.unwrap();
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn needles_are_refused_once_they_are_read() {
+    let fake = Arc::new(Fake::new(Mood::Busy));
+    let ceilings = Ceilings { time: Some(Duration::from_millis(100)), ..Ceilings::default() };
+    let server = Server::start(Setup { ceilings, ..Setup::fake(&fake) }).await;
+    let rim = |k: u32| DVec3::new((f64::from(k) * 0.002).cos(), (f64::from(k) * 0.002).sin(), 0.0);
+    let points: Vec<DVec3> = (0..3000).map(rim).chain([DVec3::Z]).collect();
+    let facets: Vec<[u32; 3]> = (0..2999).map(|k| [k, k + 1, 3000]).collect();
+    let asked = rvd_request(&points, &facets, &spiral(3000), BackendChoice::Serial, &[RvdOutput::Sums]);
+    let status = ask_rvd(&mut server.client().await, asked).await.unwrap_err();
+    assert_eq!(status.code(), Code::InvalidArgument, "{status:?}");
+    assert!(status.message().contains("meet so many cells"), "{status:?}");
     server.stop().await.unwrap();
 }
 

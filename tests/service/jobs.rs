@@ -79,7 +79,8 @@ async fn change(server: &Server, job: &Job, at: u64, change: Change) {
 
 async fn step(server: &Server, job: &Job, at: u64, index: u64) {
     let kind = "lloyd".to_owned();
-    let step = Progress::Iteration { index, total: 9, kind, energy: 0.5, gradient_norm: 0.25, ms: 1.5 };
+    let step =
+        Progress::Iteration { index, total: 9, kind, energy: 0.5, energy_ratio: 1.25, gradient_norm: 0.25, ms: 1.5 };
     server.idle.store.progress(id(job), at, step).await.unwrap();
 }
 

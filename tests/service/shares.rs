@@ -138,3 +138,35 @@ async fn one_tenant_leaves_a_watch() {
     drop((held, other));
     server.stop().await.unwrap();
 }
+
+#[tokio::test(flavor = "multi_thread")]
+async fn one_tenant_leaves_memory_for_uploads() {
+    let limits = Limits { memory_bytes: 1 << 20, ..Limits::default() };
+    let server = Server::start(Setup { limits, queue_jobs: 100, ..Setup::default() }).await;
+    let mut client = server.client().await;
+    let (points, facets) = sphere(5);
+    let mut messages = rvd_request(&points, &facets, &spiral(20), BackendChoice::Serial, &[RvdOutput::Sums]);
+    // It does not end.
+    messages.pop();
+    let held = all(async || {
+        let (send, stream) = by_hand();
+        for message in messages.clone() {
+            send.send(message).await.unwrap();
+        }
+        let mut answers = client.compute_rvd(by("greedy", stream)).await?.into_inner();
+        match tokio::time::timeout(SECOND / 5, answers.message()).await {
+            Ok(refused) => Err(refused.unwrap_err()),
+            Err(_) => Ok((send, answers)),
+        }
+    })
+    .await;
+    let bytes = 24 * points.len() + 12 * facets.len();
+    assert_eq!(held.len(), ((1 << 20) - (1 << 17)) / bytes, "an eighth is left");
+    let asked = tokio_stream::iter(small_rvd(BackendChoice::Serial));
+    let mut answers = client.compute_rvd(by("other", asked)).await.unwrap().into_inner();
+    while let Some(answer) = answers.message().await.unwrap() {
+        drop(answer);
+    }
+    drop(held);
+    server.stop().await.unwrap();
+}

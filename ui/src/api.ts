@@ -38,6 +38,8 @@ export interface Iteration {
   readonly total: number;
   readonly kind: string;
   readonly energy: number;
+  /** Over that of regular hexagons of the same area and number. */
+  readonly energy_ratio: number;
   readonly gradient_norm: number;
   readonly ms: number;
 }

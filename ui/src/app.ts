@@ -24,9 +24,6 @@ import { Work, WorkError } from "./work.ts";
 /** Larger files are remeshed, but not shown: no browser has a text of so many characters. */
 const SHOWN_BYTES = 500_000_000;
 
-/** Second moment of a regular hexagon of area 1. */
-const HEXAGON = 5 / (18 * Math.sqrt(3));
-
 export class App {
   private readonly api = new Api((isWrong) => this.askKey(isWrong));
   private readonly work = new Work();
@@ -275,7 +272,6 @@ export class App {
     this.job = job.id;
     this.queue.mark(job.id);
     this.chart.clear();
-    this.chart.over(this.hexagons(job));
     this.stage.forgetCells();
     if (!isOver(job.state)) {
       this.progress.begin("Waiting for a place in the queue", job.created_ms);
@@ -287,14 +283,6 @@ export class App {
     await this.api.watch(job.id, (event) => this.hear(event), (seconds) => this.progress.cut(seconds), signal);
     if (signal.aborted) return;
     await this.finish(await this.api.job(job.id, signal), signal);
-  }
-
-  /** Energy of regular hexagons of the surface's area, as many as the job has points; if density and number stay the same. */
-  private hexagons({ spec: { remesh } }: Job): number | null {
-    const isUniform = /^(DENSITY_SOURCE_(UNIFORM|UNSPECIFIED))?$/.test(String(remesh?.density?.["source"] ?? ""));
-    const area = this.loaded?.figures.area;
-    const isFixed = isUniform && remesh?.["max_deviation"] === undefined && remesh?.["max_deviation_length"] === undefined;
-    return isFixed && area !== undefined && remesh?.points ? (HEXAGON * area * area) / remesh.points : null;
   }
 
   private hear(event: Event): void {
@@ -343,8 +331,6 @@ export class App {
     this.offer(file, job, format);
     this.figures.result(report);
     showWarnings(report);
-    const steps = report["iterations"];
-    if (Array.isArray(steps)) this.chart.exact(steps.map(({ energy_ratio: ratio }: { energy_ratio?: unknown }) => Number(ratio ?? NaN)));
     this.progress.end("Done.", job.started_ms === null ? null : job.changed_ms - job.started_ms);
     this.endJob();
     await this.showResult(file, format, signal);

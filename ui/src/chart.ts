@@ -1,6 +1,6 @@
 // The chart of the energy.
 //
-// Purpose: draws the energy of each iteration as it comes, over that of regular hexagons if it is known. Invariant: what is
+// Purpose: draws the energy of each iteration as it comes, over that of regular hexagons. Invariant: what is
 // drawn is told in words beside it too; every label is whole. Must not know: where iterations come from.
 
 import type { Iteration } from "./api.ts";
@@ -16,9 +16,6 @@ const DIGIT = 6.6;
 export class Chart {
   private readonly steps: Iteration[] = [];
   private total = 0;
-  /** Energy over that of regular hexagons, of each step; or what gives it. */
-  private ratios: readonly number[] = [];
-  private hexagons: number | null = null;
 
   constructor(private readonly svg: SVGSVGElement, private readonly words: HTMLElement) {
     new ResizeObserver(() => this.draw()).observe(svg);
@@ -27,8 +24,6 @@ export class Chart {
   clear(): void {
     this.steps.length = 0;
     this.total = 0;
-    this.ratios = [];
-    this.hexagons = null;
     this.draw();
   }
 
@@ -38,21 +33,9 @@ export class Chart {
     this.draw();
   }
 
-  /** Shows energies over this one: that of regular hexagons, if it is known. */
-  over(hexagons: number | null): void {
-    this.hexagons = hexagons !== null && hexagons > 0 && Number.isFinite(hexagons) ? hexagons : null;
-    this.draw();
-  }
-
-  /** The ratio of each step, as the report has it. */
-  exact(ratios: readonly number[]): void {
-    this.ratios = ratios.every(Number.isFinite) ? ratios : [];
-    this.draw();
-  }
-
   private draw(): void {
     const { svg, steps } = this;
-    const { values: energies, isRatio } = this.values();
+    const energies = steps.map(({ energy_ratio: ratio }) => ratio);
     const width = svg.clientWidth || 400;
     const height = svg.clientHeight || 180;
     svg.setAttribute("viewBox", `0 0 ${width} ${height}`);
@@ -77,7 +60,7 @@ export class Chart {
     const left = steps.length > 0 ? 12 + DIGIT * Math.max(...labels.map(({ length }) => length)) : 12;
     const x = (i: number): number => left + ((width - left - RIGHT) * i) / Math.max(this.total - 1, 1);
     const y = (energy: number): number => TOP + ((height - TOP - BOTTOM) * (most - energy)) / (most - least);
-    if (steps.length > 0) this.axis(isRatio, isPlain ? "" : ` × 10${raised(power)}`);
+    if (steps.length > 0) this.axis(isPlain ? "" : ` × 10${raised(power)}`);
     labels.forEach((label, i) => {
       const at = y(least + i * step);
       draw(svg, "line", { x1: left, x2: width - RIGHT, y1: at, y2: at, class: "grid" });
@@ -102,28 +85,21 @@ export class Chart {
   }
 
   /** The name of the axis, above it. */
-  private axis(isRatio: boolean, unit: string): void {
-    const text = this.text(0, 12, "start", isRatio ? "E / E" : `E${unit}`);
-    if (isRatio) draw(text, "tspan", { dy: 3, class: "below-line" }).textContent = "hex";
-  }
-
-  private values(): { values: readonly number[]; isRatio: boolean } {
-    const { steps, ratios, hexagons } = this;
-    if (steps.length > 0 && ratios.length === steps.length) return { values: ratios, isRatio: true };
-    return { values: steps.map(({ energy }) => energy / (hexagons ?? 1)), isRatio: hexagons !== null };
+  private axis(unit: string): void {
+    const text = this.text(0, 12, "start", "E / E");
+    draw(text, "tspan", { dy: 3, class: "below-line" }).textContent = "hex";
+    if (unit) draw(text, "tspan", { dy: -3 }).textContent = unit;
   }
 
   private say(): void {
     const { steps } = this;
-    const { values, isRatio } = this.values();
     if (steps.length === 0) {
       this.words.textContent = "The energy falls as cells become even. It is drawn here while a job runs.";
       return;
     }
-    const [from, to] = [values[0] as number, values[values.length - 1] as number];
+    const [from, to] = [steps[0], steps[steps.length - 1]].map((step) => step?.energy_ratio ?? 0) as [number, number];
     const below = from > 0 ? (100 * (from - to)) / from : 0;
-    const height = isRatio ? `${figure(to, 4)} times that of regular hexagons` : figure(to, 4);
-    this.words.textContent = `${height} after ${steps.length} of ${this.total} iterations, ${below.toFixed(1)} % below the first.`;
+    this.words.textContent = `${figure(to, 4)} times that of regular hexagons after ${steps.length} of ${this.total} iterations, ${below.toFixed(1)} % below the first.`;
   }
 
   private text(x: number, y: number, anchor: string, text: string): SVGElement {

@@ -175,10 +175,10 @@ pub(super) fn json_of_event(event: &JobEvent) -> Value {
             ("stage", json!({ "name": stage.name, "done": stage.done, "total": stage.total }))
         }
         Some(job_event::What::Iteration(step)) => {
-            let (energy, norm) = (step.energy, step.gradient_norm);
+            let (energy, ratio, norm) = (step.energy, step.energy_ratio, step.gradient_norm);
             let (index, total, kind) = (step.index, step.total, &step.kind);
             let figures = json!({ "index": index, "total": total, "kind": kind, "energy": energy,
-                "gradient_norm": norm, "ms": step.ms });
+                "energy_ratio": ratio, "gradient_norm": norm, "ms": step.ms });
             ("iteration", figures)
         }
         // Of a newer server.

@@ -86,7 +86,7 @@ impl InputArgs {
         let (digest, sources, input) = match &self.input {
             Input::Blob(digest) => (digest.clone(), Vec::new(), None),
             Input::File(path) => {
-                let source = Source::open(path)?;
+                let source = Source::surface(path, format)?;
                 (source.digest.clone(), vec![source], Some((path.clone(), format)))
             }
         };

@@ -28,7 +28,7 @@ use std::path::{Path, PathBuf};
 
 use glam::DVec3;
 
-use super::attributes::{AttributeError, Attributes};
+use super::attributes::{AttributeError, Attributes, Scalar};
 use super::{MeshError, TriMesh};
 use held::{Held, Holds, Raw};
 use packed::Signature;
@@ -388,18 +388,41 @@ pub fn counts_of_plain(format: Format, bytes: &[u8]) -> Option<Counts> {
     (counts.vertices > 0 && counts.facets > 0).then_some(counts)
 }
 
-/// Reports elements that fill space as left aside; an error if there is nothing else.
-fn volumes(soup: &mut Soup, elements: usize, advice: &str) -> Result<(), DataError> {
-    match (elements, soup.facets.is_empty()) {
-        (0, _) => Ok(()),
-        (_, true) => Err(DataError::Header(format!(
-            "there are {elements} elements that fill space, and no triangle or polygon; {advice}"
-        ))),
-        (_, false) => {
-            soup.raw.unreadable("volume elements", format!("there are {elements}; the surface is read alone"));
-            Ok(())
-        }
+/// Elements of a file that are no facets.
+#[derive(Clone, Copy, Debug, Default)]
+struct Others {
+    /// Points and lines.
+    thin: usize,
+    /// What fills space.
+    volumes: usize,
+}
+
+impl std::ops::AddAssign for Others {
+    fn add_assign(&mut self, other: Self) {
+        self.thin = self.thin.saturating_add(other.thin);
+        self.volumes = self.volumes.saturating_add(other.volumes);
     }
+}
+
+impl Others {
+    /// Reports them as left aside; an error if there is nothing but volumes.
+    fn leave(self, soup: &mut Soup, advice: &str) -> Result<(), DataError> {
+        let Self { thin, volumes } = self;
+        if volumes > 0 && soup.facets.is_empty() {
+            let text = format!("there are {volumes} elements that fill space, and no triangle or polygon; {advice}");
+            return Err(DataError::Header(text));
+        }
+        soup.raw.elements("volume elements", volumes);
+        soup.raw.elements("points and lines", thin);
+        Ok(())
+    }
+}
+
+/// What to say of scalars whose names become others in a file.
+fn renamed(scalars: &[Scalar], written: fn(&str) -> String) -> Option<String> {
+    let others = scalars.iter().filter(|scalar| written(&scalar.name) != scalar.name);
+    let names: Vec<String> = others.map(|s| format!("{:?} (it is {})", s.name, written(&s.name))).collect();
+    (!names.is_empty()).then(|| format!("the name {}", names.join(", ")))
 }
 
 fn syntax(line: usize, message: impl Into<String>) -> DataError {
@@ -455,6 +478,8 @@ pub fn encode_with_attributes(
     held.left_out.extend(match format {
         Format::Stl => held::rounding(mesh),
         Format::Glb | Format::Gltf => centred(),
+        Format::Ply => renamed(held.scalars, ply::word),
+        Format::Gmsh => renamed(held.scalars, gmsh::quoted),
         _ => None,
     });
     Ok((bytes, held.left_out))

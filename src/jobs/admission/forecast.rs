@@ -7,6 +7,7 @@
 
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex};
+use std::time::Duration;
 
 use futures_util::TryStreamExt;
 
@@ -21,10 +22,13 @@ use geometry::cvt::density::{Count, Expected};
 use geometry::mesh::io::{self, DataError, Format};
 use geometry::remesh::Seeds;
 use geometry::rvd::{BackendChoice, BackendKind};
+use geometry::token::Token;
 use wire::proto::ArrayForm;
 
 /// Larger blobs are not read for their counts, nor such in which more is packed.
 const READ_BYTES: u64 = 64 << 20;
+/// Bytes that reading a surface makes of each of its file, at most.
+const MADE: u64 = 8;
 /// Blobs that are read at once, one of a tenant.
 const AT_ONCE: usize = 2;
 /// Blobs whose counts are remembered.
@@ -66,6 +70,50 @@ impl Forecast {
     /// The counts of a job whose surface has been looked at.
     pub(crate) async fn counts_with(&self, spec: &Spec, expected: &Expected) -> Result<Counts, JobApiError> {
         Ok(self.counts_of(spec, None, Some(expected.points as u64)).await?.of_surface(expected))
+    }
+
+    /// As [`Self::counts`], with a look at the surface itself if its file is not large: counts alone do not tell of needles,
+    /// fans and soups, nor of points that a length implies.
+    pub async fn counts_by_surface(&self, spec: &Spec, given: Option<(u64, u64)>) -> Result<Counts, JobApiError> {
+        let counts = self.counts_of(spec, given, None).await?;
+        let task = spec.task();
+        let (MeshSource::File { blob, format, .. }, None, None) = (&task.mesh, given, task.arrays.edge_lengths) else {
+            return Ok(counts);
+        };
+        let (owner, format) = (Owner::of(&spec.tenant), *format);
+        let size_bytes = self.size_of(owner, *blob).await?;
+        if size_bytes.saturating_mul(MADE) > self.engine.memory().host.min(MADE * READ_BYTES) {
+            return Ok(counts);
+        }
+        let (density, seeds) = match &task.operation {
+            Operation::Remesh(options) => (options.density.clone(), options.seeds.clone()),
+            Operation::Rvd(diagram) => (diagram.density.clone(), diagram.seeds.clone()),
+            Operation::Cvt(session, _) => (session.density.clone(), session.seeds.clone()),
+        };
+        let _place = self.reading.wait(&owner.to_string()).await;
+        let _mark = self.engine.mark();
+        let bytes = self.whole(*blob, size_bytes).await?;
+        let look = move || {
+            let mesh = io::decode(format, &bytes).ok()?;
+            let mut seeds = seeds;
+            seeds.resolve(&mesh);
+            Expected::of(&mesh, &density, seeds.count(), &Token::default()).ok()
+        };
+        // A surface that is of no use is told when the job reads it.
+        match tokio::task::spawn_blocking(look).await.ok().flatten() {
+            Some(expected) if task.arrays.seeds.is_none() => self.counts_with(spec, &expected).await,
+            Some(expected) => Ok(counts.of_surface(&expected)),
+            None => Ok(counts),
+        }
+    }
+
+    async fn whole(&self, blob: Digest, size_bytes: u64) -> Result<Vec<u8>, BlobError> {
+        let mut pieces = self.blobs.read(blob, 0..u64::MAX).await?.bytes;
+        let mut all = Vec::with_capacity(usize::try_from(size_bytes).unwrap_or(0));
+        while let Some(piece) = pieces.try_next().await? {
+            all.extend_from_slice(&piece);
+        }
+        Ok(all)
     }
 
     async fn counts_of(
@@ -200,16 +248,15 @@ impl Forecast {
             DataError::TooLong { limit } => JobApiError::Packed { limit_bytes: limit as u64 },
             error => JobApiError::Input { field: "spec.mesh.file".to_owned(), problem: error.to_string() },
         };
-        let whole = size_bytes <= READ_BYTES;
-        let mut pieces =
-            self.blobs.read(blob, 0..if whole { u64::MAX } else { MAGIC_BYTES.min(size_bytes) }).await?.bytes;
-        let mut all = Vec::with_capacity(if whole { usize::try_from(size_bytes).unwrap_or(0) } else { 0 });
-        while let Some(piece) = pieces.try_next().await? {
-            all.extend_from_slice(&piece);
-        }
-        if whole {
+        if size_bytes <= READ_BYTES {
+            let all = self.whole(blob, size_bytes).await?;
             let counted = tokio::task::spawn_blocking(move || look_at(format, &all, limit)).await;
             return counted.unwrap_or(Ok(None)).map_err(refused)?.ok_or_else(no_surface);
+        }
+        let mut pieces = self.blobs.read(blob, 0..MAGIC_BYTES).await?.bytes;
+        let mut all = Vec::new();
+        while let Some(piece) = pieces.try_next().await? {
+            all.extend_from_slice(&piece);
         }
         if !io::are_packed(&all) {
             return Ok(File { counts: most(format, size_bytes), bytes: size_bytes });
@@ -264,6 +311,10 @@ fn look_at(format: Format, bytes: &[u8], limit: usize) -> Result<Option<File>, D
     let bytes = size_bytes.saturating_add(unpacked);
     let Some(plain) = plain else { return Ok(Some(File { counts: most(format, unpacked), bytes })) };
     let counts = io::counts_of_plain(format, &plain);
+    if counts.is_none() {
+        // What is wrong with it, in the reader's words.
+        io::decode(format, &plain)?;
+    }
     Ok(counts.map(|counts| File {
         counts: (counts.vertices, counts.facets),
         bytes: bytes.saturating_add(counts.made_bytes),
@@ -275,6 +326,17 @@ pub fn must_fit(need: &Need, limits: Bytes) -> Result<(), JobApiError> {
     let both = [(Memory::Host, need.memory.host, limits.host), (Memory::Device, need.memory.device, limits.device)];
     match both.into_iter().find(|(_, needed, limit)| needed > limit) {
         Some((of, needed_bytes, limit_bytes)) => Err(JobApiError::TooLarge { of, needed_bytes, limit_bytes }),
+        None => Ok(()),
+    }
+}
+
+/// Predicted time of a job that is not begun, in limits on its time: predictions are within a factor of three.
+const FAR_BEYOND: f64 = 5.0;
+
+/// Whether a job with this need would be at work far beyond its limit. Errors: `TooLong`.
+pub fn must_end(need: &Need, limit: Option<Duration>) -> Result<(), JobApiError> {
+    match limit.filter(|limit| need.seconds > FAR_BEYOND * limit.as_secs_f64()) {
+        Some(limit) => Err(JobApiError::TooLong { seconds: need.seconds.round(), limit_seconds: limit.as_secs_f64() }),
         None => Ok(()),
     }
 }
@@ -345,16 +407,64 @@ mod tests {
         }
     }
 
-    /// Lists beside a surface are predicted: as long as their text, and as many numbers as the surface has places for.
-    #[tokio::test(flavor = "multi_thread")]
-    async fn lists_are_predicted() {
+    fn engine() -> (Engine, std::thread::JoinHandle<()>) {
         let backends = || {
             let parallel = Arc::new(geometry::rvd::parallel::Parallel::new(Some(1))?);
             let serial = Arc::new(geometry::rvd::serial::Serial);
             let gpu = Err("none".into());
             Ok(crate::Backends { gpu, parallel, serial, default: BackendChoice::Auto, pools: None })
         };
-        let (engine, thread) = Engine::start(backends, crate::EngineOptions::default()).unwrap();
+        Engine::start(backends, crate::EngineOptions::default()).unwrap()
+    }
+
+    /// A remesh of a file.
+    fn spec(blob: Digest, format: Format, arrays: JobArrays, tenant: &str) -> Spec {
+        let file = MeshFile { digest: blob.to_string(), format: format.number(), attributes: None };
+        // With lengths, only their ratios count.
+        let points = Some(100);
+        let message = JobSpec {
+            mesh: Some(proto::JobMesh { source: Some(job_mesh::Source::File(file)) }),
+            work: Some(job_spec::Work::Remesh(RemeshOptions { points, ..RemeshOptions::default() })),
+            arrays: Some(arrays),
+            ..JobSpec::default()
+        };
+        Spec::new(message, tenant.to_owned(), String::new()).unwrap()
+    }
+
+    /// A tenant whose files are counted leaves a place for another one's.
+    #[tokio::test(flavor = "multi_thread")]
+    async fn files_of_one_tenant_are_counted_beside_those_of_others() {
+        let (engine, thread) = engine();
+        let blobs = crate::Stores::ephemeral(crate::blob::BlobOptions::default()).blobs;
+        let forecast = Arc::new(Forecast::new(Arc::clone(&blobs), engine.clone(), 1_000_000));
+        let put = async |tenant: &str, bytes: Vec<u8>| {
+            let blob = put_of(&*blobs, tenant, None, bytes.into()).await.unwrap().digest;
+            spec(blob, Format::Obj, JobArrays::default(), tenant)
+        };
+        let count = |spec: Spec| {
+            let forecast = Arc::clone(&forecast);
+            tokio::spawn(async move { forecast.counts(&spec, None).await.unwrap() })
+        };
+        let triangle = "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n";
+        let small = put("other", triangle.into()).await;
+        let mut large = Vec::new();
+        for number in 0..8 {
+            large.push(put("greedy", format!("# {number}\n{}", triangle.repeat(1 << 19)).into_bytes()).await);
+        }
+        let greedy: Vec<_> = large.into_iter().map(count).collect();
+        assert_eq!(count(small).await.unwrap().facets, 1);
+        assert!(greedy.iter().any(|counted| !counted.is_finished()), "the other one waited for all of them");
+        for counted in greedy {
+            assert_eq!(counted.await.unwrap().facets, 1 << 19);
+        }
+        engine.close();
+        tokio::task::spawn_blocking(move || thread.join()).await.unwrap().unwrap();
+    }
+
+    /// Lists beside a surface are predicted: as long as their text, and as many numbers as the surface has places for.
+    #[tokio::test(flavor = "multi_thread")]
+    async fn lists_are_predicted() {
+        let (engine, thread) = engine();
         let blobs = crate::Stores::ephemeral(crate::blob::BlobOptions::default()).blobs;
         let put = async |bytes: Vec<u8>| put_of(&*blobs, "t", None, bytes.into()).await.unwrap().digest;
         let mesh = Shape::Torus.build(2000);
@@ -362,16 +472,7 @@ mod tests {
         let text = put(b"0 1\n".repeat(1 << 18)).await;
         let forecast = Forecast::new(Arc::clone(&blobs), engine.clone(), 1_000_000);
         let need_of = async |arrays: JobArrays| {
-            let file = MeshFile { digest: blob.to_string(), format: Format::Ply.number(), attributes: None };
-            // With lengths, only their ratios count.
-            let points = Some(100);
-            let message = JobSpec {
-                mesh: Some(proto::JobMesh { source: Some(job_mesh::Source::File(file)) }),
-                work: Some(job_spec::Work::Remesh(RemeshOptions { points, ..RemeshOptions::default() })),
-                arrays: Some(arrays),
-                ..JobSpec::default()
-            };
-            let spec = Spec::new(message, "t".to_owned(), String::new()).unwrap();
+            let spec = spec(blob, Format::Ply, arrays, "t");
             forecast.need(&forecast.counts(&spec, None).await.unwrap()).memory.host
         };
         let without = need_of(JobArrays::default()).await;

@@ -10,9 +10,9 @@ use std::time::Duration;
 
 use glam::DVec3;
 
-use super::storage::StorageError;
+use super::storage::{RETRY_PERIOD, StorageError};
 use super::{Inner, LEASE, ProgressCommand, failed, is_outdated};
-use crate::admission::forecast::must_fit;
+use crate::admission::forecast::{must_end, must_fit};
 use crate::blob::{BlobError, Owner, put};
 use crate::engine::worker::{Device, WorkContext, text};
 use crate::executor::input::{Blobs, Reader, WorkError, failure};
@@ -20,7 +20,7 @@ use crate::executor::perform::{JobContext, Parts, perform};
 use crate::observe::activity::{Activity, JobOutcome, Listener};
 use crate::record::event::Progress;
 use crate::record::{Cause, Change, FailureKind, Job, JobId, ResultSet};
-use crate::store::{Offer, result_pin};
+use crate::store::{Offer, StoreError, result_pin};
 use crate::{Backends, JobError};
 use geometry::cvt::Iteration;
 use geometry::cvt::density::Expected;
@@ -28,8 +28,6 @@ use geometry::remesh::RemeshError;
 use geometry::rvd::RvdError;
 use geometry::token::{Stopped, Token};
 
-/// Predicted time of a job that is not begun, in limits on its time: predictions are within a factor of three.
-const FAR_BEYOND: f64 = 5.0;
 /// How long the last progress of a job may take to be recorded.
 const FLUSH_TIMEOUT: Duration = Duration::from_secs(2);
 
@@ -120,6 +118,7 @@ impl Listener for Recorder {
             total: total as u64,
             kind: it.kind.name().to_owned(),
             energy: it.energy,
+            energy_ratio: it.energy_ratio,
             gradient_norm: it.gradient_norm,
             ms: it.ms,
         });
@@ -131,6 +130,28 @@ impl Listener for Recorder {
 
     fn seeds(&self, steps: usize, seeds: &[DVec3]) {
         self.inner.previews.show(self.id, steps as u64, seeds);
+    }
+}
+
+impl Inner {
+    /// Records the end of an attempt. A store that does not answer for a while loses no result: the same change is tried again,
+    /// for as long as the lease lasts. A change whose answer was lost counts if the job has become what it says.
+    async fn keep_end(&self, job: &Job, change: Change) -> Result<Job, StoreError> {
+        let (jobs, id, at) = (&self.stores.jobs, job.id, job.status.version);
+        let end = tokio::time::Instant::now() + LEASE;
+        let mut changed = jobs.change(id, at, change.clone()).await;
+        while matches!(changed, Err(StoreError::Unavailable { .. })) && tokio::time::Instant::now() < end {
+            tokio::time::sleep(RETRY_PERIOD).await;
+            changed = match jobs.change(id, at, change.clone()).await {
+                Err(error) if is_outdated(&error) => match jobs.get(id).await {
+                    Ok(now) if job.became(&now.status, &change) => Ok(now),
+                    Err(away @ StoreError::Unavailable { .. }) => Err(away),
+                    _ => Err(error),
+                },
+                changed => changed,
+            };
+        }
+        changed
     }
 }
 
@@ -156,15 +177,9 @@ impl AtWork {
         // Its blobs were read: what cannot be counted now was counted before.
         let Ok(counts) = inner.runtime.block_on(inner.forecast.counts_with(spec, expected)) else { return Ok(()) };
         let need = inner.forecast.need(&counts);
-        must_fit(&need, inner.engine.memory()).map_err(|error| failure(FailureKind::TooLarge, error.to_string()))?;
-        if let Some(limit) = self.token.time_limit().filter(|limit| need.seconds > FAR_BEYOND * limit.as_secs_f64()) {
-            let (seconds, limit) = (need.seconds, limit.as_secs_f64());
-            let text = format!(
-                "its facets meet so many cells that it would take about {seconds:.0} s, and its limit is {limit} s; \
-                 give fewer points or a surface without needles and crossing facets, or raise the limit"
-            );
-            return Err(failure(FailureKind::TooLarge, text));
-        }
+        must_fit(&need, inner.engine.memory())
+            .and_then(|()| must_end(&need, self.token.time_limit()))
+            .map_err(|error| failure(FailureKind::TooLarge, error.to_string()))?;
         inner.engine.plan_more(&self.token, need.seconds, need.memory);
         Ok(())
     }
@@ -229,7 +244,7 @@ impl AtWork {
             if inner.progress.send(ProgressCommand::Flush(done)).await.is_ok() {
                 let _ = tokio::time::timeout(FLUSH_TIMEOUT, kept).await;
             }
-            let changed = inner.stores.jobs.change(job.id, job.status.version, change).await;
+            let changed = inner.keep_end(job, change).await;
             match &changed {
                 Ok(_) => tracing::info!(id = %job.id, outcome = ?name, "a job ended"),
                 Err(error) if is_outdated(error) => {}

@@ -14,7 +14,7 @@ use crate::blob::{BlobError, BlobStore};
 use crate::engine::TOKEN_POLL;
 use geometry::token::{Stopped, Token};
 
-const RETRY_PERIOD: Duration = Duration::from_secs(1);
+pub(super) const RETRY_PERIOD: Duration = Duration::from_secs(1);
 
 #[derive(Debug, Default)]
 pub(super) struct Storage {

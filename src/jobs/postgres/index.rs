@@ -22,6 +22,7 @@ use super::rows::{count, number};
 use crate::blob::index::{BlobIndex, Published, Room, Stored, Terms, Used};
 use crate::blob::{BlobError, BlobInfo, Digest, NO_OWNER, Owner, UploadId, Usage};
 use admission::Decision;
+pub(super) use blobs::{pin, unpin};
 
 type BlobResult<T> = Result<T, BlobError>;
 
@@ -216,7 +217,7 @@ impl BlobIndex for PostgresIndex {
     }
 
     async fn unpin(&self, name: &str) -> BlobResult<()> {
-        run!(self, blobs::unpin(self.database.pool(), name))
+        run!(self, async { Ok(blobs::unpin(self.database.pool(), &[name.to_owned()]).await?) })
     }
 
     async fn has(&self, owner: Owner, digest: Digest) -> BlobResult<bool> {

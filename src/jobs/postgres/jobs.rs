@@ -8,9 +8,11 @@
 use sqlx::postgres::PgRow;
 use sqlx::{FromRow, PgConnection, PgExecutor, PgTransaction, Postgres, QueryBuilder, Row};
 
+use super::index;
+use super::listen::Voice;
 use super::pool::Database;
 use super::rows::{JobRow, Locked, LockedRow, count, from_json, id_of, number, progress_log, text, to_json};
-use crate::blob::{Digest, Owner};
+use crate::blob::{BlobError, Digest, Owner};
 use crate::record::event::{Events, Log, Progress, What};
 use crate::record::state::State;
 use crate::record::{Change, Holder, Job, JobId, Spec, Time};
@@ -18,10 +20,6 @@ use crate::store::codec::encode;
 use crate::store::pins::{input_pin, over};
 use crate::store::{Created, NewJob, Offer, Page, Query, StoreError, rules};
 
-/// The channel on which all processes hear of changes.
-pub(super) const CHANNEL: &str = "tessera";
-/// Names of jobs in one notification, which has less than 8,000 bytes. Of more changes no names are given.
-const MOST_NAMES: usize = 200;
 /// Progress that is looked at, the latest: more of a job than its log keeps.
 const RECENT: i64 = 256;
 
@@ -38,19 +36,15 @@ impl Work {
         Ok(Self { transaction: database.begin().await?, touched: Vec::new() })
     }
 
-    /// Commits what was done, or undoes it.
-    pub(super) async fn end<T>(mut self, done: StoreResult<T>) -> StoreResult<T> {
+    /// Commits what was done and says so, or undoes it.
+    pub(super) async fn end<T>(self, done: StoreResult<T>, voice: &Voice) -> StoreResult<T> {
         if done.is_err() {
             // Unless the connection is lost, and the transaction with it.
             drop(self.transaction.rollback().await);
             return done;
         }
-        if !self.touched.is_empty() {
-            let names: Vec<String> = self.touched.iter().map(JobId::to_string).collect();
-            let payload = if names.len() > MOST_NAMES { String::new() } else { names.join(",") };
-            sqlx::query("select pg_notify($1, $2)").bind(CHANNEL).bind(payload).execute(self.connection()).await?;
-        }
         self.transaction.commit().await?;
+        voice.say(self.touched);
         done
     }
 
@@ -119,35 +113,14 @@ impl Work {
 
     /// Pins blobs, or none. Errors: `InputMissing`: the first that is not stored.
     async fn hold(&mut self, owner: Owner, name: &str, digests: &[Digest]) -> StoreResult<()> {
-        let all: Vec<&[u8]> = digests.iter().map(|digest| digest.as_bytes().as_slice()).collect();
-        // In order, so that two that pin the same blobs do not wait for each other.
-        let stored: Vec<Vec<u8>> =
-            sqlx::query_scalar("select digest from tessera.blobs where digest = any($1) order by digest for key share")
-                .bind(&all)
-                .fetch_all(self.connection())
-                .await?;
-        let is_stored = |digest: &Digest| stored.iter().any(|found| found == digest.as_bytes());
-        if let Some(digest) = digests.iter().find(|digest| !is_stored(digest)) {
-            return Err(StoreError::InputMissing { digest: *digest });
-        }
-        sqlx::query(
-            "insert into tessera.pins (name, digest, owner) select $1, digest, $2 from unnest($3::bytea[]) digest \
-             on conflict do nothing",
-        )
-        .bind(name)
-        .bind(owner.as_bytes().as_slice())
-        .bind(&all)
-        .execute(self.connection())
-        .await?;
-        Ok(())
+        index::pin(self.connection(), Some(owner), name, digests).await.map_err(|error| match error {
+            BlobError::NotFound { digest } => StoreError::InputMissing { digest },
+            error => StoreError::Unavailable { cause: error.to_string() },
+        })
     }
 
-    async fn release(&mut self, names: Vec<String>) -> StoreResult<()> {
-        if !names.is_empty() {
-            let gone = sqlx::query("delete from tessera.pins where name = any($1)").bind(names);
-            gone.execute(self.connection()).await?;
-        }
-        Ok(())
+    async fn release(&mut self, names: &[String]) -> StoreResult<()> {
+        Ok(index::unpin(self.connection(), names).await?)
     }
 
     /// Locks a job, once it is free. Errors: `NotFound`.
@@ -213,7 +186,7 @@ impl Work {
                 .execute(self.connection())
                 .await?;
         }
-        self.release(over(id, status.state)).await?;
+        self.release(&over(id, status.state)).await?;
         self.touched.push(id);
         Ok(Job { id, spec, status })
     }
@@ -281,7 +254,7 @@ impl Work {
                 .execute(self.connection())
                 .await?;
         }
-        self.release(over(*id, State::Expired)).await?;
+        self.release(&over(*id, State::Expired)).await?;
         self.touched.push(*id);
         Ok(())
     }

@@ -52,6 +52,9 @@ pub enum Progress {
         kind: String,
         /// Energy of the seeds before the step.
         energy: f64,
+        /// Over that of regular hexagons; 0 if not known, as in records of earlier releases.
+        #[serde(default)]
+        energy_ratio: f64,
         gradient_norm: f64,
         /// Wall-clock milliseconds.
         ms: f64,
@@ -61,8 +64,8 @@ pub enum Progress {
 impl Progress {
     /// With numbers that a record can hold: one that is not finite becomes 0.
     pub fn finite(mut self) -> Self {
-        if let Self::Iteration { energy, gradient_norm, ms, .. } = &mut self {
-            for number in [energy, gradient_norm, ms] {
+        if let Self::Iteration { energy, energy_ratio, gradient_norm, ms, .. } = &mut self {
+            for number in [energy, energy_ratio, gradient_norm, ms] {
                 *number = if number.is_finite() { *number } else { 0.0 };
             }
         }

@@ -78,7 +78,7 @@ pub(super) async fn store(
     headers: &HeaderMap,
     body: Body,
 ) -> Result<(BlobInfo, Bytes), RequestError> {
-    let (bytes, _share): (Bytes, Share) = whole(desk, headers, body).await?;
+    let (bytes, _share): (Bytes, Share) = whole(desk, &client.tenant, headers, body).await?;
     let info = put_of(&*desk.blobs, &client.tenant, client.bytes, bytes.clone()).await?;
     Ok((info, bytes))
 }
@@ -99,7 +99,7 @@ async fn stream(
     let _empty = EmptyUpload::new(&desk.blobs, upload);
     // Bytes of the body that an earlier upload has stored already.
     let mut skip = status.kept_bytes;
-    let (mut piece, mut share) = (Vec::new(), desk.budget.share());
+    let (mut piece, mut share) = (Vec::new(), desk.budget.upload_of(&client.tenant));
     loop {
         let come = arriving.next().await?;
         let is_last = come.is_none();

@@ -148,10 +148,15 @@ pub(super) fn length(headers: &HeaderMap) -> Option<u64> {
     headers.get(CONTENT_LENGTH)?.to_str().ok()?.parse().ok()
 }
 
-/// A whole body, unpacked, and its memory.
-pub(super) async fn whole(desk: &Desk, headers: &HeaderMap, body: Body) -> Result<(Bytes, Share), RequestError> {
+/// A whole body of a tenant, unpacked, and its memory.
+pub(super) async fn whole(
+    desk: &Desk,
+    tenant: &str,
+    headers: &HeaderMap,
+    body: Body,
+) -> Result<(Bytes, Share), RequestError> {
     let mut arriving = Arriving::new(desk, body);
-    let mut kept = Kept { all: Vec::new(), share: desk.budget.share(), limit: usize::MAX, refusal: None };
+    let mut kept = Kept { all: Vec::new(), share: desk.budget.upload_of(tenant), limit: usize::MAX, refusal: None };
     if coding(headers)? == Coding::Plain {
         while let Some(bytes) = arriving.next().await? {
             kept.write_all(&bytes).map_err(|error| kept.refused(&error))?;

@@ -23,6 +23,7 @@ use super::guard::Whose;
 use super::options::{Asked, format_names, media_type};
 use super::problem::{Answered, Problem, wrong};
 use super::schema::{BYTES, EVENTS, JSON, digest, job_id as job_id_schema, named, word, word_or_null};
+use super::warnings::{REPORT, WARNING, warnings};
 use crate::service::{self, Caller, Desk, Detail, Fault, FaultKind, RequestError, job_id, to_the_end};
 use jobs::blob::Digest;
 use jobs::record::event::{Event, Progress, What};
@@ -235,9 +236,8 @@ pub(super) async fn result(
     send_result(&desk, &client, &job, &name, request.headers(), ()).await
 }
 
-/// The surface and the figures among the results of a job.
+/// The surface among the results of a job.
 pub(super) const MESH: &str = "mesh";
-pub(super) const REPORT: &str = "report";
 
 pub(super) async fn send_result(
     desk: &Desk,
@@ -257,7 +257,12 @@ pub(super) async fn send_result(
         (REPORT, _) => JSON,
         _ => BYTES,
     };
-    send(desk, &client.tenant, *digest, headers, media_type, until).await
+    let warnings = if name == MESH { warnings(desk, job).await? } else { Vec::new() };
+    let mut answer = send(desk, &client.tenant, *digest, headers, media_type, until).await?;
+    for warning in warnings {
+        answer.headers_mut().append(WARNING, warning);
+    }
+    Ok(answer)
 }
 
 fn without_result(job: &Job) -> Fault {
@@ -360,11 +365,11 @@ fn frame(event: &Event) -> Bytes {
         What::Progress(Progress::Stage { name, done, total }) => {
             ("stage", json!({ "name": name, "done": done, "total": total, "at_ms": at }))
         }
-        What::Progress(Progress::Iteration { index, total, kind, energy, gradient_norm, ms }) => (
+        What::Progress(Progress::Iteration { index, total, kind, energy, energy_ratio, gradient_norm, ms }) => (
             "iteration",
             json!({
-                "index": index, "total": total, "kind": kind, "energy": energy, "gradient_norm": gradient_norm,
-                "ms": ms, "at_ms": at,
+                "index": index, "total": total, "kind": kind, "energy": energy, "energy_ratio": energy_ratio,
+                "gradient_norm": gradient_norm, "ms": ms, "at_ms": at,
             }),
         ),
     };

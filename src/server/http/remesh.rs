@@ -7,19 +7,16 @@
 use std::sync::Arc;
 
 use axum::extract::{Extension, Request, State};
+use axum::http::HeaderMap;
 use axum::http::header::{ACCEPT, CONTENT_TYPE};
 use axum::http::request::Parts;
-use axum::http::{HeaderMap, HeaderValue};
-use bytes::Bytes;
-use futures_util::TryStreamExt as _;
-use serde::Deserialize;
 use tokio::runtime::Handle;
 
 use super::blobs::store;
 use super::body::coding;
 use super::form::one_file;
 use super::guard::Whose;
-use super::jobs::{MESH, REPORT, send_result};
+use super::jobs::{MESH, send_result};
 use super::options::{Asked, format_names, format_of_types};
 use super::problem::{Answered, wrong};
 use crate::service::{self, Caller, Desk, RequestError, timely};
@@ -27,7 +24,7 @@ use geometry::mesh::io::Format;
 use jobs::blob::Digest;
 use jobs::executor::api::JobApi;
 use jobs::record::state::State as JobState;
-use jobs::record::{Job, JobId, Outcome, Spec};
+use jobs::record::{Job, JobId, Spec};
 use transport::Phase;
 use wire::proto::{self, JobSpec, job_mesh, result_format};
 
@@ -40,44 +37,7 @@ pub(super) async fn remesh(State(desk): State<Desk>, Extension(client): Whose, r
     let created = service::create(Arc::clone(&desk.api), &*desk.blobs, client.bytes, spec).await?;
     let mine = Mine { api: Arc::clone(&desk.api), tenant: client.tenant.clone(), id: created.job.id };
     let job = ended(&desk, &client.tenant, created.job.id).await?;
-    let warnings = warnings(&desk, &job).await?;
-    let mut answer = send_result(&desk, &client, &job, MESH, &HeaderMap::new(), mine).await?;
-    for warning in warnings {
-        answer.headers_mut().append(WARNING, warning);
-    }
-    Ok(answer)
-}
-
-/// A warning of the report, as `CODE: MESSAGE`; one header for each.
-pub(super) const WARNING: &str = "tessera-warning";
-
-/// The most warnings of an answer, and the most characters of one: clients limit the size of headers.
-const MOST_WARNINGS: usize = 16;
-const MOST_CHARACTERS: usize = 400;
-
-/// The warnings of a job that succeeded. The report is deleted with the job, so that the answer carries them.
-async fn warnings(desk: &Desk, job: &Job) -> Result<Vec<HeaderValue>, RequestError> {
-    #[derive(Deserialize)]
-    struct Report {
-        #[serde(default)]
-        warnings: Vec<Warning>,
-    }
-    #[derive(Deserialize)]
-    struct Warning {
-        code: String,
-        message: String,
-    }
-    let Some(Outcome::Succeeded(results)) = &job.status.outcome else { return Ok(Vec::new()) };
-    let Some(&digest) = results.blobs.get(REPORT) else { return Ok(Vec::new()) };
-    let read = timely(desk.blobs.read(digest, 0..u64::MAX)).await?;
-    let report: Vec<Bytes> = read.bytes.try_collect().await?;
-    let Ok(Report { warnings }) = serde_json::from_slice(&report.concat()) else { return Ok(Vec::new()) };
-    let header = |Warning { code, message }: Warning| {
-        let text = format!("{code}: {message}");
-        let text = text.chars().take(MOST_CHARACTERS).map(|c| if c.is_control() { ' ' } else { c });
-        HeaderValue::from_bytes(text.collect::<String>().as_bytes()).ok()
-    };
-    Ok(warnings.into_iter().take(MOST_WARNINGS).filter_map(header).collect())
+    send_result(&desk, &client, &job, MESH, &HeaderMap::new(), mine).await
 }
 
 /// What is asked for, before the surface is there.

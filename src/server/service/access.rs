@@ -19,7 +19,7 @@ use tokio::task::JoinSet;
 use tonic::Status;
 use tonic::body::Body;
 use tonic::codegen::Service as _;
-use tonic::codegen::http::{HeaderMap, HeaderValue, Method, Request, Response, StatusCode, header};
+use tonic::codegen::http::{HeaderMap, HeaderValue, Method, Request, Response, StatusCode, Version, header};
 use tonic::service::Routes;
 
 use self::methods::Needs;
@@ -235,7 +235,9 @@ impl Access {
 
     /// Checks a request of the HTTP interface that needs `role`; without one, there is no such resource.
     pub fn admit<B>(&self, request: &mut Request<B>, role: Option<Role>) -> Result<Option<Pass>, Refusal> {
-        let entered = self.enter(request, role.map(Needs::Role));
+        // RFC 9112, section 3.2. Calls of gRPC have an authority instead.
+        let has_host = request.version() != Version::HTTP_11 || request.headers().contains_key(header::HOST);
+        let entered = if has_host { self.enter(request, role.map(Needs::Role)) } else { Err(Refusal::Hosts) };
         entered.inspect_err(|refusal| self.note(*refusal, request.uri().path()))
     }
 

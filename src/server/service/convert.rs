@@ -120,8 +120,8 @@ pub(super) fn event(event: Event) -> proto::JobEvent {
             Told::State(proto::JobStateChange { state: state_value(state).into(), attempt })
         }
         What::Progress(Progress::Stage { name, done, total }) => Told::Stage(proto::JobStage { name, done, total }),
-        What::Progress(Progress::Iteration { index, total, kind, energy, gradient_norm, ms }) => {
-            Told::Iteration(proto::JobIteration { index, total, kind, energy, gradient_norm, ms })
+        What::Progress(Progress::Iteration { index, total, kind, energy, energy_ratio, gradient_norm, ms }) => {
+            Told::Iteration(proto::JobIteration { index, total, kind, energy, energy_ratio, gradient_norm, ms })
         }
     };
     proto::JobEvent { number, at: Some(timestamp(at)), what: Some(what) }

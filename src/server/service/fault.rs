@@ -308,7 +308,7 @@ fn of_job_api(error: JobApiError) -> Fault {
     let text = error.to_string();
     match error {
         JobApiError::Input { field, problem } => invalid(text, field, problem),
-        JobApiError::TooLarge { .. } => invalid(text.clone(), "spec".to_owned(), text),
+        JobApiError::TooLarge { .. } | JobApiError::TooLong { .. } => invalid(text.clone(), "spec".to_owned(), text),
         JobApiError::Packed { .. } => {
             let path = "spec.mesh.file";
             invalid(format!("{path} {text}"), path.to_owned(), text)
@@ -389,7 +389,9 @@ pub(super) fn refusal(error: &RequestError) -> Option<Refused> {
         RequestError::Draining | RequestError::Transport(Rejection::Draining) => Some(Refused::Draining),
         RequestError::Job(error) | RequestError::JobApi(JobApiError::Job(error)) => refusal_of_job(error),
         RequestError::Blob(error) | RequestError::JobApi(JobApiError::Blob(error)) => refusal_of_blob(error),
-        RequestError::JobApi(JobApiError::TooLarge { .. } | JobApiError::Packed { .. }) => Some(Refused::TooLarge),
+        RequestError::JobApi(
+            JobApiError::TooLarge { .. } | JobApiError::TooLong { .. } | JobApiError::Packed { .. },
+        ) => Some(Refused::TooLarge),
         // The transport's word for a message that is too long, and ours for memory that is used up.
         RequestError::Inbound(status) => match status.code() {
             Code::OutOfRange => Some(Refused::MessageSize),

@@ -32,13 +32,13 @@ use super::desk::tenant_of;
 use super::stream::{Answers, Gate, Inbox, Kind, Outbox, respond};
 use crate::config::Limits;
 use ::jobs::admission::estimate::{self, Counts, need};
-use ::jobs::admission::forecast::must_fit;
-use ::jobs::executor::prepared::{Input, Prepared};
+use ::jobs::admission::forecast::{must_end, must_fit};
+use ::jobs::executor::prepared::Input;
 use ::jobs::executor::streams::Place;
 use ::jobs::observe::activity::Origin;
 use ::jobs::places::Places;
 pub(super) use ::jobs::{AdmissionRequest, BackendInfo, CancelOnDrop, Engine, JobError, admission};
-use geometry::cvt::density::Count;
+use geometry::cvt::density::{Count, Expected};
 use geometry::mesh::TriMesh;
 use geometry::remesh::report::to_json;
 use geometry::remesh::{RemeshOptions, Seeds};
@@ -122,8 +122,8 @@ struct Received {
 }
 
 /// What was uploaded, and its place in the queue, reserved since its header.
-struct Admitted<O> {
-    header: Checked<O>,
+struct Admitted<H: Needs> {
+    header: Checked<H::Options>,
     received: Received,
     place: Place,
 }
@@ -133,11 +133,11 @@ async fn upload<M: Into<Incoming<H>>, H: Needs>(
     shared: &Shared,
     tenant: &str,
     inbox: &mut Inbox<M>,
-) -> Result<Admitted<H::Options>, RequestError> {
+) -> Result<Admitted<H>, RequestError> {
     let Limits { upload_idle, upload: limit, .. } = shared.limits;
     let deadline = tokio::time::Instant::now() + limit;
     let mut upload = Upload::<H>::new(shared.limits.bounds());
-    let mut share = shared.budget.share();
+    let mut share = shared.budget.upload_of(tenant);
     let mut kept = None;
     loop {
         let message = tokio::select! {
@@ -227,19 +227,39 @@ async fn apart<R: Send + 'static>(
     }
 }
 
-/// Checks an upload, and prepares it `by` one of the ways there are.
-async fn prepare(
-    (shared, tenant): (&Shared, &str),
-    received: Received,
-    mut options: impl Start + Send + 'static,
-    by: fn(Input, &Token) -> Result<Prepared, JobError>,
-    token: &Token,
-) -> Result<(Arc<Prepared>, Share), RequestError> {
-    apart((shared, tenant), token, move |token| {
-        let (input, share) = input(received, &mut options, token)?;
-        Ok((Arc::new(by(input, token)?), share))
-    })
-    .await
+/// An upload that was read, and the place of its job, planned with its surface.
+struct Ready<T> {
+    value: T,
+    share: Share,
+    place: Place,
+}
+
+impl<H: Needs> Admitted<H> {
+    /// Reads the upload, on a thread that may block, and plans its job again: counts alone do not tell of needles, fans and
+    /// soups. `make` then makes what the job needs. Errors: `JobApi` with `TooLarge` or `TooLong` if the job could not run here.
+    async fn read<T: Send + 'static>(
+        self,
+        (shared, tenant): (&Shared, &str),
+        token: &Token,
+        make: impl FnOnce(Input, H::Options, &Token) -> Result<T, JobError> + Send + 'static,
+    ) -> Result<Ready<T>, RequestError> {
+        let Self { mut header, received, mut place } = self;
+        let (by, limits) = (shared.engine.backend(header.backend)?, shared.engine.memory());
+        let (value, share, need) = apart((shared, tenant), token, move |token| {
+            let asked = header.options.clone();
+            let (input, share) = input(received, &mut header.options, token)?;
+            let expected =
+                Expected::of(&input.mesh, &input.density, input.seeds.count(), token).map_err(JobError::from)?;
+            let options = std::mem::replace(&mut header.options, asked);
+            let need = need(&counts::<H>(&header, &by, expected.points as u64).of_surface(&expected), by.threads);
+            must_fit(&need, limits)?;
+            must_end(&need, token.time_limit())?;
+            Ok((make(input, options, token)?, share, need))
+        })
+        .await?;
+        (place.request.seconds, place.request.memory) = (need.seconds, need.memory);
+        Ok(Ready { value, share, place })
+    }
 }
 
 async fn send_all<T: prost::Message>(
@@ -316,7 +336,7 @@ fn accepted(position: usize, by: &BackendInfo) -> proto::Accepted {
 }
 
 /// A header that says what its job needs.
-trait Needs: Header<Options: Start> {
+trait Needs: Header<Options: Start + Clone + Send + 'static> {
     const KIND: estimate::Kind;
     /// Whether later pieces continue what the first one makes.
     const HAS_CONTINUATIONS: bool;
@@ -332,7 +352,7 @@ fn admission_request<H: Needs>(
     header: &Checked<H::Options>,
 ) -> Result<AdmissionRequest, RequestError> {
     let by = shared.engine.backend(header.backend)?;
-    let Checked { mesh, options, attributes, .. } = header;
+    let Checked { mesh, options, .. } = header;
     let points = match (options.seeds(), options.seeds().count()) {
         _ if mesh.seeds > 0 => mesh.seeds,
         (_, Count::Points(points)) => points as u64,
@@ -340,15 +360,21 @@ fn admission_request<H: Needs>(
         // Nothing is known yet: seldom more than half as many as facets.
         (_, Count::Implied) => (mesh.facets / 2).clamp(1, shared.limits.max_seeds.max(1)),
     };
-    let counts = H::counts(Counts::new(H::KIND, by.kind, mesh.vertices, mesh.facets, points), options);
-    let attributes = attributes.iter().fold(0, |sum, array| array.values.saturating_mul(3).saturating_add(sum));
-    let counts = Counts { attributes, ..counts };
+    let counts = counts::<H>(header, &by, points);
     let need = need(&counts, by.threads);
     must_fit(&need, shared.engine.memory())?;
     let request = admission::request(&shared.engine, tenant, &counts, &need);
     // Of the points that are asked for, not of those that may be added.
     let origin = request.origin.map(|origin| Origin { seeds: points, ..origin });
     Ok(AdmissionRequest { has_continuations: H::HAS_CONTINUATIONS, origin, ..request })
+}
+
+/// What a stream's header says of its job, which begins with so many points.
+fn counts<H: Needs>(header: &Checked<H::Options>, by: &BackendInfo, points: u64) -> Counts {
+    let Checked { mesh, options, attributes, .. } = header;
+    let counts = H::counts(Counts::new(H::KIND, by.kind, mesh.vertices, mesh.facets, points), options);
+    let attributes = attributes.iter().fold(0, |sum, array| array.values.saturating_mul(3).saturating_add(sum));
+    Counts { attributes, ..counts }
 }
 
 impl Needs for RemeshHeader {

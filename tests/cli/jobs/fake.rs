@@ -318,7 +318,7 @@ fn events(end: i32) -> Vec<JobEvent> {
     let state = |state: i32| job_event::What::State(proto::JobStateChange { state, attempt: 1 });
     let stage = proto::JobStage { name: "sample".to_owned(), done: 1, total: 3 };
     let (kind, energy, ms) = ("lloyd".to_owned(), 1.5, 2.0);
-    let step = proto::JobIteration { index: 0, total: 35, kind, energy, gradient_norm: 0.1, ms };
+    let step = proto::JobIteration { index: 0, total: 35, kind, energy, energy_ratio: 1.5, gradient_norm: 0.1, ms };
     let all = [
         (1, state(JobState::Queued.into())),
         (2, state(JobState::Running.into())),

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import os
 import sys
+import unicodedata
 import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
@@ -50,7 +51,7 @@ class Attributes:
     texture_corners: Array | None = None
     #: (n, 3) or (n, 4), red, green, blue and opacity of each vertex: float from 0 to 1, or uint8.
     colours: Array | None = None
-    #: (n,) or (n, k) each, under a name: ASCII letters, digits, _ and -, a letter or _ first. Float is interpolated; integer
+    #: (n,) or (n, k) each, under a name of at most 128 bytes. Float is interpolated; integer
     #: and bool are those of the nearest vertex, and keep their type.
     scalars: dict[str, Array] = field(default_factory=dict)
 
@@ -133,6 +134,7 @@ def save(path: str | os.PathLike[str], surface: Surface) -> None:
     """Writes a surface to a file, in the format of the name's ending. Warns of what the format cannot hold."""
     carried = None if surface.attributes is None else surface.attributes._to_engine()
     left_out = _engine.write(path, surface.vertices, surface.faces, carried)
+    left_out += [f"data of faces {name}" for name in surface.face_data]
     if left_out:
         warn(f"{os.fspath(path)}: this format cannot hold: {', '.join(left_out)}")
 
@@ -236,6 +238,8 @@ def _from_pyvista(mesh: Any, pyvista: Any) -> Surface | None:
     if not isinstance(mesh, pyvista.PolyData):
         mesh = mesh.extract_surface(algorithm="dataset_surface")
         added = {"vtkOriginalPointIds", "vtkOriginalCellIds"} - given
+    if lines := mesh.n_verts + mesh.n_lines:
+        warn(f"left aside: points and lines: there are {lines}; the surface is read alone")
     if not mesh.is_all_triangles:
         mesh = mesh.triangulate()
     attributes = Attributes()
@@ -268,6 +272,10 @@ def _from_meshio(mesh: Any, meshio: Any) -> Surface | None:
     attributes = Attributes()
     for name, values in mesh.point_data.items():
         _take_scalars(attributes, name, np.asarray(values), len(points))
+    if others := sum(len(block.data) for block, found in zip(mesh.cells, blocks) if found is None):
+        warn(f"left aside: {others} cells that are no faces; the surface is read alone")
+    if sets := [*mesh.cell_sets, *mesh.point_sets]:
+        warn(f"left aside: {', '.join(sets)}: sets are not carried")
     face_data = {}
     for name, given in mesh.cell_data.items():
         kept = [
@@ -344,9 +352,9 @@ def _unlike(taken: dict[str, Array], name: str) -> str:
 
 
 def scalar_name(name: str) -> str:
-    """A name that the engine takes: other characters become _."""
-    taken = "".join(c if c.isascii() and (c.isalnum() or c in "_-") else "_" for c in name)[:127]
-    return taken if taken[:1].isalpha() or taken[:1] == "_" else f"_{taken}"
+    """A name that the engine takes: control characters become _, and there are at most 128 bytes."""
+    taken = "".join("_" if unicodedata.category(c) == "Cc" else c for c in name)
+    return taken.encode()[:128].decode(errors="ignore").strip() or "_"
 
 
 def _split(surface: Surface, attributes: Attributes) -> tuple[Surface, Attributes]:

@@ -112,16 +112,26 @@ fn surface(json: &[u8], binary: Option<&[u8]>, length: usize, wanted: bool) -> R
         colours: None,
         eight: true,
         is_morphed: false,
+        thin: 0,
+        has_more: false,
         reported: HashSet::new(),
     };
     nodes(&document, length, |primitive, place, skin| reader.primitive(primitive, place, skin))?;
-    let Reader { mut soup, normals, texture, colours, eight, is_morphed, .. } = reader;
+    let Reader { mut soup, normals, texture, colours, eight, is_morphed, thin, has_more, .. } = reader;
     soup.raw.normals = normals.map(Normals::PerCorner);
     soup.raw.texture = texture;
     let depth = if eight { ColourDepth::Eight } else { ColourDepth::Float };
     soup.raw.colours = colours.map(|values| Colours { values, depth });
     if wanted {
         soup.raw.labels("materials", document.materials);
+        soup.raw.elements("primitives of points and lines", thin);
+    }
+    if let Some(name) = document.used.as_ref().filter(|_| wanted) {
+        soup.raw.unreadable(&format!("the extension {name}"), "the surface is read without it".to_owned());
+    }
+    if has_more {
+        let text = "a surface carries normals, colours and one set of texture coordinates".to_owned();
+        soup.raw.unreadable("other attributes of vertices", text);
     }
     if is_morphed {
         soup.raw.unreadable("morph targets", "the surface is read without them".to_owned());
@@ -219,13 +229,21 @@ struct Reader<'a> {
     /// Whether all colours came in bytes.
     eight: bool,
     is_morphed: bool,
+    /// Primitives of points and lines.
+    thin: usize,
+    /// Whether vertices carry more than a surface does.
+    has_more: bool,
     /// Accessors and skins that were left aside.
     reported: HashSet<(&'static str, u32)>,
 }
 
 impl<'a> Reader<'a> {
     fn primitive(&mut self, primitive: &Primitive, place: DMat4, skin: Option<u32>) -> Result<(), DataError> {
-        let Some((mode, position)) = primitive.triangles() else { return Ok(()) };
+        let Some((mode, position)) = primitive.triangles() else {
+            self.thin += usize::from(primitive.attributes.position.is_some());
+            return Ok(());
+        };
+        self.has_more |= primitive.attributes.has_more;
         let source = self.source;
         let positions = source.numbers(position, 3)?;
         let count = positions.count();

@@ -5,11 +5,13 @@
 //! their tags. Our own reader: the crate `mshio` (0.4) reads version 4.1 without data of nodes, and writes nothing.
 //! Must not know: other formats.
 
+use std::collections::HashSet;
+
 use glam::DVec3;
 
-use super::held::{By, Held, Holds};
+use super::held::{By, Held, Holds, note};
 use super::numbers::{Cursor, Encoding, Kind, Order, cut, shown};
-use super::{Codec, Counts, DataError, Soup, VertexNumbers, volumes};
+use super::{Codec, Counts, DataError, Others, Soup, VertexNumbers};
 use crate::mesh::TriMesh;
 use crate::mesh::attributes::{MAX_COMPONENTS, Scalar};
 
@@ -30,8 +32,13 @@ pub(super) const CODEC: Codec = Codec {
 const NODE: usize = 28;
 
 fn decode(bytes: &[u8], wanted: bool) -> Result<Soup, DataError> {
-    let Reader { mut soup, volumes: count, .. } = read(bytes, wanted, false)?;
-    volumes(&mut soup, count, "mesh the surface alone (gmsh -2), or save its triangles too (Mesh.SaveAll)")?;
+    let Reader { mut soup, others, groups, parts, .. } = read(bytes, wanted, false)?;
+    if wanted {
+        let (kinds, count) =
+            if groups.len() > 1 { ("physical groups", groups.len()) } else { ("parts of the model", parts.len()) };
+        soup.raw.labels(kinds, count);
+    }
+    others.leave(&mut soup, "mesh the surface alone (gmsh -2), or save its triangles too (Mesh.SaveAll)")?;
     Ok(soup)
 }
 
@@ -151,7 +158,10 @@ struct Reader<'a> {
     counts: Counts,
     tags: Tags,
     soup: Soup,
-    volumes: usize,
+    others: Others,
+    /// Physical groups of facets, and their parts of the model.
+    groups: HashSet<i64>,
+    parts: HashSet<i64>,
 }
 
 impl Reader<'_> {
@@ -279,8 +289,15 @@ impl Reader<'_> {
         self.tags.finish()
     }
 
-    /// Elements of one type, each with `head` numbers before its nodes. The first has the number `index`; returns the next one.
-    fn block(&mut self, index: usize, count: usize, (kind, head): (i64, usize), int: Kind) -> Result<usize, DataError> {
+    /// Elements of one type, each with `head` numbers before its nodes, the last `tags` of them tags. The first has the number
+    /// `index`; returns the next one.
+    fn block(
+        &mut self,
+        index: usize,
+        count: usize,
+        (kind, head, tags): (i64, usize, usize),
+        int: Kind,
+    ) -> Result<usize, DataError> {
         let Some((nodes, corners)) = element(kind) else {
             if self.cursor.encoding != Encoding::Text {
                 return Err(DataError::Header(format!("elements of type {kind} are not known; save it as text")));
@@ -310,6 +327,11 @@ impl Reader<'_> {
             let numbers = self.cursor.integers(all, int, "elements")?;
             for (k, record) in numbers.chunks_exact(each).enumerate() {
                 self.push(index + k, corners, &record[head..])?;
+                if self.wanted && tags > 0 && corners.is_some_and(|corners| corners > 0) {
+                    let tags = &record[head - tags..head];
+                    note(&mut self.groups, tags.first().copied());
+                    note(&mut self.parts, tags.get(1).copied());
+                }
             }
         }
         Ok(index.saturating_add(count))
@@ -318,8 +340,8 @@ impl Reader<'_> {
     fn push(&mut self, index: usize, corners: Option<usize>, nodes: &[i64]) -> Result<(), DataError> {
         let wrong = |message: String| DataError::Element { element: "element", index, message };
         match corners {
-            Some(0) => {}
-            None => self.volumes += 1,
+            Some(0) => self.others.thin += 1,
+            None => self.others.volumes += 1,
             Some(n) => {
                 let mut vertices = [0; 4];
                 for (vertex, &tag) in vertices.iter_mut().zip(&nodes[..n]) {
@@ -351,7 +373,7 @@ impl Reader<'_> {
                 return Err(self.cursor.syntax("a block of elements is empty"));
             }
             let head = tags.saturating_add(usize::from(!is_text));
-            index = self.block(index, block, (kind, head), Kind::I32)?;
+            index = self.block(index, block, (kind, head, tags), Kind::I32)?;
         }
         Ok(())
     }
@@ -359,11 +381,12 @@ impl Reader<'_> {
     fn elements_4(&mut self) -> Result<(), DataError> {
         let mut index = 0;
         for _ in 0..self.blocks()? {
-            self.int("a dimension")?;
-            self.int("an entity")?;
+            let dimension = self.int("a dimension")?;
+            let part = self.int("an entity")?;
+            note(&mut self.parts, Some(part).filter(|_| self.wanted && dimension == 2));
             let kind = self.int("an element's type")?;
             let count = self.size("a number of elements")?;
-            index = self.block(index, count, (kind, 1), self.size)?;
+            index = self.block(index, count, (kind, 1, 0), self.size)?;
         }
         Ok(())
     }
@@ -418,6 +441,11 @@ impl Reader<'_> {
     }
 }
 
+/// A name that stands in quotes: nothing stands for a quote itself.
+pub(super) fn quoted(name: &str) -> String {
+    name.replace('"', "'")
+}
+
 fn encode(mesh: &TriMesh, held: &Held<'_>) -> Result<Vec<u8>, DataError> {
     let (vertices, facets) = (mesh.positions().len(), mesh.facets().len());
     let mut out = Vec::with_capacity(
@@ -441,7 +469,7 @@ fn encode(mesh: &TriMesh, held: &Held<'_>) -> Result<Vec<u8>, DataError> {
     out.extend_from_slice(b"\n$EndElements");
     for scalar in held.scalars {
         // A name, a time, and three numbers: the step, how many numbers a node has, how many nodes.
-        let (name, n) = (&scalar.name, scalar.components);
+        let (name, n) = (quoted(&scalar.name), scalar.components);
         // Gmsh knows nodes of one, three and nine numbers.
         let wide = [1, 3, 9].into_iter().find(|wide| *wide >= n).unwrap_or(n);
         let head = format!("\n$NodeData\n1\n\"{name}\"\n1\n0\n3\n0\n{wide}\n{vertices}\n");

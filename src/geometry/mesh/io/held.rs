@@ -4,6 +4,9 @@
 //! rounding to single precision would spoil.
 //! Invariant: attributes that a format cannot hold, or that cannot be used, are named. Must not know: the syntax of a format.
 
+use std::collections::HashSet;
+use std::hash::Hash;
+
 use super::{DataError, polygons};
 use crate::mesh::attributes::{AttributeError, Attributes, Colours, Normals, PerCorner, Scalar};
 use crate::mesh::{TriMesh, normal};
@@ -29,6 +32,16 @@ pub(super) struct Raw {
 
 /// The most attributes that are reported one by one.
 const MOST_UNREADABLE: usize = 1024;
+/// The most labels that are told apart: a set of them takes more than the file has for them.
+const MOST_LABELS: usize = 1 << 16;
+
+/// Light may be a little brighter than 1.
+const BRIGHTEST: f64 = 2.0;
+
+/// Notes a label, if there are not too many.
+pub(super) fn note<T: Eq + Hash>(labels: &mut HashSet<T>, label: Option<T>) {
+    labels.extend(label.filter(|_| labels.len() < MOST_LABELS));
+}
 
 impl Raw {
     pub(super) fn unreadable(&mut self, attribute: &str, message: String) {
@@ -38,10 +51,18 @@ impl Raw {
         }
     }
 
-    /// Names several kinds of facets, such as materials, that the file tells apart and a surface does not.
+    /// Names several kinds of facets or vertices, such as materials, that the file tells apart and a surface does not.
     pub(super) fn labels(&mut self, kinds: &str, count: usize) {
         if count > 1 {
-            self.unreadable(&format!("{count} {kinds}"), "labels of facets are not carried".to_owned());
+            let more = if count < MOST_LABELS { "" } else { " or more" };
+            self.unreadable(&format!("{count}{more} {kinds}"), "labels are not carried".to_owned());
+        }
+    }
+
+    /// Names elements of the file that are no facets.
+    pub(super) fn elements(&mut self, kinds: &str, count: usize) {
+        if count > 0 {
+            self.unreadable(kinds, format!("there are {count}; the surface is read alone"));
         }
     }
 
@@ -99,6 +120,12 @@ impl Raw {
             self.colours.map(|colours| attributes.set_colours(colours)),
         ];
         left_aside.extend(results.into_iter().flatten().filter_map(Result::err));
+        let is_colour = |x: &f64| (0.0..BRIGHTEST).contains(x);
+        if attributes.colours().is_some_and(|colours| !colours.values.iter().flatten().all(is_colour)) {
+            let message =
+                "some numbers are not from 0 to 1, nor all from 0 to 255; files with bytes cut them".to_owned();
+            left_aside.push(AttributeError::Unreadable { attribute: "colours".to_owned(), message });
+        }
         if let Some(more) = self.scalars.len().checked_sub(MOST_SCALARS).filter(|&more| more > 0) {
             let message = format!("{more} are more than the {MOST_SCALARS} that a surface carries");
             left_aside.push(AttributeError::Unreadable { attribute: "scalars".to_owned(), message });

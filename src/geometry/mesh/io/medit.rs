@@ -9,9 +9,9 @@ use std::fmt::Write as _;
 
 use glam::DVec3;
 
-use super::held::{By, Held, Holds};
+use super::held::{By, Held, Holds, note};
 use super::numbers::{Cursor, Encoding, Kind, Order, shown};
-use super::{Codec, Counts, DataError, Soup, VertexNumbers, volumes};
+use super::{Codec, Counts, DataError, Others, Soup, VertexNumbers};
 use crate::mesh::TriMesh;
 
 const NOTHING: Holds = Holds { normals: By::None, texture: By::None, colours: false, opacity: false, scalars: false };
@@ -64,6 +64,19 @@ const KEYWORDS: [(i64, &[u8]); 12] = [
     (49, b"pyramids"),
     (END, b"end"),
 ];
+/// Numbers and names of some others.
+const PASSED: [(i64, &str); 8] = [
+    (13, "Corners"),
+    (15, "RequiredVertices"),
+    (17, "RequiredTriangles"),
+    (18, "RequiredQuadrilaterals"),
+    (20, "NormalAtVertices"),
+    (59, "Tangents"),
+    (60, "Normals"),
+    (62, "SolAtVertices"),
+];
+/// The most keywords that are named.
+const MOST_PASSED: usize = 16;
 const DIMENSION: i64 = 3;
 const VERTICES: i64 = 4;
 const EDGES: i64 = 5;
@@ -94,7 +107,13 @@ fn read_text(bytes: &[u8], mode: Mode) -> Result<Reader<'_>, DataError> {
     cursor.integer(Kind::I32, "a version")?;
     while let Some(word) = reader.cursor.word() {
         // Other keywords and the numbers after them are passed over.
-        let Some(&(keyword, _)) = KEYWORDS.iter().find(|(_, name)| word.eq_ignore_ascii_case(name)) else { continue };
+        let Some(&(keyword, _)) = KEYWORDS.iter().find(|(_, name)| word.eq_ignore_ascii_case(name)) else {
+            let is_empty = reader.cursor.peek().is_some_and(|count| count == b"0");
+            if word[0].is_ascii_alphabetic() && !is_empty {
+                reader.pass_over(shown(word));
+            }
+            continue;
+        };
         if keyword == END {
             break;
         }
@@ -126,6 +145,10 @@ fn read_binary(bytes: &[u8], mode: Mode) -> Result<Reader<'_>, DataError> {
         if keyword == END {
             return Ok(reader);
         }
+        if !KEYWORDS.iter().any(|(known, _)| *known == keyword) {
+            let name = PASSED.iter().find(|(number, _)| *number == keyword).map(|(_, name)| (*name).to_owned());
+            reader.pass_over(name.unwrap_or_else(|| format!("keyword {keyword}")));
+        }
         reader.keyword(keyword)?;
         // Places only grow, so that this ends, and no byte is read twice.
         let next = usize::try_from(next).unwrap_or(0);
@@ -141,8 +164,12 @@ fn read_binary(bytes: &[u8], mode: Mode) -> Result<Reader<'_>, DataError> {
 }
 
 fn surface(reader: Reader<'_>) -> Result<Soup, DataError> {
-    let Reader { mut soup, mode, volumes: count, lists, edges, named, .. } = reader;
+    let Reader { mut soup, mode, volumes, lists, edges, mut named, passed, parts, .. } = reader;
     if mode.wanted {
+        if !passed.is_empty() {
+            soup.raw.unreadable(&passed.join(", "), "a surface has facets and creases alone".to_owned());
+        }
+        soup.raw.labels("references of vertices", parts.len());
         let parts = lists.iter().flat_map(|(list, corners)| list.chunks_exact(corners + 1).map(|face| face[*corners]));
         soup.raw.labels("references of facets", parts.collect::<HashSet<i64>>().len());
     }
@@ -160,7 +187,14 @@ fn surface(reader: Reader<'_>) -> Result<Soup, DataError> {
             soup.push_polygon(&from_0[..corners]).map_err(wrong)?;
         }
     }
-    volumes(&mut soup, count, "write the triangles of its surface too")?;
+    named.sort_unstable();
+    named.dedup();
+    let thin = if mode.wanted { (edges.len() / 3).saturating_sub(named.len()) } else { 0 };
+    Others { volumes, ..Others::default() }.leave(&mut soup, "write the triangles of its surface too")?;
+    if thin > 0 {
+        let text = format!("{thin} are neither ridges nor required, and are no creases");
+        soup.raw.unreadable("edges", text);
+    }
     // Edges are counted from 1, as vertices are.
     let from_1 = |n: i64| n.checked_sub(1).and_then(|n| usize::try_from(n).ok());
     let vertex = |v: i64| from_1(v).and_then(|v| u32::try_from(v).ok()).unwrap_or(u32::MAX);
@@ -187,11 +221,21 @@ struct Reader<'a> {
     /// Numbers of edges that are ridges or required.
     named: Vec<i64>,
     volumes: usize,
+    /// Keywords that are passed over.
+    passed: Vec<String>,
+    /// References of vertices, as they are written.
+    parts: HashSet<&'a [u8]>,
 }
 
 impl<'a> Reader<'a> {
     fn new(bytes: &'a [u8], mode: Mode) -> Self {
         Self { cursor: Cursor::new(bytes), dimension: 3, int: Kind::I32, mode, ..Self::default() }
+    }
+
+    fn pass_over(&mut self, keyword: String) {
+        if self.mode.wanted && self.passed.len() < MOST_PASSED && !self.passed.contains(&keyword) {
+            self.passed.push(keyword);
+        }
     }
 
     /// Reads edges, or numbers of edges, ahead of the words or bytes that are passed over next.
@@ -232,6 +276,8 @@ impl<'a> Reader<'a> {
                     for x in &mut p[..n] {
                         *x = cursor.float(float, "a coordinate")?;
                     }
+                    let part = if is_text { cursor.peek() } else { cursor.rest.get(..int.bytes()) };
+                    note(&mut self.parts, part.filter(|_| self.mode.wanted));
                     cursor.pass(1, int, "the number of a part")?;
                     self.soup.positions.push(DVec3::from_array(p));
                 }

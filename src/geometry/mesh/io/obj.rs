@@ -48,6 +48,7 @@ fn decode(bytes: &[u8], wanted: bool) -> Result<Soup, DataError> {
         let [materials, groups] = labels(bytes);
         soup.raw.labels("materials", materials);
         soup.raw.labels("groups", groups);
+        others(bytes, &mut soup.raw);
     }
     Ok(soup)
 }
@@ -70,6 +71,35 @@ fn labels(bytes: &[u8]) -> [usize; 2] {
         last[kind] = line.trim_ascii_end();
     }
     found.map(|found| found.len())
+}
+
+/// Names what else a file has.
+fn others(bytes: &[u8], raw: &mut Raw) {
+    let is_coloured = raw.colours.is_some();
+    let [mut elements, mut free, mut plain, mut depths] = [0; 4];
+    for line in bytes.split(|&byte| byte == b'\n') {
+        let line = line.trim_ascii_start();
+        let first = line.split(u8::is_ascii_whitespace).next().unwrap_or_default();
+        match first {
+            b"l" | b"p" => elements += 1,
+            b"curv" | b"curv2" | b"surf" => free += 1,
+            b"v" if is_coloured => plain += usize::from(dialects::Words(line).count() < 7),
+            // Points of a texture in space.
+            b"vt" if raw.texture.is_some() => {
+                let depth = dialects::Words(line).nth(3).and_then(dialects::number::<f64>);
+                depths += usize::from(depth.is_some_and(|depth| depth != 0.0));
+            }
+            _ => {}
+        }
+    }
+    raw.elements("points and lines", elements);
+    raw.elements("free-form curves and surfaces", free);
+    if plain > 0 {
+        raw.unreadable("colours of some vertices", format!("{plain} have none, and are white"));
+    }
+    if depths > 0 {
+        raw.unreadable("the third texture coordinate", "a surface carries two".to_owned());
+    }
 }
 
 fn vertex_order(bytes: &[u8]) -> Result<VertexOrder, DataError> {
@@ -180,6 +210,11 @@ impl Statements {
             raw.colours = Some(Colours { values, depth });
         }
         if !self.texture_corners.is_empty() && !raw.is_unreadable(TEXTURE) {
+            let named = self.texture_corners.iter().filter(|corners| !corners.contains(&NONE)).count();
+            let bare = facets.len().saturating_sub(named);
+            if bare > 0 {
+                raw.unreadable("texture coordinates of some facets", format!("{bare} name none, and have (0, 0)"));
+            }
             raw.texture = Some(per_corner(self.texture, self.texture_corners, facets.len()));
         }
         if !self.normal_corners.is_empty() && !raw.is_unreadable(NORMALS) {

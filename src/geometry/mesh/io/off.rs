@@ -2,7 +2,7 @@
 //!
 //! Purpose: bytes to triangles with what they carry, in one pass, and back. One vertex and one face a line. After the
 //! position come normals (N), colours (C) and texture coordinates (ST) of a vertex, in this order, as the keyword announces
-//! them; what follows the corners of a face (colours) is left aside. Must not know: other formats.
+//! them; what follows the corners of a face (colours) is left aside and named. Must not know: other formats.
 
 use std::fmt::Write as _;
 
@@ -31,6 +31,7 @@ fn decode(bytes: &[u8], wanted: bool) -> Result<Soup, DataError> {
     let mut lines = Lines { rest: bytes, line: 0 };
     let (kinds, vertices, faces) = header(&mut lines)?;
     let mut carried = (wanted && !kinds.is_empty()).then(|| Carried::of(kinds));
+    let (mut more_of_vertices, mut more_of_faces) = (false, false);
     let mut soup = Soup::default();
     // Counts are the file's word. A line of a vertex has at least 6 bytes, of a face 8.
     soup.positions.reserve(vertices.min(bytes.len() / 6));
@@ -46,6 +47,16 @@ fn decode(bytes: &[u8], wanted: bool) -> Result<Soup, DataError> {
             return Err(syntax(line, "a vertex needs three numbers, x y z"));
         };
         soup.positions.push(DVec3::new(x, y, z));
+        let numbers = 3 + kinds
+            .bytes()
+            .map(|kind| match kind {
+                b'N' => 3,
+                b'C' => 4,
+                b'S' => 2,
+                _ => 0,
+            })
+            .sum::<usize>();
+        more_of_vertices |= wanted && text.split_ascii_whitespace().nth(numbers).is_some();
         if let Some(carried) = &mut carried {
             carried.push(text.split_ascii_whitespace().skip(3).take(9).collect());
         }
@@ -70,8 +81,16 @@ fn decode(bytes: &[u8], wanted: bool) -> Result<Soup, DataError> {
             });
         }
         soup.push_polygon(&corners).map_err(|message| syntax(&message))?;
+        more_of_faces |= wanted && words.next().is_some();
     }
     soup.raw = carried.map(|carried| carried.finish(&soup.facets)).unwrap_or_default();
+    if more_of_vertices {
+        let text = format!("\"{kinds}OFF\" announces none; colours are those of COFF");
+        soup.raw.unreadable("more numbers of vertices", text);
+    }
+    if more_of_faces {
+        soup.raw.unreadable("colours of faces", "a surface carries colours of vertices".to_owned());
+    }
     Ok(soup)
 }
 

@@ -90,6 +90,11 @@ fn check_header(header: &Header<'_>) -> Result<(), DataError> {
     Ok(())
 }
 
+/// A name as a property has it: a word of ASCII.
+pub(super) fn word(name: &str) -> String {
+    name.chars().map(|c| if c.is_ascii_graphic() { c } else { '_' }).collect()
+}
+
 /// Properties of the vertices: their names, their type, and a function that writes them.
 type Column<'a> = (&'a str, &'a str, Box<dyn Fn(&mut Vec<u8>, usize) + 'a>);
 
@@ -98,11 +103,11 @@ fn encode(mesh: &TriMesh, held: &Held<'_>) -> Result<Vec<u8>, DataError> {
     fn doubles(out: &mut Vec<u8>, numbers: &[f64]) {
         numbers.iter().for_each(|x| out.extend_from_slice(&x.to_le_bytes()));
     }
-    let plain = |name: &str| format!("{}{name}", if TAKEN.contains(&name) { PREFIX } else { "" });
+    let plain = |name: String| if TAKEN.contains(&name.as_str()) { format!("{PREFIX}{name}") } else { name };
     // A vector is a property for each of its numbers.
     let name = |scalar: &Scalar, i: usize| match scalar.components {
-        1 => plain(&scalar.name),
-        _ => format!("{}_{i}", scalar.name),
+        1 => plain(word(&scalar.name)),
+        _ => format!("{}_{i}", word(&scalar.name)),
     };
     let names: Vec<String> =
         held.scalars.iter().map(|s| (0..s.components).map(|i| name(s, i)).collect::<Vec<_>>().join(" ")).collect();

@@ -6,7 +6,7 @@
 //! binary ones do, so the records of binary files are read here; of several solids it reads the first; it wants keywords in
 //! lower case and a name after "solid"; and it refuses normals that are no numbers. Must not know: other formats.
 
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 use std::io::{Cursor, ErrorKind, Read, Seek};
 
 use glam::DVec3;
@@ -59,12 +59,19 @@ fn decode(bytes: &[u8], wanted: bool) -> Result<Soup, DataError> {
             welder.soup.raw.labels("solids", count);
         }
     } else {
+        if wanted && bytes.get(..80).is_some_and(|head| head.windows(6).any(|word| word == b"COLOR=")) {
+            welder.soup.raw.unreadable("the colour in the header", "a surface carries colours of vertices".to_owned());
+        }
         let short = || DataError::Truncated("it ends inside the header".to_owned());
         let declared = declared_facets(bytes).ok_or_else(short)?;
         match layout(bytes, declared) {
             Layout::Plain(count) => {
-                let records = bytes[HEADER..].as_chunks::<RECORD>().0;
-                records.iter().take(count).for_each(|record| welder.take(record));
+                let records = &bytes[HEADER..].as_chunks::<RECORD>().0[..count];
+                records.iter().for_each(|record| welder.take(record));
+                if wanted {
+                    let values: HashSet<usize> = records.iter().map(trailing).collect();
+                    welder.soup.raw.labels("colours or attributes of facets", values.len());
+                }
             }
             Layout::Extended => extended(bytes).for_each(|record| welder.take(record)),
             Layout::Short(held) => {

@@ -90,6 +90,9 @@ const ASIDE: [(&[u8], &str); 6] = [
     (b"slicestack", "slices"),
 ];
 
+/// Parts of the namespaces of extensions without which a surface is whole, or that are read.
+const KNOWN: [&str; 5] = ["/material/", "/production/", "/slice/", "/trianglesets/", "/beamlattice/"];
+
 /// Units of length, mm.
 const UNITS: [(&[u8], f64); 6] = [
     (b"micron", 1e-3),
@@ -208,7 +211,10 @@ impl Package {
             let element = tag.local_name();
             let element = element.as_ref();
             match (element, is_end) {
-                (b"model", false) => package.unit(tag, number),
+                (b"model", false) => {
+                    Self::check_extensions(tag)?;
+                    package.unit(tag, number);
+                }
                 (b"object", false) => {
                     let id = whole(tag, b"id", "object")?;
                     current = Some(package.objects.len());
@@ -244,6 +250,26 @@ impl Package {
             }
             Ok(())
         })
+    }
+
+    /// A file may require extensions, by the prefixes of their namespaces. Errors: one is not known.
+    fn check_extensions(tag: &BytesStart<'_>) -> Result<(), DataError> {
+        let Some(prefixes) = attribute(tag, b"requiredextensions") else { return Ok(()) };
+        let mut spaces = tag.attributes();
+        let known: Vec<_> = spaces
+            .with_checks(false)
+            .flatten()
+            .filter(|space| KNOWN.iter().any(|known| String::from_utf8_lossy(&space.value).contains(known)))
+            .filter_map(|space| Some(space.key.as_ref().strip_prefix(b"xmlns:")?.to_vec()))
+            .collect();
+        let mut prefixes = prefixes.split(u8::is_ascii_whitespace).filter(|prefix| !prefix.is_empty());
+        match prefixes.find(|prefix| !known.iter().any(|known| known == prefix)) {
+            Some(prefix) => {
+                let text = format!("it requires the extension {}, which is not read; export it without", shown(prefix));
+                Err(DataError::Header(text))
+            }
+            None => Ok(()),
+        }
     }
 
     fn unit(&mut self, tag: &BytesStart<'_>, part: u32) {

@@ -11,7 +11,7 @@ use glam::{DVec2, DVec3};
 
 use super::held::{Held, eight_bit};
 use super::numbers::Kind;
-use super::{DataError, Soup};
+use super::{DataError, Others, Soup};
 use crate::mesh::attributes::{ColourDepth, Colours, Normals, PerCorner, Scalar};
 
 /// Names of numbers' types: legacy, in lower case, the first of which is written, and XML. In binary legacy files a `vtkIdType` has 4 bytes.
@@ -166,8 +166,8 @@ impl Cell {
         }
     }
 
-    /// Adds its facets. Returns whether it is a volume, which has none.
-    fn push(&self, soup: &mut Soup, points: &[i64], scratch: &mut Vec<i64>) -> Result<bool, String> {
+    /// Adds its facets. Returns what it is if it has none.
+    fn push(&self, soup: &mut Soup, points: &[i64], scratch: &mut Vec<i64>) -> Result<Others, String> {
         match self {
             Self::Polygon => soup.push_polygon(points)?,
             Self::Corners(n) => soup.push_polygon(points.get(..*n).unwrap_or(points))?,
@@ -185,16 +185,22 @@ impl Cell {
                     soup.push_polygon(&turned)?;
                 }
             }
-            Self::Less => {}
-            Self::Volume => return Ok(true),
+            // An empty cell is nothing.
+            Self::Less => return Ok(Others { thin: usize::from(!points.is_empty()), ..Others::default() }),
+            Self::Volume => return Ok(Others { volumes: 1, ..Others::default() }),
         }
-        Ok(false)
+        Ok(Others::default())
     }
 }
 
-/// Adds cells, each from the end of the one before to its own end in `points`. Returns how many are volumes.
-fn push_cells(soup: &mut Soup, cell: impl Fn(usize) -> Cell, ends: &[i64], points: &[i64]) -> Result<usize, DataError> {
-    let (mut start, mut aside, mut scratch) = (0usize, 0, Vec::new());
+/// Adds cells, each from the end of the one before to its own end in `points`. Returns how many are no facets.
+fn push_cells(
+    soup: &mut Soup,
+    cell: impl Fn(usize) -> Cell,
+    ends: &[i64],
+    points: &[i64],
+) -> Result<Others, DataError> {
+    let (mut start, mut others, mut scratch) = (0usize, Others::default(), Vec::new());
     for (index, &end) in ends.iter().enumerate() {
         let wrong = |message: String| DataError::Element { element: "cell", index, message };
         let corners = usize::try_from(end).ok().and_then(|end| points.get(start..end));
@@ -202,10 +208,10 @@ fn push_cells(soup: &mut Soup, cell: impl Fn(usize) -> Cell, ends: &[i64], point
             let there = points.len();
             return Err(wrong(format!("it goes from point {start} to {end} of a list of {there}")));
         };
-        aside += usize::from(cell(index).push(soup, corners, &mut scratch).map_err(wrong)?);
+        others += cell(index).push(soup, corners, &mut scratch).map_err(wrong)?;
         start += corners.len();
     }
-    Ok(aside)
+    Ok(others)
 }
 
 /// The most facets that cells have, which end there.

@@ -7,7 +7,7 @@
 use std::collections::HashMap;
 use std::time::Duration;
 
-use sqlx::{PgConnection, PgPool};
+use sqlx::{PgConnection, PgExecutor, PgPool};
 
 use super::{BlobResult, blob, count, keys, micros, number};
 use crate::blob::index::{Published, Used};
@@ -232,8 +232,8 @@ pub(super) async fn removed(work: &mut PgConnection, blob: BlobInfo, gone: bool)
     Ok(())
 }
 
-/// Pins all, or none. Errors: `NotFound`.
-pub(super) async fn pin(
+/// Pins all, or none, in a transaction. Errors: `NotFound`.
+pub(in crate::postgres) async fn pin(
     work: &mut PgConnection,
     owner: Option<Owner>,
     name: &str,
@@ -267,8 +267,11 @@ async fn pin_all(work: &mut PgConnection, owner: Option<Owner>, name: &str, dige
     Ok(())
 }
 
-pub(super) async fn unpin(pool: &PgPool, name: &str) -> BlobResult<()> {
-    sqlx::query("delete from tessera.pins where name = $1").bind(name).execute(pool).await?;
+/// Ends the pins of these names.
+pub(in crate::postgres) async fn unpin(connection: impl PgExecutor<'_>, names: &[String]) -> sqlx::Result<()> {
+    if !names.is_empty() {
+        sqlx::query("delete from tessera.pins where name = any($1)").bind(names).execute(connection).await?;
+    }
     Ok(())
 }
 

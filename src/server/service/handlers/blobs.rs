@@ -56,7 +56,7 @@ impl Blobs {
         most: Option<u64>,
     ) -> Result<proto::WriteResponse, RequestError> {
         let deadline = tokio::time::Instant::now() + self.limits.upload;
-        let Some((mut message, mut share)) = self.next(&mut inbox, deadline).await? else {
+        let Some((mut message, mut share)) = self.next(&mut inbox, tenant, deadline).await? else {
             return Err(WireError::Order("the stream ended before its first message, which names the blob").into());
         };
         let upload = UploadId::new(digest("digest", &message.digest)?, message.size_bytes).of(tenant);
@@ -76,7 +76,7 @@ impl Blobs {
             }
             // The next piece comes while this one is stored; a fault of either ends both.
             let next;
-            (status, next) = tokio::try_join!(storing, self.next(&mut inbox, deadline))?;
+            (status, next) = tokio::try_join!(storing, self.next(&mut inbox, tenant, deadline))?;
             drop(share);
             let Some(next) = next else { break };
             check_same(upload, &next.0)?;
@@ -95,6 +95,7 @@ impl Blobs {
     async fn next(
         &self,
         inbox: &mut Inbox<proto::WriteRequest>,
+        tenant: &str,
         deadline: tokio::time::Instant,
     ) -> Result<Option<(proto::WriteRequest, Share)>, RequestError> {
         let message = tokio::select! {
@@ -104,7 +105,7 @@ impl Blobs {
             () = self.gate.reached(Phase::Draining) => return Err(RequestError::Draining),
         };
         let Some(message) = message else { return Ok(None) };
-        let mut share = self.budget.share();
+        let mut share = self.budget.upload_of(tenant);
         share.grow(message.data.len() as u64)?;
         Ok(Some((message, share)))
     }

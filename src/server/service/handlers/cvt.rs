@@ -23,10 +23,11 @@ pub(super) async fn handle(
     outbox: Outbox<CvtResponse>,
 ) -> Result<(), RequestError> {
     let _place = shared.gate.admit_session(&tenant)?;
-    let Admitted { header, received, place } = upload(&shared, &tenant, &mut inbox).await?;
-    let (wish, options) = (header.backend, header.options.options);
+    let admitted = upload::<_, CvtHeader>(&shared, &tenant, &mut inbox).await?;
+    let (wish, options) = (admitted.header.backend, admitted.header.options.options);
     let token = shared.engine.token();
-    let (prepared, _share) = prepare((&shared, &tenant), received, header.options, Prepared::for_steps, &token).await?;
+    let make = |input, _, token: &Token| Prepared::for_steps(input, token).map(Arc::new);
+    let Ready { value: prepared, place, share: _share } = admitted.read((&shared, &tenant), &token, make).await?;
     let mut pending = CvtSession::open(&shared.engine, Arc::clone(&prepared), wish, options, place)?;
     let position = pending.position;
     let Timed { value, queue_ms, compute_ms } = pending.wait().await?;

@@ -26,10 +26,11 @@ pub(super) async fn handle(
     mut inbox: Inbox<ComputeRvdRequest>,
     outbox: Outbox<ComputeRvdResponse>,
 ) -> Result<(), RequestError> {
-    let Admitted { header, received, place } = upload(&shared, &tenant, &mut inbox).await?;
-    let outputs = header.options.outputs;
-    let work = StreamWork::new(&shared.engine, header.backend)?;
-    let (prepared, _share) = prepare((&shared, &tenant), received, header.options, Prepared::new, work.token()).await?;
+    let admitted = upload::<_, ComputeRvdHeader>(&shared, &tenant, &mut inbox).await?;
+    let outputs = admitted.header.options.outputs;
+    let work = StreamWork::new(&shared.engine, admitted.header.backend)?;
+    let make = |input, _, token: &Token| Prepared::new(input, token).map(Arc::new);
+    let Ready { value: prepared, place, share: _share } = admitted.read((&shared, &tenant), work.token(), make).await?;
     let mut pending = work.diagram(place, Arc::clone(&prepared), outputs.centroids || outputs.sums)?;
     outbox.send(wrap(response::Message::Accepted(accepted(pending.position, work.by())))).await?;
     let Timed { value: (mut diagram, sums), queue_ms, compute_ms } = pending.wait().await?;

@@ -47,15 +47,15 @@ pub(super) async fn handle(
     mut inbox: Inbox<RemeshRequest>,
     outbox: Outbox<RemeshResponse>,
 ) -> Result<(), RequestError> {
-    let Admitted { header, received, place } = upload(&shared, &tenant, &mut inbox).await?;
-    let Checked { backend, mut options, attributes: announced, .. } = header;
-    let work = StreamWork::new(&shared.engine, backend)?;
-    let (mesh, options, mut share) = apart((&shared, &tenant), work.token(), move |token| {
-        let (input, share) = input(received, &mut options, token)?;
+    let admitted = upload::<_, RemeshHeader>(&shared, &tenant, &mut inbox).await?;
+    let announced = admitted.header.attributes.clone();
+    let work = StreamWork::new(&shared.engine, admitted.header.backend)?;
+    let make = |input, options, _: &Token| {
         let Input { mesh, density, seeds, creases, attributes } = input;
-        Ok((mesh, RemeshOptions { density, seeds, creases, attributes, ..options }, share))
-    })
-    .await?;
+        Ok((mesh, RemeshOptions { density, seeds, creases, attributes, ..options }))
+    };
+    let ready = admitted.read((&shared, &tenant), work.token(), make).await?;
+    let Ready { value: (mesh, options), mut share, place } = ready;
     let (events, mut heard) = mpsc::channel(EVENTS);
     let mut pending = work.remesh(place, mesh, options, move |queue_ms| {
         let _ = events.try_send(Event::Started(queue_ms));

@@ -37,8 +37,21 @@ pub(super) struct Document<'a> {
     pub(super) views: Vec<View>,
     pub(super) buffers: Vec<Buffer<'a>>,
     pub(super) materials: usize,
-    packing: Option<String>,
+    /// The first extension that the surface needs and that is not read, and the first that it could do with.
+    required: Option<String>,
+    pub(super) used: Option<String>,
     room: Room,
+}
+
+/// Parts of the names of extensions that change no surface, or are read.
+const HARMLESS: [&str; 9] =
+    ["_materials_", "_texture_", "_lights_", "_animation", "_xmp", "_audio", "_image", "_quantization", "_metadata"];
+
+/// Notes the first extension that is not read.
+fn note(first: &mut Option<String>, name: &str) {
+    if !name.is_empty() && !HARMLESS.iter().any(|part| name.contains(part)) {
+        first.get_or_insert_with(|| plain(name, 60));
+    }
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -72,24 +85,59 @@ pub(super) struct Primitive {
     pub(super) is_morphed: bool,
 }
 
-#[derive(Debug, Default, Deserialize)]
-#[serde(default, rename_all = "SCREAMING_SNAKE_CASE")]
+/// Accessors of what vertices carry.
+#[derive(Debug, Default)]
 pub(super) struct Names {
     pub(super) position: Option<u32>,
-    #[serde(deserialize_with = "loose")]
     pub(super) normal: Option<u32>,
-    #[serde(rename = "TEXCOORD_0", deserialize_with = "loose")]
     pub(super) texture: Option<u32>,
-    #[serde(rename = "COLOR_0", deserialize_with = "loose")]
     pub(super) colour: Option<u32>,
-    #[serde(deserialize_with = "loose")]
     pub(super) joints_0: Option<u32>,
-    #[serde(deserialize_with = "loose")]
     pub(super) weights_0: Option<u32>,
-    #[serde(deserialize_with = "loose")]
     pub(super) joints_1: Option<u32>,
-    #[serde(deserialize_with = "loose")]
     pub(super) weights_1: Option<u32>,
+    /// Whether there are others.
+    pub(super) has_more: bool,
+}
+
+impl<'de> Deserialize<'de> for Names {
+    fn deserialize<D: Deserializer<'de>>(reader: D) -> Result<Self, D::Error> {
+        struct All;
+        impl<'de> Visitor<'de> for All {
+            type Value = Names;
+
+            fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+                f.write_str("attributes by their names")
+            }
+
+            fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<Names, A::Error> {
+                let mut names = Names::default();
+                while let Some(name) = map.next_key::<Text<'de>>()? {
+                    let to = match name.0.as_ref() {
+                        "POSITION" => {
+                            names.position = map.next_value()?;
+                            continue;
+                        }
+                        "NORMAL" => &mut names.normal,
+                        "TEXCOORD_0" => &mut names.texture,
+                        "COLOR_0" => &mut names.colour,
+                        "JOINTS_0" => &mut names.joints_0,
+                        "WEIGHTS_0" => &mut names.weights_0,
+                        "JOINTS_1" => &mut names.joints_1,
+                        "WEIGHTS_1" => &mut names.weights_1,
+                        _ => {
+                            names.has_more = true;
+                            map.next_value::<IgnoredAny>()?;
+                            continue;
+                        }
+                    };
+                    *to = map.next_value::<Loose>()?.0;
+                }
+                Ok(names)
+            }
+        }
+        reader.deserialize_map(All)
+    }
 }
 
 impl Primitive {
@@ -251,8 +299,8 @@ impl<'a> Document<'a> {
             true => DataError::Truncated("its JSON is not whole".to_owned()),
             false => syntax(error.line().max(1), plain(&error.to_string(), 200)),
         })?;
-        let Some(by) = document.packing else { return Ok(document) };
-        Err(DataError::Header(format!("it is packed with {by}, which is not read; export it without")))
+        let Some(by) = document.required else { return Ok(document) };
+        Err(DataError::Header(format!("it requires the extension {by}, which is not read; export it without")))
     }
 
     pub(super) fn bytes(&self) -> usize {
@@ -408,6 +456,7 @@ enum At {
     Views,
     Buffers,
     Required,
+    Used,
     Materials,
 }
 
@@ -451,6 +500,7 @@ impl<'a> Visitor<'a> for Reading<'_, 'a> {
                 (At::Root, "bufferViews") => At::Views,
                 (At::Root, "buffers") => At::Buffers,
                 (At::Root, "extensionsRequired") => At::Required,
+                (At::Root, "extensionsUsed") => At::Used,
                 (At::Root, "materials") => At::Materials,
                 (At::Scene, "nodes") => At::SceneNodes,
                 (At::Node, "children") => At::Children,
@@ -488,7 +538,7 @@ impl<'a> Visitor<'a> for Reading<'_, 'a> {
         let Self { document, at } = self;
         loop {
             let Document { scenes, children, primitives, joints, accessors, views, buffers, .. } = document;
-            let Document { materials, packing, room, .. } = document;
+            let Document { materials, required, used, room, .. } = document;
             macro_rules! element {
                 ($list:expr) => {
                     seq.next_element()?.map(|element| room.push($list, element))
@@ -514,9 +564,7 @@ impl<'a> Visitor<'a> for Reading<'_, 'a> {
                     Ok(())
                 }),
                 _ => seq.next_element::<Text<'_>>()?.map(|Text(name)| {
-                    if name.contains("compression") {
-                        packing.get_or_insert_with(|| plain(&name, 60));
-                    }
+                    note(if at == At::Required { &mut *required } else { &mut *used }, &name);
                     Ok(())
                 }),
             };

@@ -130,6 +130,10 @@ fn is_wedges(property: &Property) -> bool {
 
 /// Says what no surface carries.
 pub(super) fn left_aside(header: &Header<'_>, raw: &mut Raw) {
+    let is_surface = |element: &&Element| element.name == "vertex" || FACES.contains(&element.name.as_str());
+    for element in header.elements.iter().chain(&header.unread).filter(|element| !is_surface(element)) {
+        raw.elements(&plain(&format!("elements {:?}", element.name), 100), element.count);
+    }
     for element in &header.elements {
         let is_vertex = element.name == "vertex";
         if !is_vertex && !FACES.contains(&element.name.as_str()) {

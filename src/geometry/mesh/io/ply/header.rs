@@ -15,7 +15,7 @@ const LONGEST: usize = 4096;
 const MOST_NAMES: usize = 4096;
 
 /// Names of types: those that are written, and their newer ones.
-const KINDS: [(&str, &str, Kind); 8] = [
+const KINDS: [(&str, &str, Kind); 10] = [
     ("char", "int8", Kind::I8),
     ("uchar", "uint8", Kind::U8),
     ("short", "int16", Kind::I16),
@@ -24,6 +24,9 @@ const KINDS: [(&str, &str, Kind); 8] = [
     ("uint", "uint32", Kind::U32),
     ("float", "float32", Kind::F32),
     ("double", "float64", Kind::F64),
+    // Of other writers: these are never written.
+    ("long", "int64", Kind::I64),
+    ("ulong", "uint64", Kind::U64),
 ];
 
 fn kind(name: &str) -> Option<Kind> {
@@ -74,6 +77,8 @@ pub(super) struct Element {
 pub(super) struct Header<'a> {
     pub(super) encoding: Encoding,
     pub(super) elements: Vec<Element>,
+    /// Those of which the data are not read, since the size of a property is not known.
+    pub(super) unread: Vec<Element>,
     pub(super) data: &'a [u8],
     /// The line that the data begin at, from 1.
     pub(super) line: usize,
@@ -159,14 +164,15 @@ pub(super) fn read(bytes: &[u8]) -> Result<Header<'_>, DataError> {
                     return Err(DataError::Header("there is no line \"format\"".to_owned()));
                 };
                 if let Some((number, error)) = unreadable {
-                    let mut header = Header { encoding, elements, data: rest, line: line + 1 };
+                    let unread = Vec::new();
+                    let mut header = Header { encoding, elements, unread, data: rest, line: line + 1 };
                     // The size of such a property is not known in binary data. Elements that matter stand before it, or it is text.
                     if encoding != Encoding::Text {
-                        header.elements.truncate(number - 1);
+                        header.unread = header.elements.split_off(number - 1);
                     }
                     return if super::check_elements(&header).is_ok() { Ok(header) } else { Err(error) };
                 }
-                return Ok(Header { encoding, elements, data: rest, line: line + 1 });
+                return Ok(Header { encoding, elements, unread: Vec::new(), data: rest, line: line + 1 });
             }
             _ => return Err(wrong(&text, "is no line of a header")),
         }

@@ -9,7 +9,7 @@ use super::{Array, Cell, KINDS, ON_POINTS, Role, SURFACE_FIRST, carried, facets,
 use crate::mesh::TriMesh;
 use crate::mesh::io::held::{By, Held, Holds, Raw};
 use crate::mesh::io::numbers::{Cursor, Encoding, Kind, Order, cut, parse, plain, shown};
-use crate::mesh::io::{Codec, Counts, DataError, Soup, VertexNumbers, volumes};
+use crate::mesh::io::{Codec, Counts, DataError, Soup, VertexNumbers};
 
 pub(in crate::mesh::io) const CODEC: Codec = Codec {
     extension: "vtk",
@@ -39,7 +39,7 @@ fn read(bytes: &[u8], wanted: bool, counted: bool) -> Result<(Soup, Counts), Dat
     };
     let mut reader = Reader { cursor, wanted, counted, ..Reader::default() };
     let mut counts = Counts::default();
-    let mut cells = None;
+    let (mut cells, mut thin) = (None, 0);
     let mut kinds = Vec::new();
     while let Some(word) = reader.cursor.word() {
         let keyword = word.to_ascii_uppercase();
@@ -52,13 +52,13 @@ fn read(bytes: &[u8], wanted: bool, counted: bool) -> Result<(Soup, Counts), Dat
                 }
             }
             b"POINTS" => counts.vertices = counts.vertices.max(reader.points()?),
-            b"VERTICES" | b"LINES" => drop(reader.lists()?),
+            b"VERTICES" | b"LINES" => thin += reader.lists()?.0.len(),
             b"POLYGONS" | b"TRIANGLE_STRIPS" => {
                 let cell = |_: usize| if keyword == b"POLYGONS" { Cell::Polygon } else { Cell::Strip };
                 let (ends, points) = reader.lists()?;
                 match counted {
                     true => counts.facets += facets(cell, &ends),
-                    false => drop(push_cells(&mut reader.soup, cell, &ends, &points)?),
+                    false => _ = push_cells(&mut reader.soup, cell, &ends, &points)?,
                 }
             }
             b"CELLS" => cells = Some(reader.lists()?),
@@ -90,6 +90,9 @@ fn read(bytes: &[u8], wanted: bool, counted: bool) -> Result<(Soup, Counts), Dat
         grid(&mut soup, &ends, &points, &kinds)?;
     }
     carried(arrays, &mut soup);
+    if wanted {
+        soup.raw.elements("points and lines", thin);
+    }
     soup.raw.unreadable.extend(left.unreadable);
     soup.raw.more += left.more;
     Ok((soup, counts))
@@ -99,8 +102,7 @@ fn grid(soup: &mut Soup, ends: &[i64], points: &[i64], kinds: &[i64]) -> Result<
     if kinds.len() != ends.len() {
         return Err(DataError::Truncated(format!("there are {} cells and {} types of cells", ends.len(), kinds.len())));
     }
-    let aside = push_cells(soup, |index| Cell::of(kinds[index]), ends, points)?;
-    volumes(soup, aside, SURFACE_FIRST)
+    push_cells(soup, |index| Cell::of(kinds[index]), ends, points)?.leave(soup, SURFACE_FIRST)
 }
 
 #[derive(Default)]
@@ -285,7 +287,12 @@ impl Reader<'_> {
             b"VECTORS" => (Role::Any, 3),
             b"TENSORS" => (Role::Any, 9),
             b"TENSORS6" => (Role::Any, 6),
-            b"GLOBAL_IDS" | b"PEDIGREE_IDS" => (Role::None, 1),
+            b"GLOBAL_IDS" | b"PEDIGREE_IDS" => {
+                if self.wanted && !self.of_cells {
+                    self.left.unreadable(&shown(keyword), "points of the result have no such numbers".to_owned());
+                }
+                (Role::None, 1)
+            }
             _ => return Ok(false),
         };
         let name = self.name()?;
@@ -306,7 +313,7 @@ impl Reader<'_> {
 
     fn name(&mut self) -> Result<String, DataError> {
         let word = self.cursor.word().ok_or_else(|| cut("a header"))?;
-        Ok(String::from_utf8_lossy(word).into_owned())
+        Ok(String::from_utf8_lossy(&percent_decode(word)).into_owned())
     }
 
     /// Colours are bytes in binary files, and fractions in text.
@@ -393,6 +400,26 @@ impl Reader<'_> {
     }
 }
 
+/// A name as legacy files have it: other characters than visible ASCII are `%` and two hexadecimal digits for each byte.
+fn percent_encode(name: &str) -> String {
+    let byte = |b: u8| match b {
+        b'!'..=b'~' if !matches!(b, b'"' | b'%') => char::from(b).to_string(),
+        _ => format!("%{b:02X}"),
+    };
+    name.bytes().map(byte).collect()
+}
+
+fn percent_decode(word: &[u8]) -> Vec<u8> {
+    let (mut name, mut rest) = (Vec::with_capacity(word.len()), word);
+    while let [first, after @ ..] = rest {
+        let hex = after.get(..2).filter(|_| *first == b'%').and_then(|hex| std::str::from_utf8(hex).ok());
+        let byte = hex.and_then(|hex| u8::from_str_radix(hex, 16).ok());
+        name.push(byte.unwrap_or(*first));
+        rest = if byte.is_some() { &after[2..] } else { after };
+    }
+    name
+}
+
 fn encode(mesh: &TriMesh, held: &Held<'_>) -> Result<Vec<u8>, DataError> {
     let (vertices, facets) = (mesh.positions().len(), mesh.facets().len());
     let arrays = written(held);
@@ -412,7 +439,7 @@ fn encode(mesh: &TriMesh, held: &Held<'_>) -> Result<Vec<u8>, DataError> {
     let in_field = arrays.iter().filter(|a| fields(a)).count();
     let others = arrays.iter().filter(|a| !fields(a));
     for (index, array) in others.chain(arrays.iter().filter(|a| fields(a))).enumerate() {
-        let (name, n) = (&array.name, array.components);
+        let (name, n) = (percent_encode(&array.name), array.components);
         if index == arrays.len() - in_field {
             line(&mut out, format!("\nFIELD FieldData {in_field}"));
         }

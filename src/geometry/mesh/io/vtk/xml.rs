@@ -14,6 +14,7 @@ use base64::engine::general_purpose::STANDARD;
 use flate2::read::ZlibDecoder;
 use glam::DVec3;
 use quick_xml::Reader;
+use quick_xml::escape::{escape, unescape};
 use quick_xml::events::{BytesStart, Event};
 
 use super::{Array, Cell, KINDS, ON_POINTS, Role, SURFACE_FIRST, carried, names, push_cells, written};
@@ -21,7 +22,7 @@ use crate::mesh::TriMesh;
 use crate::mesh::io::held::{By, Held, Holds};
 use crate::mesh::io::numbers::{Cursor, Encoding, Kind, Order, plain};
 use crate::mesh::io::packed::{Head, Room, Signature};
-use crate::mesh::io::{Codec, Counts, DataError, Soup, VertexNumbers, syntax, unpacked_limit, volumes};
+use crate::mesh::io::{Codec, Counts, DataError, Others, Soup, VertexNumbers, syntax, unpacked_limit};
 
 const HOLDS: Holds = Holds { normals: By::Vertex, texture: By::Vertex, colours: true, opacity: true, scalars: true };
 
@@ -81,9 +82,10 @@ fn is_grid(head: &Head<'_>) -> bool {
 fn decode(bytes: &[u8], wanted: bool, expected: Type) -> Result<Soup, DataError> {
     let mut file = File::walk(bytes, expected)?;
     let mut soup = Soup::default();
-    let (mut arrays, mut names, mut volume) = (Vec::new(), HashMap::new(), 0);
+    let (mut arrays, mut names, mut others) = (Vec::new(), HashMap::new(), Others::default());
     for (index, piece) in std::mem::take(&mut file.pieces).into_iter().enumerate() {
         let first = soup.positions.len();
+        others.thin = others.thin.saturating_add(piece.thin);
         let missing = |what: &str| DataError::Header(format!("piece {index} has no {what}"));
         if piece.points == 0 {
             continue;
@@ -111,7 +113,7 @@ fn decode(bytes: &[u8], wanted: bool, expected: Type) -> Result<Soup, DataError>
             let (count, first) = (piece.points as i64, first as i64);
             points.iter_mut().for_each(|p| *p = if (0..count).contains(p) { *p + first } else { i64::MAX });
             let cell = |index: usize| Cell::of(kind.or(kinds.get(index).copied()).unwrap_or(0));
-            volume += push_cells(&mut soup, cell, &ends, &points)?;
+            others += push_cells(&mut soup, cell, &ends, &points)?;
         }
         if wanted {
             file.data(&mut arrays, &mut names, &piece, first, &mut soup);
@@ -121,7 +123,10 @@ fn decode(bytes: &[u8], wanted: bool, expected: Type) -> Result<Soup, DataError>
     for name in file.cell_arrays.iter().filter(|_| wanted) {
         soup.raw.unreadable(&format!("cell array {:?}", plain(name, 40)), ON_POINTS.to_owned());
     }
-    volumes(&mut soup, volume, SURFACE_FIRST)?;
+    for name in file.texts.iter().filter(|_| wanted) {
+        soup.raw.unreadable(&format!("array {:?}", plain(name, 40)), "it holds no numbers".to_owned());
+    }
+    others.leave(&mut soup, SURFACE_FIRST)?;
     Ok(soup)
 }
 
@@ -195,6 +200,8 @@ struct Cells<'a> {
 #[derive(Default)]
 struct Piece<'a> {
     points: usize,
+    /// Points and lines.
+    thin: usize,
     coordinates: Option<Box<DataArray<'a>>>,
     polygons: Cells<'a>,
     strips: Cells<'a>,
@@ -219,8 +226,9 @@ struct File<'a> {
     length: Kind,
     packed: bool,
     pieces: Vec<Piece<'a>>,
-    /// Names of the first piece's arrays of cells.
+    /// Names of the first piece's arrays of cells, and of its arrays of points that hold text.
     cell_arrays: Vec<String>,
+    texts: Vec<String>,
     appended: &'a [u8],
     appended_raw: bool,
     /// Bytes that may still be made of arrays.
@@ -237,7 +245,8 @@ const DEEPEST: usize = 64;
 
 fn attribute(tag: &BytesStart<'_>, name: &str) -> Option<String> {
     let found = tag.attributes().with_checks(false).flatten().find(|a| a.key.as_ref() == name.as_bytes())?;
-    Some(String::from_utf8_lossy(&found.value).into_owned())
+    let text = String::from_utf8_lossy(&found.value);
+    Some(unescape(&text).map_or_else(|_| text.to_string(), |plain| plain.into_owned()))
 }
 
 fn number(tag: &BytesStart<'_>, name: &str) -> usize {
@@ -276,6 +285,7 @@ impl<'a> File<'a> {
                             };
                             let piece = Piece {
                                 points: number(tag, "NumberOfPoints"),
+                                thin: number(tag, "NumberOfVerts").saturating_add(number(tag, "NumberOfLines")),
                                 polygons: cells(Type::PolyData, "NumberOfPolys"),
                                 strips: cells(Type::PolyData, "NumberOfStrips"),
                                 grid: cells(Type::UnstructuredGrid, "NumberOfCells"),
@@ -292,6 +302,15 @@ impl<'a> File<'a> {
                         b"DataArray" => {
                             let found = data_array(tag, line);
                             if empty { file.put(&section, found)? } else { array = Some((found, section.len())) }
+                        }
+                        b"Array" if file.pieces.len() == 1 => {
+                            let name = attribute(tag, "Name").unwrap_or_default();
+                            file.room.take(name.len())?;
+                            match section.last().map(Vec::as_slice) {
+                                Some(b"PointData") => file.room.push(&mut file.texts, name)?,
+                                Some(b"CellData") => file.room.push(&mut file.cell_arrays, name)?,
+                                _ => {}
+                            }
                         }
                         b"AppendedData" if !empty => {
                             file.append(tag, &bytes[at..])?;
@@ -644,7 +663,8 @@ fn encode(mesh: &TriMesh, held: &Held<'_>, of: Type) -> Result<Vec<u8>, DataErro
     let mut out = String::with_capacity(1024 + 32 * vertices + 44 * facets + 11 * vertices * arrays.len());
     let array = |out: &mut String, name: &str, kind: &str, components: usize, data: Vec<u8>| {
         out.push_str(&format!(
-            "<DataArray type=\"{kind}\" Name=\"{name}\" NumberOfComponents=\"{components}\" format=\"binary\">"
+            "<DataArray type=\"{kind}\" Name=\"{}\" NumberOfComponents=\"{components}\" format=\"binary\">",
+            escape(name)
         ));
         STANDARD.encode_string((data.len() as u64).to_le_bytes(), out);
         STANDARD.encode_string(data, out);

@@ -355,20 +355,22 @@ class JobStage(_message.Message):
     def __init__(self, name: _Optional[str] = ..., done: _Optional[int] = ..., total: _Optional[int] = ...) -> None: ...
 
 class JobIteration(_message.Message):
-    __slots__ = ("index", "total", "kind", "energy", "gradient_norm", "ms")
+    __slots__ = ("index", "total", "kind", "energy", "gradient_norm", "ms", "energy_ratio")
     INDEX_FIELD_NUMBER: _ClassVar[int]
     TOTAL_FIELD_NUMBER: _ClassVar[int]
     KIND_FIELD_NUMBER: _ClassVar[int]
     ENERGY_FIELD_NUMBER: _ClassVar[int]
     GRADIENT_NORM_FIELD_NUMBER: _ClassVar[int]
     MS_FIELD_NUMBER: _ClassVar[int]
+    ENERGY_RATIO_FIELD_NUMBER: _ClassVar[int]
     index: int
     total: int
     kind: str
     energy: float
     gradient_norm: float
     ms: float
-    def __init__(self, index: _Optional[int] = ..., total: _Optional[int] = ..., kind: _Optional[str] = ..., energy: _Optional[float] = ..., gradient_norm: _Optional[float] = ..., ms: _Optional[float] = ...) -> None: ...
+    energy_ratio: float
+    def __init__(self, index: _Optional[int] = ..., total: _Optional[int] = ..., kind: _Optional[str] = ..., energy: _Optional[float] = ..., gradient_norm: _Optional[float] = ..., ms: _Optional[float] = ..., energy_ratio: _Optional[float] = ...) -> None: ...
 
 class JobEvent(_message.Message):
     __slots__ = ("number", "at", "state", "stage", "iteration")
