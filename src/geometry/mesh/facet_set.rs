@@ -1,7 +1,8 @@
 //! The closest point of a small set of facets.
 //!
 //! Purpose: [`FacetSet`] finds the nearest of some facets, without the cost of a hierarchy over all. Facets that are near one
-//! another form a group with a bounding sphere, so that most need not be looked at. [`sample_points`] are the points of a facet at
+//! another form a group with a bounding sphere, so that most need not be looked at. Groups of slender facets have a box along
+//! these too: they fill little of a sphere. [`sample_points`] are the points of a facet at
 //! which its distance from others is taken.
 //! Invariant: a distance is no less than the true one. Must not know: which facets these are.
 
@@ -10,11 +11,18 @@ use std::ops::Range;
 use glam::DVec3;
 
 use super::bvh::morton;
+use super::normal;
 
 /// Facets of a group, at least. Large sets have as many groups as facets in a group.
 const FACETS_PER_GROUP: usize = 8;
 /// Factor by which radii grow, so that rounding leaves nothing outside.
 const SPHERE_ROUNDING: f64 = 1.0 + 1e-12;
+/// Sets of fewer facets have no boxes: it takes as long to look at all.
+const FACETS_WITH_BOXES: usize = 64;
+/// A facet is slender if the square of its longest edge is more than this many times its area. Of ordinary ones it is 2 to 10.
+const SLENDER: f64 = 64.0;
+/// Margin of a box, for rounding; coordinates are of the order of 1.
+const BOX_ROUNDING: f64 = 1e-12;
 /// Intervals on an edge of a facet's grid of points. With 4, ridges in a facet stuck out a third farther than measured.
 const GRID_INTERVALS: u32 = 6;
 
@@ -22,6 +30,8 @@ pub(crate) struct FacetSet {
     facets: Vec<BoundedFacet>,
     /// Spheres around consecutive facets.
     groups: Vec<BoundingSphere>,
+    /// Boxes around the same; none unless there are slender facets.
+    boxes: Vec<OrientedBox>,
     /// Facets of each group but the last.
     group_size: usize,
 }
@@ -52,6 +62,48 @@ impl BoundingSphere {
     }
 }
 
+/// A box along the longest edge in it.
+struct OrientedBox {
+    axes: [DVec3; 3],
+    low: DVec3,
+    high: DVec3,
+}
+
+impl OrientedBox {
+    fn around(facets: &[BoundedFacet]) -> Self {
+        let longest = |a: DVec3, b: DVec3| if b.length_squared() > a.length_squared() { b } else { a };
+        let edges = facets.iter().flat_map(|facet| edges(facet.corners));
+        let along = edges.fold(DVec3::ZERO, longest).normalize_or(DVec3::X);
+        let up = facets.iter().map(|facet| normal(facet.corners)).fold(DVec3::ZERO, longest);
+        let up = up.reject_from_normalized(along).try_normalize().unwrap_or_else(|| along.any_orthonormal_vector());
+        let mut found = Self { axes: [along, up, along.cross(up)], low: DVec3::INFINITY, high: DVec3::NEG_INFINITY };
+        for corner in facets.iter().flat_map(|facet| facet.corners) {
+            let place = found.place(corner);
+            (found.low, found.high) = (found.low.min(place - BOX_ROUNDING), found.high.max(place + BOX_ROUNDING));
+        }
+        found
+    }
+
+    fn place(&self, p: DVec3) -> DVec3 {
+        DVec3::from_array(self.axes.map(|axis| axis.dot(p)))
+    }
+
+    /// Whether something inside may be nearer to `p` than `distance`.
+    fn reaches(&self, p: DVec3, distance: f64) -> bool {
+        let place = self.place(p);
+        (self.low - place).max(place - self.high).max(DVec3::ZERO).length_squared() < distance * distance
+    }
+}
+
+fn edges([a, b, c]: [DVec3; 3]) -> [DVec3; 3] {
+    [b - a, c - b, a - c]
+}
+
+fn is_slender(facet: &BoundedFacet) -> bool {
+    let longest = edges(facet.corners).into_iter().map(DVec3::length_squared).fold(0.0, f64::max);
+    longest > 0.5 * SLENDER * normal(facet.corners).length()
+}
+
 impl FacetSet {
     /// A set of facets with these corners. Coordinates are of the order of 1.
     pub(crate) fn new(facets: impl Iterator<Item = [DVec3; 3]>) -> Self {
@@ -66,7 +118,16 @@ impl FacetSet {
         };
         let group_size = FACETS_PER_GROUP.max(facets.len().isqrt());
         let groups = facets.chunks(group_size).map(around).collect();
-        Self { facets, groups, group_size }
+        let has_boxes = facets.len() >= FACETS_WITH_BOXES && facets.iter().any(is_slender);
+        let chunks = facets.chunks(group_size).filter(|_| has_boxes);
+        let boxes = chunks.map(OrientedBox::around).collect();
+        Self { facets, groups, boxes, group_size }
+    }
+
+    /// Whether a facet of a group may be nearer to `p` than `distance`.
+    fn reaches(&self, group: u32, p: DVec3, distance: f64) -> bool {
+        let group = group as usize;
+        self.groups[group].reaches(p, distance) && self.boxes.get(group).is_none_or(|b| b.reaches(p, distance))
     }
 
     pub(crate) fn corners(&self) -> impl Iterator<Item = [DVec3; 3]> + '_ {
@@ -79,14 +140,14 @@ impl FacetSet {
 
     /// Groups with facets that may be nearer to `p` than `distance`; all groups if there is none.
     pub(crate) fn groups_near(&self, p: DVec3, distance: f64) -> Vec<u32> {
-        let near = |g: &u32| self.groups[*g as usize].reaches(p, distance);
+        let near = |g: &u32| self.reaches(*g, p, distance);
         let near: Vec<u32> = (0..self.groups.len() as u32).filter(near).collect();
         if near.is_empty() { self.all_groups() } else { near }
     }
 
     /// Keeps the `groups` with facets that may be nearer to `p` than `distance`.
     pub(crate) fn retain_near(&self, groups: &mut Vec<u32>, p: DVec3, distance: f64) {
-        groups.retain(|&g| self.groups[g as usize].reaches(p, distance));
+        groups.retain(|&g| self.reaches(g, p, distance));
     }
 
     fn facets_of(&self, group: u32) -> Range<usize> {
@@ -104,7 +165,7 @@ impl FacetSet {
         }
         let mut root = best.sqrt();
         for &group in groups {
-            if !self.groups[group as usize].reaches(p, root) {
+            if !self.reaches(group, p, root) {
                 continue;
             }
             for f in self.facets_of(group) {
@@ -188,9 +249,16 @@ mod tests {
     fn the_nearest_facet_is_found_whatever_is_looked_at_first() {
         let number = |k: u32| f64::from(k.wrapping_mul(2_654_435_761) >> 16) / 65_536.0;
         let point = |k: u32| DVec3::new(number(3 * k), number(3 * k + 1), number(3 * k + 2));
-        for facets in [0, 1, 7, 8, 9, 200] {
-            let corners = |k: u32| [0, 1, 2].map(|c| point(7 * k) + 0.1 * point(7 * k + c + 1));
-            let set = FacetSet::new((0..facets).map(corners));
+        for (facets, is_slender) in
+            [(0, false), (1, false), (7, false), (8, true), (9, false), (200, false), (200, true)]
+        {
+            // Slender ones are side by side, as in a fan.
+            let needle = |k: u32| {
+                [DVec3::ZERO, point(5), point(5) + 1e-3 * DVec3::Y].map(|p| p + 0.01 * point(6) * f64::from(k))
+            };
+            let ordinary = |k: u32| [0, 1, 2].map(|c| point(7 * k) + 0.1 * point(7 * k + c + 1));
+            let set = FacetSet::new((0..facets).map(|k| if is_slender { needle(k) } else { ordinary(k) }));
+            assert!(!set.boxes.is_empty() || !is_slender || facets < 64);
             assert_eq!(set.corners().count(), facets as usize);
             let mut hint = 0;
             for k in 0..500 {

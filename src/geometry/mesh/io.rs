@@ -429,6 +429,9 @@ fn syntax(line: usize, message: impl Into<String>) -> DataError {
     DataError::Syntax { line, message: message.into() }
 }
 
+/// Bytes that reading may take beside what it gives, for each of the file's.
+const ROOM_RATIO: usize = 8;
+
 /// The surface that the format's reader finds, with its polygons cut. Attributes are read only if they are `wanted`.
 fn decode_soup(format: Format, bytes: &[u8], wanted: bool) -> Result<Soup, DataError> {
     let bytes = unpack(bytes, unpacked_limit(bytes.len()))?;
@@ -437,9 +440,11 @@ fn decode_soup(format: Format, bytes: &[u8], wanted: bool) -> Result<Soup, DataE
         return Err(DataError::Empty);
     }
     let mut soup = (format.codec().decode)(bytes, wanted)?;
-    let cuts = polygons::recut(&soup.positions, &soup.facets, &soup.fans);
-    cuts.iter().for_each(|cut| cut.apply(&mut soup.facets));
-    soup.raw.recut(&cuts);
+    let fans = std::mem::take(&mut soup.fans);
+    let room = bytes.len().saturating_mul(ROOM_RATIO).saturating_sub(fans.capacity() * size_of::<Fan>());
+    let mut lists = vec![soup.facets.as_mut_slice()];
+    lists.extend(soup.raw.corners_mut());
+    polygons::recut(&soup.positions, &mut lists, &fans, room);
     Ok(soup)
 }
 
@@ -497,34 +502,58 @@ struct Soup {
 
 impl Soup {
     /// Adds a polygon as a fan around its first corner. The message says what is wrong with it; the caller knows where it stands.
-    fn push_polygon(&mut self, corners: &[i64]) -> Result<(), String> {
-        if corners.len() < 3 {
-            return Err(format!("a face needs at least 3 corners and has {}", corners.len()));
-        }
-        let vertices = self.positions.len();
-        let index = |corner: i64| match u32::try_from(corner) {
-            Ok(index) if (index as usize) < vertices => Ok(index),
-            _ => Err(format!("vertex {corner} is named, but there are {vertices} vertices, counted from 0")),
-        };
-        if corners.len() > 3 {
-            // More facets than 32 bits can number are refused later.
-            let count = |n: usize| u32::try_from(n).unwrap_or(u32::MAX);
-            self.fans.push((count(self.facets.len()), count(corners.len() - 2)));
-        }
+    fn push_polygon<T: Copy + Into<i64>>(&mut self, corners: &[T]) -> Result<(), String> {
+        let mut polygon = self.begin_polygon(self.positions.len(), corners.len());
+        corners.iter().try_for_each(|&corner| self.push_corner(&mut polygon, corner.into()))?;
+        self.end_polygon(&polygon)
+    }
+
+    /// Begins a polygon of this many corners, which name some of this many vertices.
+    fn begin_polygon(&mut self, vertices: usize, corners: usize) -> Polygon {
         // The list grows by half, and for a large polygon by no more than that needs.
-        let more = corners.len() - 2;
+        let more = corners.saturating_sub(2);
         if self.facets.capacity() - self.facets.len() < more {
             self.facets.reserve_exact(more.max(self.facets.len() / 2));
         }
-        let first = index(corners[0])?;
-        let mut last = index(corners[1])?;
-        for &corner in &corners[2..] {
-            let next = index(corner)?;
-            self.facets.push([first, last, next]);
-            last = next;
+        Polygon { vertices, first: 0, last: 0, corners: 0 }
+    }
+
+    fn push_corner(&mut self, polygon: &mut Polygon, corner: i64) -> Result<(), String> {
+        let vertices = polygon.vertices;
+        let next = u32::try_from(corner)
+            .ok()
+            .filter(|&v| (v as usize) < vertices)
+            .ok_or_else(|| format!("vertex {corner} is named, but there are {vertices} vertices, counted from 0"))?;
+        match polygon.corners {
+            0 => polygon.first = next,
+            1 => {}
+            _ => self.facets.push([polygon.first, polygon.last, next]),
+        }
+        polygon.last = next;
+        polygon.corners += 1;
+        Ok(())
+    }
+
+    fn end_polygon(&mut self, polygon: &Polygon) -> Result<(), String> {
+        let facets = match polygon.corners {
+            corners @ ..3 => return Err(format!("a face needs at least 3 corners and has {corners}")),
+            corners => corners - 2,
+        };
+        if facets > 1 {
+            // More facets than 32 bits can number are refused later.
+            let count = |n: usize| u32::try_from(n).unwrap_or(u32::MAX);
+            self.fans.push((count(self.facets.len() - facets), count(facets)));
         }
         Ok(())
     }
+}
+
+/// A polygon of which some corners are read.
+struct Polygon {
+    vertices: usize,
+    first: u32,
+    last: u32,
+    corners: usize,
 }
 
 #[cfg(test)]

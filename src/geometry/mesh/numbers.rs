@@ -69,6 +69,11 @@ fn lowest_first<const N: usize>(mut bytes: [u8; N], order: Order) -> [u8; N] {
     bytes
 }
 
+/// A number as an index; what is none is the greatest.
+pub(super) fn index(number: i64) -> u32 {
+    u32::try_from(number).unwrap_or(u32::MAX)
+}
+
 impl NumberType {
     /// Bytes of a number.
     pub fn bytes(self) -> usize {
@@ -103,6 +108,15 @@ impl NumberType {
     /// Fractions are cut off. What 64 bits with a sign cannot hold becomes negative or the greatest.
     pub(super) fn integers(self, bytes: &[u8], order: Order) -> Vec<i64> {
         numbers!(self, i64, all(bytes, order))
+    }
+
+    /// The same as indices; what is none is the greatest.
+    pub(super) fn indices(self, bytes: &[u8], order: Order) -> Vec<u32> {
+        let mut all = Vec::with_capacity(bytes.len() / self.bytes());
+        for part in bytes.chunks(4096 * self.bytes()) {
+            all.extend(self.integers(part, order).into_iter().map(index));
+        }
+        all
     }
 
     /// Appends a number as one of this type. What the type cannot hold becomes its nearest number.

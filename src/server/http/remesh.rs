@@ -19,7 +19,7 @@ use super::guard::Whose;
 use super::jobs::{MESH, send_result};
 use super::options::{Asked, format_names, format_of_types};
 use super::problem::{Answered, wrong};
-use crate::service::{self, Caller, Desk, RequestError, timely};
+use crate::service::{self, Caller, Desk, RequestError};
 use geometry::mesh::io::Format;
 use jobs::blob::Digest;
 use jobs::executor::api::JobApi;

@@ -7,7 +7,7 @@
 use std::collections::HashSet;
 use std::hash::Hash;
 
-use super::{DataError, polygons};
+use super::DataError;
 use crate::mesh::attributes::{AttributeError, Attributes, Colours, Normals, PerCorner, Scalar};
 use crate::mesh::{TriMesh, normal};
 use glam::{DVec2, DVec3};
@@ -98,12 +98,13 @@ impl Raw {
         self.unreadable.iter().any(|e| matches!(e, AttributeError::Unreadable { attribute: a, .. } if a == attribute))
     }
 
-    pub(super) fn recut(&mut self, cuts: &[polygons::Cut]) {
-        let apply = |corners: &mut [[u32; 3]]| cuts.iter().for_each(|cut| cut.apply(corners));
-        self.texture.iter_mut().for_each(|texture| apply(&mut texture.corners));
-        if let Some(Normals::PerCorner(normals)) = &mut self.normals {
-            apply(&mut normals.corners);
-        }
+    /// What corners of facets name, list by list.
+    pub(super) fn corners_mut(&mut self) -> impl Iterator<Item = &mut [[u32; 3]]> {
+        let normals = self.normals.as_mut().and_then(|normals| match normals {
+            Normals::PerCorner(normals) => Some(normals.corners.as_mut_slice()),
+            Normals::PerVertex(_) => None,
+        });
+        self.texture.as_mut().map(|texture| texture.corners.as_mut_slice()).into_iter().chain(normals)
     }
 
     /// Checks each attribute by itself.

@@ -4,8 +4,8 @@
 //! checked against the bytes that are left before room is made for it. Must not know: formats.
 
 use super::{DataError, syntax};
-use crate::mesh::numbers::next;
 pub(super) use crate::mesh::numbers::{NumberType as Kind, Order, numbers};
+use crate::mesh::numbers::{index, next};
 
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) enum Encoding {
@@ -141,6 +141,11 @@ impl<'a> Cursor<'a> {
 
     pub(super) fn integers(&mut self, count: usize, kind: Kind, what: &str) -> Result<Vec<i64>, DataError> {
         self.array((count, kind, what), Kind::integers, |cursor| cursor.parsed("a whole number"))
+    }
+
+    /// Numbers of vertices; what is none is the greatest.
+    pub(super) fn indices(&mut self, count: usize, kind: Kind, what: &str) -> Result<Vec<u32>, DataError> {
+        self.array((count, kind, what), Kind::indices, |cursor| cursor.parsed("a whole number").map(index))
     }
 
     /// Numbers that matter for no surface: a word that is none is NaN.

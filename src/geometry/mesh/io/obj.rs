@@ -3,7 +3,7 @@
 //! Purpose: bytes to triangles with what they carry, in one pass over the statements, and back. Vertices are numbered by their
 //! first use in a facet; those that no facet uses are left out. How: statements as nearly all files have them ([`common`]) are
 //! read in place, on all threads. A file with any other statement is read as one piece ([`dialects`]): the `tobj` crate reads
-//! its geometry. Invariant: both give the same to the bit, whatever the number of threads. Must not know: other formats.
+//! its vertices. Invariant: both give the same to the bit, whatever the number of threads. Must not know: other formats.
 
 mod common;
 mod dialects;
@@ -42,7 +42,7 @@ const COLOURS: &str = "colours";
 
 /// Reads a surface; what it carries only if it is `wanted`.
 fn decode(bytes: &[u8], wanted: bool) -> Result<Soup, DataError> {
-    let surface = common::read(bytes, wanted).and_then(Statements::surface);
+    let surface = common::read(bytes, wanted).and_then(|all| all.surface(Raw::default()));
     let mut soup = surface.map_or_else(|| dialects::decode(bytes, wanted), Ok)?;
     if wanted {
         let [materials, groups] = labels(bytes);
@@ -103,7 +103,7 @@ fn others(bytes: &[u8], raw: &mut Raw) {
 }
 
 fn vertex_order(bytes: &[u8]) -> Result<VertexOrder, DataError> {
-    let all = || dialects::read(bytes, true, false).map(|read| read.0);
+    let all = || dialects::read(bytes, false).map(|read| read.0);
     let mut statements = common::read(bytes, false).map_or_else(all, Ok)?;
     Ok((statements.vertices, statements.number_by_use().unwrap_or_default()))
 }
@@ -125,8 +125,10 @@ fn counts(bytes: &[u8]) -> Option<Counts> {
 /// What the statements of a file say. Indices are from 0 and count over the whole file.
 #[derive(Debug, Default)]
 struct Statements {
+    /// Bytes of the text, and how many of them were left at the first face.
+    bytes: usize,
+    left: usize,
     vertices: usize,
-    /// Empty where the crate reads them.
     positions: Vec<DVec3>,
     facets: Vec<[u32; 3]>,
     fans: Vec<Fan>,
@@ -153,28 +155,39 @@ impl Statements {
         self.colours.push(colour);
     }
 
-    /// A polygon as a fan around its first corner. Fewer than three corners are none.
-    fn push_face(&mut self, corners: &[Corner]) {
-        let [first, rest @ ..] = corners else { return };
-        let begin = self.facets.len();
-        for pair in rest.windows(2) {
-            let facet = [*first, pair[0], pair[1]];
-            push_corners(&mut self.texture_corners, self.facets.len(), facet.map(|c| c.texture));
-            push_corners(&mut self.normal_corners, self.facets.len(), facet.map(|c| c.normal));
-            self.facets.push(facet.map(|c| c.vertex));
+    /// Adds a corner to a polygon, which becomes a fan around its first corner. So many bytes of the text are left.
+    fn push_corner(&mut self, face: &mut Face, next: Corner, left: usize) {
+        if let Some([first, last]) = face.first_and_last {
+            if face.corners > 1 {
+                let facet = [first, last, next];
+                if self.facets.is_empty() {
+                    self.left = left;
+                }
+                make_room(&mut self.facets, self.left - left, left);
+                push_corners(&mut self.texture_corners, &self.facets, facet.map(|c| c.texture));
+                push_corners(&mut self.normal_corners, &self.facets, facet.map(|c| c.normal));
+                self.facets.push(facet.map(|c| c.vertex));
+            }
+            face.first_and_last = Some([first, next]);
+        } else {
+            face.first_and_last = Some([next; 2]);
         }
-        self.end_face(begin);
+        face.corners += 1;
     }
 
-    /// After the facets of a polygon, which begin there. Returns whether there are any.
-    fn end_face(&mut self, begin: usize) -> bool {
-        let count = self.facets.len() - begin;
-        if count > 1 {
+    /// Ends a polygon; one of fewer than three corners is none.
+    fn end_face(&mut self, face: &Face) {
+        if face.corners > 3 {
+            let count = face.corners - 2;
             // As many facets as numbers can tell apart are refused later.
             let number = |n: usize| u32::try_from(n).unwrap_or(u32::MAX);
-            self.fans.push((number(begin), number(count)));
+            self.fans.push((number(self.facets.len() - count), number(count)));
         }
-        count > 0
+    }
+
+    fn push_position(&mut self, position: DVec3, left: usize) {
+        make_room(&mut self.positions, self.bytes - left, left);
+        self.positions.push(position);
     }
 
     /// Numbers the vertices by first use. Returns which vertex of the file each is; nothing if a corner names none.
@@ -192,18 +205,18 @@ impl Statements {
         Some(order)
     }
 
-    /// The surface, if the positions are here and no corner names another vertex.
-    fn surface(mut self) -> Option<Soup> {
+    /// The surface, if no corner names another vertex. What `raw` has given up is left out.
+    fn surface(mut self, raw: Raw) -> Option<Soup> {
         let order = self.number_by_use()?;
         let positions = order.par_iter().map(|&v| self.positions[v as usize]).collect();
         let colour = |&v: &u32| self.colours.get(v as usize).copied().unwrap_or(WHITE);
         let colours = (!self.colours.is_empty()).then(|| order.iter().map(colour).collect());
         let (facets, fans) = (std::mem::take(&mut self.facets), std::mem::take(&mut self.fans));
-        let raw = self.carried(&facets, order.len(), colours, Raw::default());
+        let raw = self.carried(&facets, order.len(), colours, raw);
         Some(Soup { positions, facets, fans, raw })
     }
 
-    /// What a surface of these facets and so many vertices carries. What `raw` has given up is left out.
+    /// What a surface of these facets and so many vertices carries.
     fn carried(self, facets: &[[u32; 3]], vertices: usize, colours: Option<Vec<[f64; 4]>>, mut raw: Raw) -> Raw {
         if let Some(values) = colours.filter(|_| !raw.is_unreadable(COLOURS)) {
             let depth = depth(&values);
@@ -228,10 +241,30 @@ impl Statements {
     }
 }
 
+/// A face of which some corners are read.
+#[derive(Default)]
+struct Face {
+    first_and_last: Option<[Corner; 2]>,
+    corners: usize,
+}
+
+/// Makes room in a list that is full: for what the rest of a text has, if it goes on as it did. A list that doubles would take
+/// more than the text.
+fn make_room<T>(list: &mut Vec<T>, read: usize, left: usize) {
+    if list.len() == list.capacity() {
+        // A little more, so that it need not grow again for the last few.
+        let expected = 1.05 * list.len() as f64 * (left as f64 / read.max(1) as f64) + 64.0;
+        list.reserve_exact((expected as usize).min(left / 2).max(list.len() / 8 + 64));
+    }
+}
+
 /// Notes what the corners of the next facet name, if they name anything.
-fn push_corners(list: &mut Vec<[u32; 3]>, facets: usize, corners: [u32; 3]) {
+fn push_corners(list: &mut Vec<[u32; 3]>, facets: &Vec<[u32; 3]>, corners: [u32; 3]) {
     if corners != [NONE; 3] {
-        list.resize(facets, [NONE; 3]);
+        if list.len() == list.capacity() {
+            list.reserve_exact(facets.capacity() - list.len());
+        }
+        list.resize(facets.len(), [NONE; 3]);
         list.push(corners);
     }
 }

@@ -61,7 +61,6 @@ fn decode(bytes: &[u8], wanted: bool) -> Result<Soup, DataError> {
             carried.push(text.split_ascii_whitespace().skip(3).take(9).collect());
         }
     }
-    let mut corners = Vec::new();
     for index in 0..faces {
         let (line, text) = lines.next()?.ok_or_else(|| cut("faces", index, faces))?;
         let mut words = text.split_ascii_whitespace().map(|w| w.parse::<i64>().ok());
@@ -69,18 +68,22 @@ fn decode(bytes: &[u8], wanted: bool) -> Result<Soup, DataError> {
         let Some(count) = words.next().flatten().and_then(|n| usize::try_from(n).ok()) else {
             return Err(syntax("a face begins with the number of its corners"));
         };
-        corners.clear();
+        // A corner has two bytes at least.
+        let mut polygon = soup.begin_polygon(vertices, count.min(text.len() / 2 + 1));
+        let mut there = 0;
         for word in words.by_ref().take(count) {
-            corners.push(word.ok_or_else(|| syntax("a corner is a whole number, the vertex from 0"))?);
+            let corner = word.ok_or_else(|| syntax("a corner is a whole number, the vertex from 0"))?;
+            soup.push_corner(&mut polygon, corner).map_err(|message| syntax(&message))?;
+            there += 1;
         }
-        if corners.len() < count {
+        if there < count {
             return Err(if lines.rest.is_empty() {
                 cut("faces", index, faces)
             } else {
-                syntax(&format!("{count} corners are announced and {} are there", corners.len()))
+                syntax(&format!("{count} corners are announced and {there} are there"))
             });
         }
-        soup.push_polygon(&corners).map_err(|message| syntax(&message))?;
+        soup.end_polygon(&polygon).map_err(|message| syntax(&message))?;
         more_of_faces |= wanted && words.next().is_some();
     }
     soup.raw = carried.map(|carried| carried.finish(&soup.facets)).unwrap_or_default();

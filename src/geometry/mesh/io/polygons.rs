@@ -3,8 +3,8 @@
 //! Purpose: readers make a fan of every polygon, which is right for convex ones. [`recut`] finds those of which it is not,
 //! as some of its triangles would lie outside, turned over, and cuts them by clipping ears (`earcut`).
 //! Invariant: a polygon of n corners stays n - 2 facets with each of its corners, so that neighbours keep their edges; one
-//! that crosses itself, of which nothing would be right, keeps its fan. What stands for the corners beside the facets can be
-//! cut in the same way ([`Cut::apply`]). Must not know: formats.
+//! that crosses itself, of which nothing would be right, keeps its fan. What stands for the corners beside the facets is
+//! cut in the same way, in place. Must not know: formats.
 
 use earcut::Earcut;
 use earcut::utils3d::project3d_to_2d;
@@ -19,41 +19,31 @@ pub(super) type Fan = (u32, u32);
 const MOST: u32 = 1 << 14;
 /// A fan's triangle is turned over if it is so by more than rounding: this share of the polygon's area.
 const TURNED: f64 = 1e-9;
+/// Bytes that cutting takes for a corner: of `earcut` 76 and as many again as its list of nodes may grow by.
+const CORNER_BYTES: usize = 120;
+/// Bytes that cutting may take in any case.
+const LEAST_ROOM: usize = 128 << 10;
 
-#[derive(Debug, Clone, PartialEq)]
-pub(super) struct Cut {
-    first: u32,
-    /// Numbers of the polygon's corners, from 0.
-    triangles: Vec<[u32; 3]>,
-}
-
-impl Cut {
-    pub(super) fn apply(&self, facets: &mut [[u32; 3]]) {
-        let fan = facets.get_mut(self.first as usize..).and_then(|f| f.get_mut(..self.triangles.len()));
-        let Some(fan) = fan else { return };
-        let ring = ring(fan);
-        fan.iter_mut().zip(&self.triangles).for_each(|(facet, cut)| *facet = cut.map(|corner| ring[corner as usize]));
+/// Cuts polygons, of which `lists` has the facets and then what stands beside them. One that would take more than `room`
+/// bytes keeps its fan.
+pub(super) fn recut(positions: &[DVec3], lists: &mut [&mut [[u32; 3]]], fans: &[Fan], room: usize) {
+    let mut scratch = Scratch::default();
+    let most = (room.max(LEAST_ROOM) / CORNER_BYTES).min(MOST as usize);
+    let place = |v: u32| positions.get(v as usize).copied().unwrap_or(DVec3::NAN);
+    for &(first, count) in fans.iter().filter(|fan| (fan.1 as usize) < most) {
+        let range = first as usize..first as usize + count as usize;
+        let fan = lists.first().and_then(|facets| facets.get(range.clone())).unwrap_or_default();
+        if is_right(fan, place) || !scratch.may_be_simple(fan, place) || !scratch.cut(fan, place) {
+            continue;
+        }
+        lists.iter_mut().filter_map(|list| list.get_mut(range.clone())).for_each(|fan| scratch.apply(fan));
     }
 }
 
 /// The corners of a fan in order.
-fn ring(fan: &[[u32; 3]]) -> Vec<u32> {
+fn ring(fan: &[[u32; 3]]) -> impl Iterator<Item = u32> {
     let first = fan.iter().take(1).flat_map(|t| [t[0], t[1]]);
-    first.chain(fan.iter().map(|t| t[2])).collect()
-}
-
-pub(super) fn recut(positions: &[DVec3], facets: &[[u32; 3]], fans: &[Fan]) -> Vec<Cut> {
-    let mut scratch = Scratch::default();
-    let mut cuts = Vec::new();
-    for &(first, count) in fans.iter().filter(|fan| fan.1 < MOST) {
-        let fan = facets.get(first as usize..).and_then(|f| f.get(..count as usize)).unwrap_or_default();
-        let place = |v: u32| positions.get(v as usize).copied().unwrap_or(DVec3::NAN);
-        if is_right(fan, place) {
-            continue;
-        }
-        cuts.extend(scratch.cut(&ring(fan), place).map(|triangles| Cut { first, triangles }));
-    }
-    cuts
+    first.chain(fan.iter().map(|t| t[2]))
 }
 
 /// Whether no triangle of a fan is turned over.
@@ -67,50 +57,72 @@ fn is_right(fan: &[[u32; 3]], place: impl Fn(u32) -> DVec3) -> bool {
 
 #[derive(Default)]
 struct Scratch {
-    corners: Vec<[f64; 3]>,
+    ring: Vec<u32>,
     flat: Vec<[f64; 2]>,
+    /// Numbers of the polygon's corners, from 0, three a triangle.
     ears: Vec<u32>,
     earcut: Earcut<f64>,
 }
 
 impl Scratch {
-    /// `None` if the polygon cannot be cut, or if the cut is no better than the fan.
-    fn cut(&mut self, ring: &[u32], place: impl Fn(u32) -> DVec3) -> Option<Vec<[u32; 3]>> {
-        let corners: Vec<DVec3> = ring.iter().map(|&v| place(v)).collect();
-        let low = corners.iter().copied().fold(DVec3::INFINITY, DVec3::min);
-        let extent = (corners.iter().copied().fold(DVec3::NEG_INFINITY, DVec3::max) - low).max_element();
+    /// Whether no more than half of the corners are where another one is. A hole that is joined to the outer ring has two such
+    /// corners and three of its own. Ears of a polygon that is in few places take very long.
+    fn may_be_simple(&mut self, fan: &[[u32; 3]], place: impl Fn(u32) -> DVec3) -> bool {
+        self.ring.clear();
+        self.ring.extend(ring(fan));
+        let corners = self.ring.len();
+        let order = |a: DVec3, b: DVec3| a.x.total_cmp(&b.x).then(a.y.total_cmp(&b.y)).then(a.z.total_cmp(&b.z));
+        self.ring.sort_unstable_by(|&a, &b| order(place(a), place(b)));
+        self.ring.dedup_by(|a, b| place(*a) == place(*b));
+        2 * self.ring.len() >= corners
+    }
+
+    /// Finds the triangles of a polygon. Returns whether there are any that are better than the fan.
+    fn cut(&mut self, fan: &[[u32; 3]], place: impl Fn(u32) -> DVec3) -> bool {
+        let places = || ring(fan).map(&place);
+        let low = places().fold(DVec3::INFINITY, DVec3::min);
+        let extent = (places().fold(DVec3::NEG_INFINITY, DVec3::max) - low).max_element();
         if !(extent.is_finite() && extent > 0.0) {
-            return None;
+            return false;
         }
-        // So that no square leaves the range.
-        self.corners.clear();
-        self.corners.extend(corners.iter().map(|&p| ((p - low) / extent).to_array()));
-        if !project3d_to_2d(&self.corners, self.corners.len(), &mut self.flat) {
-            return None;
+        // So that no square leaves the range. The list is freed before the ears need theirs.
+        let mut corners = Vec::with_capacity(fan.len() + 2);
+        corners.extend(places().map(|p| ((p - low) / extent).to_array()));
+        if !project3d_to_2d(&corners, corners.len(), &mut self.flat) {
+            return false;
         }
+        drop(corners);
         self.earcut.earcut_slice::<u32>(&self.flat, &[], &mut self.ears);
-        let mut triangles = self.ears.as_chunks::<3>().0.to_vec();
         let twice = |t: &[u32; 3]| {
             let [a, b, c] = t.map(|k| self.flat[k as usize]);
             (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
         };
-        let whole: f64 = (2..ring.len() as u32).map(|k| twice(&[0, k - 1, k])).sum();
+        let count = self.flat.len() as u32;
+        let whole: f64 = (2..count).map(|k| twice(&[0, k - 1, k])).sum();
         // Both ways around are possible; a facet is oriented as its polygon.
-        let turned = triangles.iter().map(twice).sum::<f64>() * whole < 0.0;
-        if turned {
-            triangles.iter_mut().for_each(|t| t.swap(1, 2));
+        if self.ears.as_chunks().0.iter().map(twice).sum::<f64>() * whole < 0.0 {
+            self.ears.as_chunks_mut::<3>().0.iter_mut().for_each(|t| t.swap(1, 2));
         }
-        put_back(&mut triangles, ring.len() as u32);
+        put_back(&mut self.ears, count);
+        let triangles = self.ears.as_chunks::<3>().0;
         let area = |t: &[u32; 3]| twice(t).abs();
         let is_whole = (triangles.iter().map(area).sum::<f64>() - whole.abs()).abs() <= 1e-6 * whole.abs();
-        (triangles.len() + 2 == ring.len() && is_whole).then_some(triangles)
+        triangles.len() == fan.len() && is_whole
+    }
+
+    /// Makes the triangles that were found of a fan.
+    fn apply(&mut self, fan: &mut [[u32; 3]]) {
+        self.ring.clear();
+        self.ring.extend(ring(fan));
+        let triangles = self.ears.as_chunks::<3>().0;
+        fan.iter_mut().zip(triangles).for_each(|(facet, cut)| *facet = cut.map(|corner| self.ring[corner as usize]));
     }
 }
 
 /// Puts corners that lie on a line with their neighbours, and were left out, into the edges that pass them by.
-fn put_back(triangles: &mut Vec<[u32; 3]>, corners: u32) {
+fn put_back(ears: &mut Vec<u32>, corners: u32) {
     let mut there = vec![false; corners as usize];
-    triangles.iter().flatten().for_each(|&c| there[c as usize] = true);
+    ears.iter().for_each(|&c| there[c as usize] = true);
     let Some(first) = (0..corners).find(|&c| there[c as usize]) else { return };
     let mut from = first;
     for k in 1..=corners {
@@ -118,12 +130,11 @@ fn put_back(triangles: &mut Vec<[u32; 3]>, corners: u32) {
         if !there[corner as usize] {
             // The next one that is there.
             let to = (1..=corners).map(|k| (corner + k) % corners).find(|&c| there[c as usize]).unwrap_or(first);
-            let edge = triangles.iter().position(|t| (0..3).any(|s| t[s] == from && t[(s + 1) % 3] == to));
-            let Some(at) = edge else { return };
-            let t = triangles[at];
-            let across = t.into_iter().find(|&c| c != from && c != to).unwrap_or(from);
-            triangles[at] = [from, corner, across];
-            triangles.push([corner, to, across]);
+            let has_edge = |t: &&mut [u32; 3]| (0..3).any(|s| t[s] == from && t[(s + 1) % 3] == to);
+            let Some(t) = ears.as_chunks_mut::<3>().0.iter_mut().find(has_edge) else { return };
+            let across = t.iter().copied().find(|&c| c != from && c != to).unwrap_or(from);
+            *t = [from, corner, across];
+            ears.extend([corner, to, across]);
             there[corner as usize] = true;
         }
         from = corner;
@@ -140,7 +151,7 @@ mod tests {
     fn cut(places: &[DVec3]) -> Vec<[u32; 3]> {
         let n = places.len() as u32;
         let mut facets: Vec<[u32; 3]> = (2..n).map(|k| [0, k - 1, k]).collect();
-        recut(places, &facets.clone(), &[(0, n - 2)]).iter().for_each(|cut| cut.apply(&mut facets));
+        recut(places, &mut [&mut facets], &[(0, n - 2)], 0);
         facets
     }
 
@@ -214,7 +225,10 @@ mod tests {
 
     #[test]
     fn fans_that_are_not_there_do_no_harm() {
-        assert!(recut(&[], &[], &[(5, 3)]).is_empty());
-        Cut { first: 1, triangles: vec![[0, 1, 2], [0, 2, 3]] }.apply(&mut [[0, 1, 2]]);
+        let mut facets = [[0, 1, 2]];
+        recut(&[], &mut [], &[(5, 3)], 0);
+        recut(&[], &mut [&mut facets], &[(0, 3)], 0);
+        recut(&[], &mut [&mut facets], &[(u32::MAX, u32::MAX)], usize::MAX);
+        assert_eq!(facets, [[0, 1, 2]]);
     }
 }

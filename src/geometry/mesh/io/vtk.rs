@@ -167,7 +167,7 @@ impl Cell {
     }
 
     /// Adds its facets. Returns what it is if it has none.
-    fn push(&self, soup: &mut Soup, points: &[i64], scratch: &mut Vec<i64>) -> Result<Others, String> {
+    fn push(&self, soup: &mut Soup, points: &[u32], scratch: &mut Vec<u32>) -> Result<Others, String> {
         match self {
             Self::Polygon => soup.push_polygon(points)?,
             Self::Corners(n) => soup.push_polygon(points.get(..*n).unwrap_or(points))?,
@@ -198,9 +198,12 @@ fn push_cells(
     soup: &mut Soup,
     cell: impl Fn(usize) -> Cell,
     ends: &[i64],
-    points: &[i64],
+    points: &[u32],
 ) -> Result<Others, DataError> {
     let (mut start, mut others, mut scratch) = (0usize, Others::default(), Vec::new());
+    // All at once: the list would take more than the file while it grows.
+    let most = usize::try_from(facets(&cell, ends)).unwrap_or(usize::MAX).min(points.len());
+    soup.facets.reserve_exact(most);
     for (index, &end) in ends.iter().enumerate() {
         let wrong = |message: String| DataError::Element { element: "cell", index, message };
         let corners = usize::try_from(end).ok().and_then(|end| points.get(start..end));

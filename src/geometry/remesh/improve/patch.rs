@@ -126,10 +126,14 @@ impl Patch {
     /// surface. Across a sharp crease or a thin sheet, vertices of the other side may be as near, and are left out.
     fn add_edge_midpoints(&self, points: &mut Vec<(DVec3, u32)>) {
         let mut midpoints = Vec::new();
+        // Long facets end far from the patch, where none of its vertices takes a midpoint.
+        let middle = self.mesh.positions.iter().sum::<DVec3>() / self.mesh.positions.len() as f64;
+        let radius = self.mesh.positions.iter().map(|p| p.distance(middle)).fold(0.0, f64::max);
+        let reach = (radius + MIDPOINT_REACH * self.mean_edge) * (1.0 + 1e-9);
         for [a, b, c] in self.input_facets.corners() {
             let normal = unit_normal([a, b, c]);
             for (p, q) in [(a, b), (b, c), (c, a)] {
-                if p.distance(q) > LONG_EDGE * self.mean_edge {
+                if p.distance(q) > LONG_EDGE * self.mean_edge && middle.distance((p + q) / 2.0) < reach {
                     midpoints.push(((p + q) / 2.0, normal));
                 }
             }

@@ -1,14 +1,14 @@
 //! OBJ statements as nearly all files have them: one a line, vertices of three numbers with or without a colour, indices that
 //! count from 1.
 //!
-//! Purpose: reads a file of such statements in place, in pieces on all threads. The crate needs a cleaned copy of it, a string
-//! for each line, a list for each face and a hash map of the vertices, and takes twice as long on one thread. Invariant: gives
+//! Purpose: reads a file of such statements in place, in pieces on all threads. The crate needs a copy of it, a string for each
+//! line and a hash map of the vertices, and takes twice as long on one thread. Invariant: gives
 //! what [`super::dialects`] gives, to the bit, or nothing; what is wrong with a file is said there. Must not know: messages.
 
 use glam::{DVec2, DVec3};
 use rayon::prelude::*;
 
-use super::{Corner, NONE, Statements, WHITE};
+use super::{Corner, Face, NONE, Statements, WHITE};
 
 /// About so many bytes are one task.
 const PIECE: usize = 1 << 19;
@@ -16,37 +16,60 @@ const PIECE: usize = 1 << 19;
 /// The statements, if all that matter are as the head of this file says. What a surface carries is read if it is `wanted`.
 pub(super) fn read(bytes: &[u8], wanted: bool) -> Option<Statements> {
     let parts = pieces(bytes).into_par_iter().map(|text| Part::read(text, wanted));
-    let parts: Vec<Statements> = parts.collect::<Option<_>>()?;
-    let (positions, facets) = rayon::join(|| joined(&parts, |p| &p.positions), || joined(&parts, |p| &p.facets));
-    let mut all = Statements::default();
+    let mut parts: Vec<Statements> = parts.collect::<Option<_>>()?;
+    // One that names no vertex is another's to say, before there are lists of all.
+    let vertices: usize = parts.iter().map(|part| part.vertices).sum();
+    let is_known = |part: &Statements| part.facets.iter().flatten().all(|&v| (v as usize) < vertices);
+    if !parts.par_iter().all(is_known) {
+        return None;
+    }
+    let positions = parts.iter_mut().map(|part| std::mem::take(&mut part.positions)).collect();
+    let facets: Vec<_> = parts.iter_mut().map(|part| std::mem::take(&mut part.facets)).collect();
+    let counts: Vec<usize> = facets.iter().map(Vec::len).collect();
+    let (positions, facets) = rayon::join(|| joined(positions), || joined(facets));
+    let mut all = Statements { positions, facets, ..Statements::default() };
     let mut begin = 0;
-    for part in parts {
+    for (part, count) in parts.into_iter().zip(counts) {
         let first = u32::try_from(begin).ok()?;
-        append(&mut all.colours, part.colours, all.vertices, WHITE);
-        append(&mut all.texture_corners, part.texture_corners, begin, [NONE; 3]);
-        append(&mut all.normal_corners, part.normal_corners, begin, [NONE; 3]);
+        append(&mut all.colours, part.colours, all.vertices, all.positions.len(), WHITE);
+        append(&mut all.texture_corners, part.texture_corners, begin, all.facets.len(), [NONE; 3]);
+        append(&mut all.normal_corners, part.normal_corners, begin, all.facets.len(), [NONE; 3]);
         all.fans.extend(part.fans.iter().map(|&(fan, count)| (first + fan, count)));
         all.texture.extend(part.texture);
         all.normals.extend(part.normals);
         all.vertices += part.vertices;
-        begin += part.facets.len();
+        begin += count;
     }
-    (all.positions, all.facets) = (positions, facets);
     (!all.facets.is_empty()).then_some(all)
 }
 
-fn joined<T: Copy>(parts: &[Statements], list: impl Fn(&Statements) -> &Vec<T>) -> Vec<T> {
-    let mut all = Vec::with_capacity(parts.iter().map(|part| list(part).len()).sum());
-    parts.iter().for_each(|part| all.extend_from_slice(list(part)));
+/// Gives back room for many more elements.
+fn shrink<T>(list: &mut Vec<T>) {
+    if list.capacity() > 2 * list.len() {
+        list.shrink_to_fit();
+    }
+}
+
+/// The lists as one, each freed once it is there.
+fn joined<T: Copy>(mut lists: Vec<Vec<T>>) -> Vec<T> {
+    if lists.len() == 1 {
+        return lists.pop().unwrap_or_default();
+    }
+    let mut all = Vec::with_capacity(lists.iter().map(Vec::len).sum());
+    lists.into_iter().for_each(|list| all.extend_from_slice(&list));
     all
 }
 
-/// Appends a part's list to one that has as many as there were before it, or stops earlier.
-fn append<T: Copy>(all: &mut Vec<T>, part: Vec<T>, before: usize, fill: T) {
-    if !part.is_empty() {
-        all.resize(before, fill);
-        all.extend(part);
+/// Appends a part's list to one that has as many as there were before it, or stops earlier; `most` are there at the end.
+fn append<T: Copy>(all: &mut Vec<T>, part: Vec<T>, before: usize, most: usize, fill: T) {
+    if part.is_empty() {
+        return;
     }
+    if all.is_empty() {
+        all.reserve_exact(most);
+    }
+    all.resize(before, fill);
+    all.extend(part);
 }
 
 /// Whole lines, about [`PIECE`] bytes of them at a time.
@@ -67,14 +90,16 @@ fn pieces(bytes: &[u8]) -> Vec<&[u8]> {
 struct Part<'a> {
     words: Words<'a>,
     wanted: bool,
-    corners: Vec<Corner>,
     found: Statements,
 }
 
 impl<'a> Part<'a> {
     fn read(text: &'a [u8], wanted: bool) -> Option<Statements> {
         let words = Words { rest: text, last: b' ' };
-        let mut part = Part { words, wanted, corners: Vec::new(), found: Statements::default() };
+        let mut part = Part { words, wanted, found: Statements { bytes: text.len(), ..Statements::default() } };
+        // A corner stands behind a blank. A list that grows would take twice as much for a while.
+        let blanks = text.iter().filter(|byte| matches!(byte, b' ' | b'\t' | b'\r' | 0x0c)).count();
+        part.found.facets.reserve_exact(blanks.min(text.len() / 2));
         while !part.words.rest.is_empty() {
             match part.words.next() {
                 Some(b"v") => part.vertex()?,
@@ -87,6 +112,11 @@ impl<'a> Part<'a> {
             }
             part.words.end_line()?;
         }
+        // All parts are held until they are joined.
+        shrink(&mut part.found.positions);
+        shrink(&mut part.found.facets);
+        shrink(&mut part.found.texture_corners);
+        shrink(&mut part.found.normal_corners);
         Some(part.found)
     }
 
@@ -104,7 +134,7 @@ impl<'a> Part<'a> {
             }
             self.found.push_colour(colour);
         }
-        self.found.positions.push(position);
+        self.found.push_position(position, self.words.rest.len());
         self.found.vertices += 1;
         position.is_finite().then_some(())
     }
@@ -123,32 +153,14 @@ impl<'a> Part<'a> {
     }
 
     fn face(&mut self) -> Option<()> {
-        if !self.wanted {
-            return self.plain_face();
-        }
-        self.corners.clear();
+        let mut face = Face::default();
         while let Some(word) = self.words.next().filter(|word| word[0] != b'#') {
-            self.corners.push(corner(word)?);
+            let plain = |vertex| Corner { vertex, texture: NONE, normal: NONE };
+            let corner = if self.wanted { corner(word)? } else { plain(vertex(word)?) };
+            self.found.push_corner(&mut face, corner, self.words.rest.len());
         }
-        if self.corners.len() < 3 {
-            return None;
-        }
-        self.found.push_face(&self.corners);
-        Some(())
-    }
-
-    /// The same without what corners carry.
-    fn plain_face(&mut self) -> Option<()> {
-        let (first, mut last) = (vertex(self.words.next()?)?, vertex(self.words.next()?)?);
-        let begin = self.found.facets.len();
-        let mut word = self.words.next();
-        while let Some(next) = word.filter(|word| word[0] != b'#') {
-            let next = vertex(next)?;
-            self.found.facets.push([first, last, next]);
-            last = next;
-            word = self.words.next();
-        }
-        self.found.end_face(begin).then_some(())
+        self.found.end_face(&face);
+        (face.corners >= 3).then_some(())
     }
 }
 

@@ -1,9 +1,9 @@
 //! OBJ statements of any kind: continued lines, indices from the end, points over their last coordinate, faces before their
 //! vertices.
 //!
-//! Purpose: reads a file as one piece. The `tobj` crate reads the geometry, from a copy that has positions and faces alone: it
-//! splits vertices at groups, makes facets of polylines (`l 1 2 3`), refuses files for their texture or material lines, which
-//! do not matter here, and its errors name no line.
+//! Purpose: reads a file as one piece. The `tobj` crate reads the vertices, some at a time, and nothing else: for each face it
+//! takes several times the bytes, splits vertices at groups, makes facets of polylines (`l 1 2 3`), refuses files for their
+//! texture or material lines, which do not matter here, and its errors name no line.
 //! Invariant: an attribute that cannot be understood is given up and named, and spoils nothing else. Must not know: threads.
 
 use glam::{DVec2, DVec3};
@@ -12,82 +12,59 @@ use tobj::LoadOptions;
 use super::super::held::Raw;
 pub(super) use super::super::numbers::parse as number;
 use super::super::{DataError, Soup, syntax};
-use super::{COLOURS, Corner, NONE, NORMALS, Statements, TEXTURE, WHITE};
+use super::{COLOURS, Corner, Face, NONE, NORMALS, Statements, TEXTURE};
 use crate::mesh::MeshError;
 
+/// Vertices that the crate reads at a time, and bytes of their text.
+const VERTICES: usize = 1 << 10;
+const TEXT_BYTES: usize = 1 << 16;
+
 pub(super) fn decode(bytes: &[u8], wanted: bool) -> Result<Soup, DataError> {
-    let (statements, text, mut raw) = read(bytes, wanted, wanted)?;
-    let options = LoadOptions { ignore_points: true, ignore_lines: true, ..LoadOptions::default() };
-    let no_materials = |_: &std::path::Path| Ok((Vec::new(), Default::default()));
-    let (models, _) = tobj::load_obj_buf(&mut text.as_slice(), &options, no_materials)
-        .map_err(|error| locate(bytes).unwrap_or_else(|| DataError::Header(error.to_string())))?;
-    let Some(mesh) = models.into_iter().next().map(|model| model.mesh) else {
-        return Ok(Soup::default());
-    };
-    let (positions, _) = mesh.positions.as_chunks::<3>();
-    let positions: Vec<DVec3> = positions.iter().map(|&p| DVec3::from_array(p)).collect();
-    if positions.iter().any(|p| !p.is_finite()) {
-        return Err(locate(bytes).unwrap_or_else(|| DataError::Header("a coordinate is not finite".into())));
+    let (statements, raw) = read(bytes, wanted)?;
+    let blame = |message: &str| locate(bytes).unwrap_or_else(|| DataError::Header(message.to_owned()));
+    let soup = statements.surface(raw).ok_or_else(|| blame("a face names no vertex"))?;
+    if soup.positions.iter().any(|p| !p.is_finite()) {
+        return Err(blame("a coordinate is not finite"));
     }
-    let mut soup = Soup { positions, ..Soup::default() };
-    if mesh.face_arities.is_empty() {
-        soup.facets = mesh.indices.as_chunks::<3>().0.to_vec();
-    } else {
-        let mut rest = &mesh.indices[..];
-        for &corners in &mesh.face_arities {
-            let (face, after) = rest.split_at_checked(corners as usize).unwrap_or((rest, &[]));
-            let corners: Vec<i64> = face.iter().map(|&v| i64::from(v)).collect();
-            soup.push_polygon(&corners).map_err(DataError::Header)?;
-            rest = after;
-        }
-    }
-    if wanted && statements.facets.len() != soup.facets.len() {
-        let message = format!("{} facets name them and the surface has {}", statements.facets.len(), soup.facets.len());
-        raw.unreadable("all attributes", message);
-    } else if wanted {
-        let colours = (!statements.colours.is_empty()).then(|| {
-            let mut values = vec![WHITE; soup.positions.len()];
-            for (&corner, &vertex) in statements.facets.iter().flatten().zip(soup.facets.iter().flatten()) {
-                values[vertex as usize] = statements.colours.get(corner as usize).copied().unwrap_or(WHITE);
-            }
-            values
-        });
-        raw = statements.carried(&soup.facets, soup.positions.len(), colours, raw);
-    }
-    soup.raw = raw;
     Ok(soup)
 }
 
-/// The statements without positions, a copy of what the crate is to read, and what could not be understood. Facets are collected
-/// if they are `numbered`.
-pub(super) fn read(bytes: &[u8], numbered: bool, wanted: bool) -> Result<(Statements, Vec<u8>, Raw), DataError> {
-    let mut reader = Reader {
-        numbered,
-        wanted,
-        found: Statements::default(),
-        text: Vec::with_capacity(bytes.len()),
-        raw: Raw::default(),
-    };
-    let mut corners = Vec::new();
+/// The statements, and what could not be understood.
+pub(super) fn read(bytes: &[u8], wanted: bool) -> Result<(Statements, Raw), DataError> {
+    let mut found = Statements { bytes: bytes.len(), ..Statements::default() };
+    // At once: while it grows, a list takes twice as much.
+    let facets = super::counts(bytes).and_then(|counts| usize::try_from(counts.facets).ok());
+    found.facets.reserve_exact(facets.unwrap_or(0));
+    let mut reader = Reader { wanted, found, left: bytes.len(), text: Vec::new(), waiting: 0, raw: Raw::default() };
+    let wrong = |error: String| locate(bytes).unwrap_or(DataError::Header(error));
     for (line, statement) in statements(bytes) {
         let mut words = Words(statement);
+        reader.left = reader.left.saturating_sub(statement.len());
         match words.next() {
             Some(b"v") => reader.vertex(line, words),
-            Some(b"f") => reader.face(line, words, &mut corners)?,
+            Some(b"f") => reader.face(line, words)?,
             Some(b"vt") if wanted => reader.texture(line, words),
             Some(b"vn") if wanted => reader.normal(line, words),
             _ => {}
         }
+        if reader.waiting == VERTICES || reader.text.len() > TEXT_BYTES {
+            reader.positions().map_err(wrong)?;
+        }
     }
-    Ok((reader.found, reader.text, reader.raw))
+    if reader.waiting > 0 {
+        reader.positions().map_err(wrong)?;
+    }
+    Ok((reader.found, reader.raw))
 }
 
 struct Reader {
-    numbered: bool,
     wanted: bool,
     found: Statements,
-    /// The `v` and `f` statements alone, a line each, with position indices alone.
+    /// Bytes of the file that are left.
+    left: usize,
+    /// The `v` statements that the crate has to read yet, a line each, without colours, and how many there are.
     text: Vec<u8>,
+    waiting: usize,
     raw: Raw,
 }
 
@@ -102,6 +79,7 @@ impl Reader {
             self.text.extend_from_slice(value);
         }
         self.text.push(b'\n');
+        self.waiting += 1;
         if self.wanted && count == 6 {
             // What is no number is refused with the others that are not finite.
             let [r, g, b] = [values[3], values[4], values[5]].map(|word| number(word).unwrap_or(f64::NAN));
@@ -111,6 +89,22 @@ impl Reader {
             self.give_up(COLOURS, message);
         }
         self.found.vertices += 1;
+    }
+
+    /// Has the crate read the vertices that wait. The message says what is wrong with one of them.
+    fn positions(&mut self) -> Result<(), String> {
+        // A face of all of them, so that each is kept, in order.
+        self.text.push(b'f');
+        (1..=self.waiting).for_each(|v| self.text.extend_from_slice(format!(" {v}").as_bytes()));
+        let no_materials = |_: &std::path::Path| Ok((Vec::new(), Default::default()));
+        let read = tobj::load_obj_buf(&mut self.text.as_slice(), &LoadOptions::default(), no_materials);
+        let (models, _) = read.map_err(|error| error.to_string())?;
+        for &position in models.iter().flat_map(|model| model.mesh.positions.as_chunks::<3>().0) {
+            self.found.push_position(DVec3::from_array(position), self.left);
+        }
+        self.text.clear();
+        self.waiting = 0;
+        Ok(())
     }
 
     fn texture(&mut self, line: usize, mut words: Words<'_>) {
@@ -132,24 +126,15 @@ impl Reader {
         self.found.normals.push(DVec3::new(x, y, z));
     }
 
-    fn face(&mut self, line: usize, words: Words<'_>, corners: &mut Vec<Corner>) -> Result<(), DataError> {
-        corners.clear();
-        let mut count = 0;
-        self.text.push(b'f');
-        for word in words {
+    fn face(&mut self, line: usize, mut words: Words<'_>) -> Result<(), DataError> {
+        let mut face = Face::default();
+        while let Some(word) = words.next() {
             let mut parts = word.split(|&b| b == b'/');
             let position = parts.next().unwrap_or_default();
             if position.is_empty() {
-                // `//3`: the crate would not see the corner, and take a smaller face or none.
                 return Err(syntax(line, format!("\"{}\" names no vertex", shown(word))));
             }
-            self.text.push(b' ');
-            self.text.extend_from_slice(position);
-            if !self.numbered {
-                count += 1;
-                continue;
-            }
-            // The crate takes the position's index; this one is right, or no facet comes of it.
+            // One that names none is said once all vertices are known.
             let vertex = number(position).and_then(|i| from_zero(i, self.found.vertices)).unwrap_or(NONE);
             let mut corner = Corner { vertex, texture: NONE, normal: NONE };
             if self.wanted {
@@ -157,14 +142,12 @@ impl Reader {
                 corner.texture = self.index(line, word, parts.next(), texture, TEXTURE);
                 corner.normal = self.index(line, word, parts.next(), normal, NORMALS);
             }
-            corners.push(corner);
+            self.found.push_corner(&mut face, corner, self.left + words.0.len());
         }
-        self.text.push(b'\n');
-        count += corners.len();
-        if count < 3 {
-            return Err(syntax(line, format!("a face needs at least 3 corners and has {count}")));
+        if face.corners < 3 {
+            return Err(syntax(line, format!("a face needs at least 3 corners and has {}", face.corners)));
         }
-        self.found.push_face(corners);
+        self.found.end_face(&face);
         Ok(())
     }
 
@@ -196,8 +179,9 @@ fn from_zero(index: i64, count: usize) -> Option<u32> {
 
 /// After a failure: the first line that is to blame.
 fn locate(bytes: &[u8]) -> Option<DataError> {
+    // Faces may come before their vertices.
+    let all = statements(bytes).filter(|(_, statement)| Words(statement).next() == Some(b"v")).count();
     let mut vertices = 0;
-    let mut faces = Vec::new();
     for (line, statement) in statements(bytes) {
         let mut words = Words(statement);
         match words.next() {
@@ -223,16 +207,16 @@ fn locate(bytes: &[u8]) -> Option<DataError> {
                     };
                     let from_start =
                         if index < 0 { i64::try_from(vertices).ok()?.wrapping_add(index) } else { index - 1 };
-                    faces.push((line, index, from_start));
+                    if usize::try_from(from_start).map_or(true, |i| i >= all) {
+                        let message = format!("vertex {index} is named, but there are {all} (1 to {all})");
+                        return Some(syntax(line, message));
+                    }
                 }
             }
             _ => {}
         }
     }
-    // Faces may come before their vertices, so only now is their number known.
-    let bad = faces.into_iter().find(|&(_, _, i)| usize::try_from(i).map_or(true, |i| i >= vertices));
-    let named = |index| format!("vertex {index} is named, but there are {vertices} (1 to {vertices})");
-    bad.map(|(line, index, _)| syntax(line, named(index)))
+    None
 }
 
 /// The beginning of a word, for a message: a file may hold one of any length.

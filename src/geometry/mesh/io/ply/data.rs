@@ -18,114 +18,109 @@ pub(super) fn read(header: &Header<'_>, carried: &mut Carried) -> Result<Soup, D
     if let Some(soup) = records(header, carried) {
         return Ok(soup);
     }
-    let mut rows = Rows { cursor: cursor(header), positions: Vec::new(), corners: Vec::new(), carried };
-    let mut soup = Soup::default();
-    // Faces that stand before the vertices that they name are made at the end.
-    let mut early: Vec<(usize, bool)> = Vec::new();
+    let mut rows = Rows { cursor: cursor(header), soup: Soup::default(), vertices: 0, carried };
+    // Faces may stand before the vertices that they name.
+    rows.vertices = header.element("vertex").map_or(0, |vertex| vertex.count);
+    // A corner may be one byte: a list that grows would take more than the file.
+    if header.encoding != Encoding::Text {
+        let facets = counts(header).and_then(|counts| usize::try_from(counts.facets).ok());
+        rows.soup.facets.reserve_exact(facets.unwrap_or(0));
+    }
     // Rows without properties are none.
     for element in header.elements.iter().filter(|element| !element.properties.is_empty()) {
-        let (is_strips, is_face) = (element.name == STRIPS, element.name == "face");
-        let is_early = soup.positions.is_empty() || !early.is_empty();
         let roles: Vec<Role> = element.properties.iter().map(|p| rows.carried.role(element, p)).collect();
         // Two bytes a number, at the least, or four a face.
         let (most, count) = (rows.cursor.rest.len(), element.count);
         match element.name.as_str() {
-            "vertex" => rows.positions.reserve_exact(count.min(most / 3 + 1)),
-            "face" if is_early => {
-                early.reserve_exact(count.min(most / 4 + 1));
-                rows.corners.reserve_exact(count.saturating_mul(3).min(most / 2 + 1));
-            }
-            "face" => soup.facets.reserve_exact(count.min(most / 4 + 1)),
+            "vertex" => rows.soup.positions.reserve_exact(count.min(most / 3 + 1)),
+            "face" => rows.soup.facets.reserve(count.min(most / 4 + 1)),
             _ => {}
         }
         for index in 0..element.count {
-            let first = rows.corners.len();
-            rows.row(element, &roles).map_err(|error| match error {
+            rows.row(element, &roles, index).map_err(|error| match error {
                 DataError::Truncated(_) => {
                     let (count, name) = (element.count, &element.name);
                     DataError::Truncated(format!("{count} of element \"{name}\" are declared and {index} are there"))
                 }
                 other => other,
             })?;
-            if is_strips {
-                triangles(&rows.corners[first..]).for_each(|_| rows.carried.end_face(3));
-            } else if is_face {
-                rows.carried.end_face(rows.corners.len() - first);
-            } else {
-                continue;
-            }
-            if is_early {
-                early.push((rows.corners.len(), is_strips));
-            } else {
-                push(&mut soup, index, &rows.corners, is_strips)?;
-                rows.corners.clear();
-            }
-        }
-        if element.name == "vertex" {
-            soup.positions = std::mem::take(&mut rows.positions);
         }
     }
-    let mut start = 0;
-    for (index, (end, is_strips)) in early.into_iter().enumerate() {
-        push(&mut soup, index, &rows.corners[start..end], is_strips)?;
-        start = end;
+    Ok(rows.soup)
+}
+
+/// A triangle strip of which the last two vertices are known, if there are two, and how many triangles there were.
+#[derive(Default)]
+struct Strip {
+    last: [Option<i64>; 2],
+    triangles: usize,
+}
+
+impl Strip {
+    /// The triangle that ends at a vertex. A negative number ends a strip. One with a vertex twice leads from one part to
+    /// another.
+    fn next(&mut self, vertex: i64) -> Option<[i64; 3]> {
+        if vertex < 0 {
+            *self = Self::default();
+            return None;
+        }
+        let [a, b] = self.last;
+        self.last = [b, Some(vertex)];
+        let (a, b) = (a?, b?);
+        self.triangles += 1;
+        let triangle = if self.triangles % 2 == 1 { [a, b, vertex] } else { [b, a, vertex] };
+        (a != b && b != vertex && vertex != a).then_some(triangle)
     }
-    Ok(soup)
-}
-
-/// Adds a face, or the triangles of strips.
-fn push(soup: &mut Soup, index: usize, corners: &[i64], is_strips: bool) -> Result<(), DataError> {
-    let pushed = match is_strips {
-        true => triangles(corners).try_for_each(|triangle| soup.push_polygon(&triangle)),
-        false => soup.push_polygon(corners),
-    };
-    pushed.map_err(|message| DataError::Element { element: "face", index, message })
-}
-
-/// The triangles of strips, each of which ends at a negative number. Those with a vertex twice lead from one part to another.
-fn triangles(strips: &[i64]) -> impl Iterator<Item = [i64; 3]> {
-    let of_strip = |strip| <[i64]>::windows(strip, 3).enumerate();
-    let turned = |(k, t): (usize, &[i64])| if k % 2 == 0 { [t[0], t[1], t[2]] } else { [t[1], t[0], t[2]] };
-    let all = strips.split(|&vertex| vertex < 0).flat_map(of_strip).map(turned);
-    all.filter(|[a, b, c]| a != b && b != c && c != a)
 }
 
 struct Rows<'a> {
     cursor: Cursor<'a>,
-    positions: Vec<DVec3>,
-    corners: Vec<i64>,
+    soup: Soup,
+    /// As many are declared.
+    vertices: usize,
     carried: &'a mut Carried,
 }
 
 impl Rows<'_> {
-    fn row(&mut self, element: &Element, roles: &[Role]) -> Result<(), DataError> {
-        let cursor = &mut self.cursor;
+    fn row(&mut self, element: &Element, roles: &[Role], index: usize) -> Result<(), DataError> {
+        let Self { cursor, soup, vertices, carried } = self;
+        let wrong = |message: String| DataError::Element { element: "face", index, message };
         let mut position = [0.0; 3];
+        let (mut polygon, mut strip) = (soup.begin_polygon(*vertices, 0), Strip::default());
+        let is_strips = element.name == STRIPS;
         for (property, role) in element.properties.iter().zip(roles) {
             let count = property.length.map_or(Ok(1), |kind| length(cursor, kind))?;
             match *role {
                 Role::Axis(axis) => position[axis] = cursor.float(property.item, "a coordinate")?,
                 Role::Corners => {
-                    // A number has two bytes at least.
-                    let most = count.min(cursor.rest.len() / 2 + 1);
-                    match self.corners.is_empty() {
-                        true => self.corners.reserve_exact(most),
-                        false => self.corners.reserve(most),
-                    }
+                    cursor.check(count, property.item, "corners")?;
+                    soup.begin_polygon(*vertices, count);
                     for _ in 0..count {
-                        self.corners.push(cursor.integer(property.item, "a vertex number")?);
+                        let vertex = cursor.integer(property.item, "a vertex number")?;
+                        if !is_strips {
+                            soup.push_corner(&mut polygon, vertex).map_err(wrong)?;
+                        } else if let Some(triangle) = strip.next(vertex) {
+                            let mut polygon = soup.begin_polygon(*vertices, 3);
+                            triangle.iter().try_for_each(|&v| soup.push_corner(&mut polygon, v)).map_err(wrong)?;
+                            carried.end_face(3);
+                        }
                     }
                 }
                 to @ (Role::Column(_) | Role::Wedges) => {
                     for _ in 0..count {
-                        self.carried.push(to, cursor.any_float(property.item, "a property")?);
+                        carried.push(to, cursor.any_float(property.item, "a property")?);
                     }
                 }
                 Role::Skipped => cursor.pass(count, property.item, "a property")?,
             }
         }
-        if element.name == "vertex" {
-            self.positions.push(DVec3::from_array(position));
+        match element.name.as_str() {
+            "vertex" => soup.positions.push(DVec3::from_array(position)),
+            "face" => {
+                soup.end_polygon(&polygon).map_err(wrong)?;
+                carried.end_face(polygon.corners);
+            }
+            _ => {}
         }
         Ok(())
     }

@@ -98,7 +98,7 @@ fn read(bytes: &[u8], wanted: bool, counted: bool) -> Result<(Soup, Counts), Dat
     Ok((soup, counts))
 }
 
-fn grid(soup: &mut Soup, ends: &[i64], points: &[i64], kinds: &[i64]) -> Result<(), DataError> {
+fn grid(soup: &mut Soup, ends: &[i64], points: &[u32], kinds: &[i64]) -> Result<(), DataError> {
     if kinds.len() != ends.len() {
         return Err(DataError::Truncated(format!("there are {} cells and {} types of cells", ends.len(), kinds.len())));
     }
@@ -169,7 +169,7 @@ impl Reader<'_> {
     }
 
     /// Lists of points: where each of them ends, and the points of all, unless they are counted.
-    fn lists(&mut self) -> Result<(Vec<i64>, Vec<i64>), DataError> {
+    fn lists(&mut self) -> Result<(Vec<i64>, Vec<u32>), DataError> {
         let (count, size) = (self.count("a number of cells")?, self.count("a size")?);
         self.numbers = self.numbers.saturating_add(size as u64);
         if !self.cursor.peek().is_some_and(|word| word.eq_ignore_ascii_case(b"OFFSETS")) {
@@ -178,7 +178,7 @@ impl Reader<'_> {
             if self.counted {
                 return Ok((self.ends(count, size)?, Vec::new()));
             }
-            let mut numbers = self.cursor.integers(size, Kind::I32, "cells")?;
+            let mut numbers = self.cursor.indices(size, Kind::I32, "cells")?;
             // Points move to the front, over the lengths.
             let (mut ends, mut passed, mut end) = (Vec::with_capacity(count.min(size)), 0, 0);
             for index in 0..count {
@@ -199,23 +199,24 @@ impl Reader<'_> {
             numbers.truncate(end);
             return Ok((ends, numbers));
         }
-        let counted = self.counted;
-        let mut part = |name: &[u8], count: usize, is_kept: bool| -> Result<Vec<i64>, DataError> {
-            let word = self.cursor.word().ok_or_else(|| cut("cells"))?;
+        let begin = |reader: &mut Self, name: &[u8]| -> Result<Kind, DataError> {
+            let word = reader.cursor.word().ok_or_else(|| cut("cells"))?;
             if !word.eq_ignore_ascii_case(name) {
-                return Err(self.cursor.syntax(format!("\"{}\" is not {}", shown(word), shown(name))));
+                return Err(reader.cursor.syntax(format!("\"{}\" is not {}", shown(word), shown(name))));
             }
-            let Type::Numbers(kind) = self.kind()? else {
-                return Err(self.cursor.syntax("points of cells are whole numbers"));
+            let Type::Numbers(kind) = reader.kind()? else {
+                return Err(reader.cursor.syntax("points of cells are whole numbers"));
             };
-            self.cursor.begin_data();
-            match is_kept {
-                true => self.cursor.integers(count, kind, "cells"),
-                false => self.cursor.pass(count, kind, "cells").map(|()| Vec::new()),
-            }
+            reader.cursor.begin_data();
+            Ok(kind)
         };
-        let mut offsets = part(b"OFFSETS", count, true)?;
-        let points = part(b"CONNECTIVITY", size, !counted)?;
+        let kind = begin(self, b"OFFSETS")?;
+        let mut offsets = self.cursor.integers(count, kind, "cells")?;
+        let kind = begin(self, b"CONNECTIVITY")?;
+        let points = match self.counted {
+            true => self.cursor.pass(size, kind, "cells").map(|()| Vec::new()),
+            false => self.cursor.indices(size, kind, "cells"),
+        }?;
         // The first is where the first list begins.
         offsets.drain(..offsets.len().min(1));
         Ok((offsets, points))

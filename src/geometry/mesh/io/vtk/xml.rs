@@ -108,10 +108,11 @@ fn decode(bytes: &[u8], wanted: bool, expected: Type) -> Result<Soup, DataError>
             let offsets = cells.offsets.as_ref().ok_or_else(|| missing("offsets"))?;
             let list = cells.points.as_ref().ok_or_else(|| missing("connectivity"))?;
             let ends = file.integers(offsets, Some(cells.count))?;
-            let mut points = file.integers(list, ends.last().and_then(|&end| usize::try_from(end).ok()))?;
+            let mut points = file.indices(list, ends.last().and_then(|&end| usize::try_from(end).ok()))?;
             // Numbers that are out of range stay so.
-            let (count, first) = (piece.points as i64, first as i64);
-            points.iter_mut().for_each(|p| *p = if (0..count).contains(p) { *p + first } else { i64::MAX });
+            let first = u32::try_from(first).unwrap_or(u32::MAX);
+            let placed = |p: u32| ((p as usize) < piece.points).then(|| p.checked_add(first)).flatten();
+            points.iter_mut().for_each(|p| *p = placed(*p).unwrap_or(u32::MAX));
             let cell = |index: usize| Cell::of(kind.or(kinds.get(index).copied()).unwrap_or(0));
             others += push_cells(&mut soup, cell, &ends, &points)?;
         }
@@ -481,6 +482,10 @@ impl<'a> File<'a> {
 
     fn integers(&mut self, array: &DataArray<'_>, count: Option<usize>) -> Result<Vec<i64>, DataError> {
         self.values(array, count, |c, n, k| c.integers(n, k, "cells"))
+    }
+
+    fn indices(&mut self, array: &DataArray<'_>, count: Option<usize>) -> Result<Vec<u32>, DataError> {
+        self.values(array, count, |c, n, k| c.indices(n, k, "cells"))
     }
 
     fn values<T>(
