@@ -46,7 +46,7 @@ pub(super) async fn admit(work: &mut PgConnection, id: &UploadId, terms: &Terms)
     };
     let victims = match victims(work, excess).await? {
         Found::Enough(victims) => victims,
-        Found::TooFew if release(work).await? => return Ok(Decision::Again),
+        Found::TooFew if blobs::release(work).await? => return Ok(Decision::Again),
         Found::TooFew => return Ok(Decision::Full(figures)),
         Found::Many => return Ok(Decision::Again),
     };
@@ -64,15 +64,6 @@ pub(super) async fn admit(work: &mut PgConnection, id: &UploadId, terms: &Terms)
         }
     }
     Ok(Decision::Admitted(Some(room)))
-}
-
-/// As [`crate::blob::index::BlobIndex::adopt`].
-pub(super) async fn adopt(work: &mut PgConnection, id: &UploadId, places: usize) -> BlobResult<()> {
-    if let Some(figures) = figures(work, id).await? {
-        figures.check_place(id, places)?;
-        enter(work, id).await?;
-    }
-    Ok(())
 }
 
 async fn enter(work: &mut PgConnection, id: &UploadId) -> BlobResult<()> {
@@ -224,14 +215,6 @@ async fn victims(work: &mut PgConnection, excess_bytes: u64) -> BlobResult<Found
         }
     }
     Ok(Found::Enough(victims))
-}
-
-/// Clears the mark of blobs that no pin holds any more. Gives whether there were any.
-async fn release(work: &mut PgConnection) -> BlobResult<bool> {
-    let release = "with free as (select digest from tessera.blobs b where held and not exists \
-                   (select from tessera.pins p where p.digest = b.digest) for no key update skip locked) \
-                   update tessera.blobs b set held = false from free where b.digest = free.digest";
-    Ok(sqlx::query(release).execute(work).await?.rows_affected() > 0)
 }
 
 /// As [`crate::blob::index::BlobIndex::usage`].
