@@ -462,9 +462,9 @@ fn what_was_acknowledged_outlives_the_crash_of_the_database() {
     let cluster = medium.database.cluster;
     let mut trial = Trial::new(|_| &medium);
     let mut runner = TestRunner::new_with_rng(Config::default(), TestRng::from_seed(RngAlgorithm::ChaCha, &[28; 32]));
-    for round in 0..6u64 {
+    for round in 0..4u64 {
         let stop = std::thread::spawn(move || {
-            std::thread::sleep(Duration::from_millis(30 + 23 * round));
+            std::thread::sleep(Duration::from_millis(30 + 35 * round));
             cluster.stop_immediate();
         });
         let (step, before) = loop {

@@ -45,7 +45,7 @@ pub(super) fn read(bytes: &[u8], wanted: bool) -> Option<Statements> {
 
 /// Gives back room for many more elements.
 fn shrink<T>(list: &mut Vec<T>) {
-    if list.capacity() > list.len() + list.len() / 4 {
+    if list.capacity() > 2 * list.len() {
         list.shrink_to_fit();
     }
 }
@@ -97,6 +97,9 @@ impl<'a> Part<'a> {
     fn read(text: &'a [u8], wanted: bool) -> Option<Statements> {
         let words = Words { rest: text, last: b' ' };
         let mut part = Part { words, wanted, found: Statements { bytes: text.len(), ..Statements::default() } };
+        // A corner stands behind a blank. A list that grows would take twice as much for a while.
+        let blanks = text.iter().filter(|byte| matches!(byte, b' ' | b'\t' | b'\r' | 0x0c)).count();
+        part.found.facets.reserve_exact(blanks.min(text.len() / 2));
         while !part.words.rest.is_empty() {
             match part.words.next() {
                 Some(b"v") => part.vertex()?,
