@@ -32,6 +32,8 @@ use geometry::token::{Stopped, Token};
 /// How long the last progress of a job may take to be recorded.
 const FLUSH_TIMEOUT: Duration = Duration::from_secs(2);
 
+/// How long the end of stopped work is tried to be recorded: a shutdown waits for it.
+const STOPPED_PATIENCE: Duration = Duration::from_secs(4);
 /// Between two iterations that are recorded in a store that several processes share.
 const BETWEEN_ITERATIONS: Duration = Duration::from_millis(500);
 
@@ -184,12 +186,17 @@ impl Inner {
     }
 
     /// Records the end of an attempt. A store that does not answer for a while loses no result: the same change is tried again,
-    /// for as long as the lease lasts. A change whose answer was lost counts if the job has become what it says.
-    async fn keep_end(&self, job: &Job, change: Change) -> Result<Job, StoreError> {
+    /// for as long as the lease lasts, or [`STOPPED_PATIENCE`] if the work was stopped. A change whose answer was lost counts if the
+    /// job has become what it says.
+    async fn keep_end(&self, job: &Job, change: Change, token: &Token) -> Result<Job, StoreError> {
         let (jobs, id, at) = (&self.stores.jobs, job.id, job.status.version);
-        let end = tokio::time::Instant::now() + self.options.lease;
+        let begin = Instant::now();
+        let may_wait = || {
+            let patience = if token.is_told_to_stop() { STOPPED_PATIENCE } else { self.options.lease };
+            begin.elapsed() < patience
+        };
         let mut changed = jobs.change(id, at, change.clone()).await;
-        while matches!(changed, Err(StoreError::Unavailable { .. })) && tokio::time::Instant::now() < end {
+        while matches!(changed, Err(StoreError::Unavailable { .. })) && may_wait() {
             tokio::time::sleep(RETRY_PERIOD).await;
             changed = match jobs.change(id, at, change.clone()).await {
                 Err(error) if is_outdated(&error) => match jobs.get(id).await {
@@ -293,7 +300,7 @@ impl AtWork {
             if inner.progress.send(ProgressCommand::Flush(done)).await.is_ok() {
                 let _ = tokio::time::timeout(FLUSH_TIMEOUT, kept).await;
             }
-            let changed = inner.keep_end(job, change).await;
+            let changed = inner.keep_end(job, change, &self.token).await;
             match &changed {
                 Ok(_) => tracing::info!(id = %job.id, outcome = ?name, "a job ended"),
                 Err(error) if is_outdated(error) => {}
