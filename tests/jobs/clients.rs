@@ -245,6 +245,18 @@ fn a_removal_and_an_upload_of_the_same_blob_exclude_each_other() {
             (one.left(Duration::ZERO).await.unwrap(), two.get(info.digest).await.unwrap()),
             (vec![], Some(info))
         );
+        // Only one process at a time shows an upload, and ends it then; a mark that was taken back is none.
+        one.admit(first, TERMS).await.unwrap();
+        one.showing(first).await.unwrap();
+        one.showing(first).await.unwrap();
+        let taken = two.showing(first).await.unwrap_err();
+        assert!(matches!(taken, BlobError::Unavailable(_)), "{taken}");
+        two.end_upload(first).await.unwrap();
+        two.touch_upload(first).await.unwrap();
+        one.touch_upload(first).await.unwrap();
+        two.showing(first).await.unwrap();
+        two.end_upload(first).await.unwrap();
+        assert_eq!(one.idle_time(first).await.unwrap(), None);
         // An upload that another process ended is not shown.
         let ended = BlobError::UploadNotFound { digest: info.digest };
         assert_eq!(one.showing(again).await, Err(ended));

@@ -78,7 +78,8 @@ pub trait BlobIndex: Send + Sync + Debug {
     /// `QuotaExceeded`, `OwnQuotaExceeded`, `TooManyUploads`.
     async fn admit(&self, upload: UploadId, terms: Terms) -> Result<Option<Room>, BlobError>;
 
-    /// Enters an upload that another process began. Its room is not checked. Errors: `TooManyUploads`.
+    /// Enters an upload that another process began. Its room is not checked. Errors: `TooManyUploads`; `UploadNotFound` if the
+    /// index is that process's too, and has it no more.
     async fn adopt(&self, upload: UploadId, places: usize) -> Result<(), BlobError>;
 
     /// The upload is continued now.
@@ -101,8 +102,8 @@ pub trait BlobIndex: Send + Sync + Debug {
     async fn publish(&self, upload: UploadId, pin: Option<&str>) -> Result<Published, BlobError>;
 
     /// The bytes of the upload are about to be shown as the blob's: until it has become a blob or nothing, or for some
-    /// minutes, no process removes them. Errors: `UploadNotFound` if another process ended it; `Unavailable` while the bytes
-    /// of a blob of the same digest that left the index are being removed.
+    /// minutes, no process removes them. [`BlobIndex::touch_upload`] takes that back. Errors: `UploadNotFound` if another process
+    /// ended it; `Unavailable` while another process shows it, or removes the bytes of a blob of the same digest.
     async fn showing(&self, upload: UploadId) -> Result<(), BlobError>;
 
     async fn get(&self, digest: Digest) -> Result<Option<BlobInfo>, BlobError>;

@@ -289,7 +289,11 @@ impl BlobStore for ObjectBlobs {
         self.0.staging.check().await
     }
 
+    fn limit_bytes(&self) -> u64 {
+        self.0.options.quota_bytes
+    }
+
     async fn usage(&self) -> Result<Usage, BlobError> {
-        Ok(Usage { limit_bytes: self.0.options.quota_bytes, ..self.0.index.usage().await? })
+        Ok(Usage { limit_bytes: self.limit_bytes(), ..self.0.index.usage().await? })
     }
 }

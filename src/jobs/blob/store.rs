@@ -161,6 +161,9 @@ pub trait BlobStore: Send + Sync + Debug {
     /// Whether something could be stored now. It asks the storage each time. Errors: `StorageFull`.
     async fn check(&self) -> Result<(), BlobError>;
 
+    /// The quota.
+    fn limit_bytes(&self) -> u64;
+
     async fn usage(&self) -> Result<Usage, BlobError>;
 }
 

@@ -187,11 +187,9 @@ impl AtWork {
     fn keep(&self, parts: Parts) -> Result<ResultSet, WorkError> {
         let (inner, pin) = (&*self.inner, result_pin(self.job.id));
         let mut result = ResultSet::default();
-        let (bytes, usage) = (
-            parts.iter().map(|part| part.1.len() as u64).sum::<u64>(),
-            inner.runtime.block_on(inner.stores.blobs.usage()),
-        );
-        if let Some(limit) = usage.ok().map(|usage| usage.limit_bytes).filter(|limit| bytes > *limit) {
+        let (bytes, limit) =
+            (parts.iter().map(|part| part.1.len() as u64).sum::<u64>(), inner.stores.blobs.limit_bytes());
+        if bytes > limit {
             let text = format!("the result has {bytes} bytes, and this server keeps {limit} in all; ask for less");
             return Err(failure(FailureKind::TooLarge, text));
         }

@@ -11,6 +11,7 @@ mod admission;
 mod blobs;
 mod uploads;
 
+use std::hash::{BuildHasher, RandomState};
 use std::time::Duration;
 
 use async_trait::async_trait;
@@ -30,11 +31,13 @@ pub(super) struct PostgresIndex {
     database: Database,
     /// Uses of a blob within this time are one use.
     same_use: Duration,
+    /// This process, among those that show bytes.
+    process: i64,
 }
 
 impl PostgresIndex {
     pub(super) fn new(database: Database, same_use: Duration) -> Self {
-        Self { database, same_use }
+        Self { database, same_use, process: RandomState::new().hash_one(()).cast_signed() }
     }
 
     async fn begin(&self) -> BlobResult<PgTransaction<'static>> {
@@ -128,16 +131,17 @@ impl BlobIndex for PostgresIndex {
         }
     }
 
-    async fn adopt(&self, upload: UploadId, places: usize) -> BlobResult<()> {
-        transaction!(self, |work| admission::adopt(work, &upload, places))
+    // What another process began is here already.
+    async fn adopt(&self, upload: UploadId, _: usize) -> BlobResult<()> {
+        run!(self, uploads::adopt(self.database.pool(), &upload))
     }
 
     async fn touch_upload(&self, upload: UploadId) -> BlobResult<()> {
-        run!(self, uploads::touch(self.database.pool(), &upload))
+        run!(self, uploads::touch(self.database.pool(), &upload, self.process))
     }
 
     async fn end_upload(&self, upload: UploadId) -> BlobResult<()> {
-        run!(self, uploads::end(self.database.pool(), &upload))
+        run!(self, uploads::end(self.database.pool(), &upload, self.process))
     }
 
     async fn idle_time(&self, upload: UploadId) -> BlobResult<Option<Duration>> {
@@ -157,16 +161,16 @@ impl BlobIndex for PostgresIndex {
     }
 
     async fn showing(&self, upload: UploadId) -> BlobResult<()> {
-        // As long as a removal takes.
+        // Longer than most removals take.
         for _ in 0..uploads::LOOKS {
-            let is_free: bool = transaction!(self, |work| uploads::show(work, &upload))?;
+            let is_free: bool = transaction!(self, |work| uploads::show(work, &upload, self.process))?;
             if is_free {
                 return Ok(());
             }
             tokio::time::sleep(uploads::LOOK).await;
         }
         let digest = upload.digest;
-        Err(BlobError::Unavailable(format!("the bytes of an earlier blob {digest} are being removed")))
+        Err(BlobError::Unavailable(format!("another process shows or removes the bytes of blob {digest}")))
     }
 
     async fn get(&self, digest: Digest) -> BlobResult<Option<BlobInfo>> {
@@ -197,7 +201,7 @@ impl BlobIndex for PostgresIndex {
     }
 
     async fn left(&self, time: Duration) -> BlobResult<Vec<BlobInfo>> {
-        run!(self, blobs::left(self.database.pool(), time))
+        transaction!(self, |work| blobs::left(work, time))
     }
 
     async fn removed(&self, blob: BlobInfo, gone: bool) -> BlobResult<()> {

@@ -28,6 +28,8 @@ use crate::blob::{BlobError, BlobInfo, BlobOptions, ByteStream, Digest, Owner};
 /// Removals and questions to the store that run at once.
 const AT_ONCE: usize = 16;
 
+/// How often an upload is begun again that ended meanwhile; each time this takes a millisecond longer.
+const ENDED: u64 = 40;
 /// How long a process has to remove the bytes of blobs that it took out of the index, until another does.
 const LEFT: Duration = Duration::from_secs(3600);
 
@@ -181,7 +183,11 @@ impl Inner {
         if self.staging.load(id).await?.is_none() {
             return Ok(false);
         }
-        self.index.adopt(id, self.options.uploads).await?;
+        match self.index.adopt(id, self.options.uploads).await {
+            // Its bytes are what is left of it.
+            Err(BlobError::UploadNotFound { .. }) => return Ok(false),
+            adopted => adopted?,
+        }
         // The next turn reads it again.
         drop(self.uploads.add(id));
         Ok(true)
@@ -212,6 +218,7 @@ impl Inner {
 
     pub(super) async fn begin(&self, id: UploadId, own_limit: Option<u64>) -> Result<UploadStatus, BlobError> {
         let (digest, size_bytes) = (id.digest, id.size_bytes);
+        let mut ended = 0;
         loop {
             if let Some(BlobInfo { size_bytes: actual_bytes, .. }) = self.own(id).await? {
                 if actual_bytes == size_bytes {
@@ -241,8 +248,16 @@ impl Inner {
                 }
             }
             match self.status(id).await {
-                // It ended just now.
-                Err(BlobError::UploadNotFound { .. }) => {}
+                // It ended just now, or another process is about to end it.
+                Err(BlobError::UploadNotFound { .. }) if ended < ENDED => {
+                    tokio::time::sleep(Duration::from_millis(ended)).await;
+                    ended += 1;
+                }
+                Err(BlobError::UploadNotFound { .. }) => {
+                    return Err(BlobError::Unavailable(format!(
+                        "another process is about to end the upload of {digest}"
+                    )));
+                }
                 status => return status,
             }
         }
@@ -388,8 +403,27 @@ impl Inner {
                 self.uploads.remove(&id, &mut slot);
                 return self.finished(id, pin).await;
             }
-            shown => shown?,
+            free => free?,
         }
+        let shown = self.show(id, &mut slot, (has, missing), pin).await;
+        if shown.is_err()
+            && let Err(error) = self.index.touch_upload(id).await
+        {
+            tracing::warn!(%id, %error, "no other process can end the upload for some minutes");
+        }
+        shown
+    }
+
+    /// Shows the bytes of an upload as the blob's, and enters it.
+    async fn show(
+        &self,
+        id: UploadId,
+        slot: &mut Slot,
+        (has, missing): (bool, Option<BlobError>),
+        pin: Option<&str>,
+    ) -> Result<BlobInfo, BlobError> {
+        let digest = id.digest;
+        let Slot::Open(part) = &mut *slot else { return Err(BlobError::UploadNotFound { digest }) };
         let turn = self.lock_bytes(&digest).await;
         if has && self.stored_in_turn(digest).await?.is_some_and(|info| info.size_bytes == id.size_bytes) {
             // Another stream was faster, and the caller may have been told so.
@@ -421,7 +455,7 @@ impl Inner {
             self.unmark(digest, other).await?;
         }
         drop(turn);
-        self.uploads.remove(&id, &mut slot);
+        self.uploads.remove(&id, slot);
         self.stamp(vec![(digest, published.stamp)]).await;
         Ok(BlobInfo { digest, size_bytes: id.size_bytes })
     }

@@ -36,7 +36,10 @@ pub(super) async fn admit(work: &mut PgConnection, id: &UploadId, terms: &Terms)
     figures.check_place(id, terms.places)?;
     // The owner's first: these are locked in the order of their digests.
     let own = match (id.owner, terms.own_quota_bytes) {
-        (Some(owner), Some(limit)) => own_room(work, owner, id, limit, figures.own_uploading_bytes).await?,
+        (Some(owner), Some(limit)) => match own_room(work, owner, id, limit, figures.own_uploading_bytes).await? {
+            Some(own) => own,
+            None => return Ok(Decision::Again),
+        },
         _ => Vec::new(),
     };
     let excess = match figures.excess(id, terms) {
@@ -46,7 +49,7 @@ pub(super) async fn admit(work: &mut PgConnection, id: &UploadId, terms: &Terms)
     };
     let victims = match victims(work, excess).await? {
         Found::Enough(victims) => victims,
-        Found::TooFew if release(work).await? => return Ok(Decision::Again),
+        Found::TooFew if blobs::release(work).await? => return Ok(Decision::Again),
         Found::TooFew => return Ok(Decision::Full(figures)),
         Found::Many => return Ok(Decision::Again),
     };
@@ -64,15 +67,6 @@ pub(super) async fn admit(work: &mut PgConnection, id: &UploadId, terms: &Terms)
         }
     }
     Ok(Decision::Admitted(Some(room)))
-}
-
-/// As [`crate::blob::index::BlobIndex::adopt`].
-pub(super) async fn adopt(work: &mut PgConnection, id: &UploadId, places: usize) -> BlobResult<()> {
-    if let Some(figures) = figures(work, id).await? {
-        figures.check_place(id, places)?;
-        enter(work, id).await?;
-    }
-    Ok(())
 }
 
 async fn enter(work: &mut PgConnection, id: &UploadId) -> BlobResult<()> {
@@ -135,45 +129,41 @@ pub(super) async fn full(pool: &PgPool, figures: Figures, id: &UploadId, terms: 
     Ok(Figures { pinned_bytes: count(pinned), ..figures }.full(id, terms))
 }
 
-/// Locks what the owner gives up. Errors: `OwnQuotaExceeded`.
+/// Locks what the owner gives up. `None` if a pin came or a blob went meanwhile: to lock others beside
+/// these would be out of order. Errors: `OwnQuotaExceeded`.
 async fn own_room(
     work: &mut PgConnection,
     owner: Owner,
     id: &UploadId,
     limit_bytes: u64,
     promised_bytes: u64,
-) -> BlobResult<Vec<Digest>> {
+) -> BlobResult<Option<Vec<Digest>>> {
     let used_bytes = blobs::owned_bytes(work, owner).await?.saturating_add(promised_bytes);
     let room = OwnRoom { needed_bytes: id.size_bytes, used_bytes, limit_bytes };
     if room.excess() == 0 {
-        return Ok(Vec::new());
+        return Ok(Some(Vec::new()));
     }
-    loop {
-        // The oldest that suffice.
-        let held: Vec<([u8; 32], i64)> = sqlx::query_as(
-            "select digest, size from (select o.digest, o.size, o.since, sum(o.size) over (order by o.since) as upto \
+    // The oldest that suffice.
+    let held: Vec<([u8; 32], i64)> = sqlx::query_as(
+        "select digest, size from (select o.digest, o.size, o.since, sum(o.size) over (order by o.since) as upto \
              from tessera.owners o where o.owner = $1 and o.size > 0 and not exists \
              (select from tessera.pins p where p.digest = o.digest and p.owner = $1)) held \
              where upto - size < $2 order by since",
-        )
+    )
+    .bind(owner.as_bytes().as_slice())
+    .bind(number(room.excess()))
+    .fetch_all(&mut *work)
+    .await?;
+    let given_up = room.give_up(held.into_iter().map(|(digest, size)| (digest.into(), count(size))))?;
+    let locked = "select digest from tessera.blobs where digest = any($1) order by digest for update";
+    let locked = sqlx::query(locked).bind(keys(&given_up)).fetch_all(&mut *work).await?.len();
+    let pinned = "select count(*) from tessera.pins where digest = any($1) and owner = $2";
+    let pinned: i64 = sqlx::query_scalar(pinned)
+        .bind(keys(&given_up))
         .bind(owner.as_bytes().as_slice())
-        .bind(number(room.excess()))
-        .fetch_all(&mut *work)
+        .fetch_one(&mut *work)
         .await?;
-        let given_up = room.give_up(held.into_iter().map(|(digest, size)| (digest.into(), count(size))))?;
-        let locked = "select digest from tessera.blobs where digest = any($1) order by digest for update";
-        let locked = sqlx::query(locked).bind(keys(&given_up)).fetch_all(&mut *work).await?.len();
-        let pinned = "select count(*) from tessera.pins where digest = any($1) and owner = $2";
-        let pinned: i64 = sqlx::query_scalar(pinned)
-            .bind(keys(&given_up))
-            .bind(owner.as_bytes().as_slice())
-            .fetch_one(&mut *work)
-            .await?;
-        if locked == given_up.len() && pinned == 0 {
-            return Ok(given_up);
-        }
-        // A pin came or a blob went while this waited for a lock.
-    }
+    Ok((locked == given_up.len() && pinned == 0).then_some(given_up))
 }
 
 enum Found {
@@ -224,14 +214,6 @@ async fn victims(work: &mut PgConnection, excess_bytes: u64) -> BlobResult<Found
         }
     }
     Ok(Found::Enough(victims))
-}
-
-/// Clears the mark of blobs that no pin holds any more. Gives whether there were any.
-async fn release(work: &mut PgConnection) -> BlobResult<bool> {
-    let release = "with free as (select digest from tessera.blobs b where held and not exists \
-                   (select from tessera.pins p where p.digest = b.digest) for no key update skip locked) \
-                   update tessera.blobs b set held = false from free where b.digest = free.digest";
-    Ok(sqlx::query(release).execute(work).await?.rows_affected() > 0)
 }
 
 /// As [`crate::blob::index::BlobIndex::usage`].

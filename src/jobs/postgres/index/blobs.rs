@@ -19,6 +19,8 @@ pub(super) const AT_ONCE: usize = 1000;
 const LEFT_AT_ONCE: i64 = 1000;
 /// How long the removal of a blob's bytes may take. Longer than the store of objects tries.
 const REMOVING: Duration = Duration::from_secs(300);
+/// How long after a removal a process may still enter what it saw before: a list of all blobs takes a while.
+const SEEN_BEFORE: Duration = Duration::from_secs(3600);
 /// Which locks [`lock`] takes.
 const DIGESTS: i32 = 731_029;
 /// Of an owner with this many blobs or more it does not matter how many.
@@ -108,11 +110,12 @@ pub(super) async fn touch(work: &mut PgConnection, digests: &[Digest], same_use:
 
 /// As [`crate::blob::index::BlobIndex::found`].
 pub(super) async fn found(work: &mut PgConnection, blob: BlobInfo, stamp: u64) -> BlobResult<bool> {
-    // So that no removal begins meanwhile.
+    // So that no removal begins meanwhile. What is being shown is in the index once that is done: until then it is an upload.
     lock(work, &blob.digest).await?;
     let enter = sqlx::query(
-        "insert into tessera.blobs (digest, size, used) select $1, $2, $3 where not exists \
-         (select from tessera.gone where digest = $1) on conflict do nothing",
+        "insert into tessera.blobs (digest, size, used) select $1, $2, $3 \
+         where not exists (select from tessera.gone where digest = $1) and not exists \
+         (select from tessera.uploads where digest = $1 and showing > tessera.now_ms()) on conflict do nothing",
     );
     let enter = enter.bind(blob.digest.as_bytes().as_slice()).bind(number(blob.size_bytes)).bind(number(stamp));
     enter.execute(&mut *work).await?;
@@ -148,7 +151,7 @@ pub(super) async fn leave<'a>(
     sqlx::query(
         "with gone as (delete from tessera.blobs where digest = any($1) returning digest, size) \
          insert into tessera.gone (digest, size, since) select digest, size, tessera.now_ms() from gone \
-         on conflict (digest) do update set size = excluded.size, since = excluded.since",
+         on conflict (digest) do update set size = excluded.size, since = excluded.since, done = false",
     )
     .bind(digests)
     .execute(work)
@@ -181,7 +184,7 @@ pub(super) async fn removing(work: &mut PgConnection, blob: BlobInfo) -> BlobRes
          select $1, $2, tessera.now_ms(), tessera.now_ms() + $3 \
          where not exists (select from tessera.blobs where digest = $1) and not exists \
          (select from tessera.uploads where digest = $1 and showing > tessera.now_ms()) \
-         on conflict (digest) do update set removing = excluded.removing where g.removing <= tessera.now_ms() returning true",
+         on conflict (digest) do update set removing = excluded.removing, done = false where g.removing <= tessera.now_ms() returning true",
     )
     .bind(blob.digest.as_bytes().as_slice())
     .bind(number(blob.size_bytes))
@@ -196,20 +199,35 @@ pub(super) async fn removing(work: &mut PgConnection, blob: BlobInfo) -> BlobRes
     Ok(claimed.is_some())
 }
 
+/// Clears the mark of blobs that no pin holds any more. Gives whether there were any.
+pub(super) async fn release(work: &mut PgConnection) -> BlobResult<bool> {
+    let release = "with free as (select digest from tessera.blobs b where held and not exists \
+                   (select from tessera.pins p where p.digest = b.digest) for no key update skip locked) \
+                   update tessera.blobs b set held = false from free where b.digest = free.digest";
+    Ok(sqlx::query(release).execute(work).await?.rows_affected() > 0)
+}
+
 /// As [`crate::blob::index::BlobIndex::left`].
-pub(super) async fn left(pool: &PgPool, time: Duration) -> BlobResult<Vec<BlobInfo>> {
-    let left = "select digest, size from tessera.gone where since <= tessera.now_ms() - $1 order by since limit $2";
-    let left = sqlx::query_as(left).bind(micros(time) / 1000).bind(LEFT_AT_ONCE).fetch_all(pool).await?;
+pub(super) async fn left(work: &mut PgConnection, time: Duration) -> BlobResult<Vec<BlobInfo>> {
+    release(work).await?;
+    let forget = "delete from tessera.gone where done and since <= tessera.now_ms() - $1";
+    sqlx::query(forget).bind(micros(SEEN_BEFORE) / 1000).execute(&mut *work).await?;
+    let left = "select digest, size from tessera.gone where not done and since <= tessera.now_ms() - $1 \
+                order by since limit $2";
+    let left = sqlx::query_as(left).bind(micros(time) / 1000).bind(LEFT_AT_ONCE).fetch_all(work).await?;
     Ok(left.into_iter().map(blob).collect())
 }
 
 /// As [`crate::blob::index::BlobIndex::removed`].
 pub(super) async fn removed(work: &mut PgConnection, blob: BlobInfo, gone: bool) -> BlobResult<()> {
     let digest = blob.digest.as_bytes().as_slice();
-    if !gone {
-        let back = "insert into tessera.blobs (digest, size, used) values ($1, $2, 0) on conflict do nothing";
-        sqlx::query(back).bind(digest).bind(number(blob.size_bytes)).execute(&mut *work).await?;
+    if gone {
+        let done = "update tessera.gone set done = true, removing = 0, since = tessera.now_ms() where digest = $1";
+        sqlx::query(done).bind(digest).execute(work).await?;
+        return Ok(());
     }
+    let back = "insert into tessera.blobs (digest, size, used) values ($1, $2, 0) on conflict do nothing";
+    sqlx::query(back).bind(digest).bind(number(blob.size_bytes)).execute(&mut *work).await?;
     sqlx::query("delete from tessera.gone where digest = $1").bind(digest).execute(work).await?;
     Ok(())
 }

@@ -42,18 +42,29 @@ pub(super) async fn enter(pool: &PgPool, uploads: &[(UploadId, SystemTime)]) -> 
     Ok(())
 }
 
-pub(super) async fn touch(pool: &PgPool, id: &UploadId) -> BlobResult<()> {
-    let touch = "update tessera.uploads set touched = tessera.now_us() where digest = $1 and size = $2 and owner = $3 \
-                 and touched < tessera.now_us() - $4";
-    let touch = sqlx::query(touch).bind(id.digest.as_bytes().as_slice()).bind(number(id.size_bytes));
-    touch.bind(key_of(id.owner)).bind(micros(SAME_SIGN)).execute(pool).await?;
+/// Also takes back that this process shows it.
+pub(super) async fn touch(pool: &PgPool, id: &UploadId, process: i64) -> BlobResult<()> {
+    let touch = "update tessera.uploads set touched = tessera.now_us(), \
+                 showing = case shown_by when $4 then 0 else showing end where digest = $1 and size = $2 and owner = $3 \
+                 and (touched < tessera.now_us() - $5 or (shown_by = $4 and showing > 0)) returning true";
+    let _touched: Option<(bool,)> = of!(touch, id).bind(process).bind(micros(SAME_SIGN)).fetch_optional(pool).await?;
     Ok(())
 }
 
-pub(super) async fn end(pool: &PgPool, id: &UploadId) -> BlobResult<()> {
-    let end = "delete from tessera.uploads where digest = $1 and size = $2 and owner = $3 returning true";
-    let _ended: Option<(bool,)> = of!(end, id).fetch_optional(pool).await?;
+/// Not what another process shows: its room becomes the blob's.
+pub(super) async fn end(pool: &PgPool, id: &UploadId, process: i64) -> BlobResult<()> {
+    let end = "delete from tessera.uploads where digest = $1 and size = $2 and owner = $3 \
+               and (showing <= tessera.now_ms() or shown_by = $4) returning true";
+    let _ended: Option<(bool,)> = of!(end, id).bind(process).fetch_optional(pool).await?;
     Ok(())
+}
+
+/// Errors: `UploadNotFound`: another process ended it.
+pub(super) async fn adopt(pool: &PgPool, id: &UploadId) -> BlobResult<()> {
+    match idle_time(pool, id).await? {
+        Some(_) => Ok(()),
+        None => Err(BlobError::UploadNotFound { digest: id.digest }),
+    }
 }
 
 pub(super) async fn idle_time(pool: &PgPool, id: &UploadId) -> BlobResult<Option<Duration>> {
@@ -76,17 +87,26 @@ pub(super) async fn stalest(pool: &PgPool, upload: &UploadId, time: Duration) ->
     Ok(row.map(id))
 }
 
-/// Keeps removals away from the bytes of a blob that is about to be shown. Not while there is one. Errors: `UploadNotFound`.
-pub(super) async fn show(work: &mut PgConnection, id: &UploadId) -> BlobResult<bool> {
+/// Keeps removals, and other processes that would show it, away from the bytes of a blob that is about to be shown. Not while
+/// there are some. Errors: `UploadNotFound`.
+pub(super) async fn show(work: &mut PgConnection, id: &UploadId, process: i64) -> BlobResult<bool> {
     super::blobs::lock(work, &id.digest).await?;
-    let removing = "select exists (select from tessera.gone where digest = $1 and removing > tessera.now_ms())";
-    let removing: bool =
-        sqlx::query_scalar(removing).bind(id.digest.as_bytes().as_slice()).fetch_one(&mut *work).await?;
-    if removing {
-        return Ok(false);
+    let free: Option<(bool, bool)> = of!(
+        "select showing <= tessera.now_ms() or shown_by = $4, not exists \
+         (select from tessera.gone where digest = $1 and removing > tessera.now_ms()) \
+         from tessera.uploads where digest = $1 and size = $2 and owner = $3 for no key update",
+        id
+    )
+    .bind(process)
+    .fetch_optional(&mut *work)
+    .await?;
+    match free {
+        None => return Err(BlobError::UploadNotFound { digest: id.digest }),
+        Some((true, true)) => {}
+        Some(_) => return Ok(false),
     }
-    let show = "update tessera.uploads set showing = tessera.now_ms() + $4 where digest = $1 and size = $2 and owner = $3 \
-                returning true";
-    let shown: Option<(bool,)> = of!(show, id).bind(micros(SHOWING) / 1000).fetch_optional(work).await?;
-    shown.map(|(shown,)| shown).ok_or(BlobError::UploadNotFound { digest: id.digest })
+    let show = "update tessera.uploads set showing = tessera.now_ms() + $4, shown_by = $5 \
+                where digest = $1 and size = $2 and owner = $3 returning true";
+    let shown: Option<(bool,)> = of!(show, id).bind(micros(SHOWING) / 1000).bind(process).fetch_optional(work).await?;
+    Ok(shown.is_some())
 }

@@ -21,7 +21,8 @@ create table tessera.blobs (
     -- The time of the last use, nanoseconds since 1970; 0 for one that goes first.
     used bigint not null,
     -- Known to be pinned, so that no admission looks at it again. Set by an admission that met it, cleared with its last pin.
-    -- If two processes take back the last two pins at once it may stay set: an admission that finds no room looks again.
+    -- It may stay set, if two processes take back the last two pins at once or the row is locked: a sweep, or an admission that
+    -- finds no room, clears it then.
     held boolean not null default false
 ) with (autovacuum_vacuum_scale_factor = 0.05);
 create index blobs_used on tessera.blobs (used, digest) where not held;
@@ -68,24 +69,32 @@ create index pins_digest on tessera.pins (digest, owner);
 
 create function tessera.clear_held() returns trigger language plpgsql as $$
 begin
-    update tessera.blobs b set held = false
-        where held and digest in (select digest from changed)
-        and not exists (select from tessera.pins p where p.digest = b.digest);
+    -- Waits for no lock: the transaction may hold others, in any order.
+    with free as (
+        select digest from tessera.blobs b
+            where held and digest in (select digest from changed)
+            and not exists (select from tessera.pins p where p.digest = b.digest)
+            for no key update skip locked
+    )
+    update tessera.blobs b set held = false from free where b.digest = free.digest;
     return null;
 end $$;
 create trigger pins_removed after delete on tessera.pins
     referencing old table as changed for each statement execute function tessera.clear_held();
 
--- Blobs that left the index, until their bytes are removed. One that stays here, after a crash, is removed by a sweep.
+-- Blobs that left the index. Bytes that nothing removed, after a crash, are removed by a sweep. A row stays for a while after
+-- that, so that a process that saw the bytes before does not enter them.
 create table tessera.gone (
     digest bytea primary key,
     size bigint not null,
     -- When it left, milliseconds since 1970.
     since bigint not null,
     -- Until when a process may be removing its bytes, milliseconds since 1970.
-    removing bigint not null default 0
+    removing bigint not null default 0,
+    -- Whether its bytes are removed; since says when.
+    done boolean not null default false
 );
-create index gone_since on tessera.gone (since);
+create index gone_since on tessera.gone (done, since);
 
 create table tessera.uploads (
     digest bytea not null,
@@ -94,8 +103,10 @@ create table tessera.uploads (
     owner bytea not null,
     -- When it was continued last, microseconds since 1970.
     touched bigint not null,
-    -- Until when its bytes may be shown as the blob's, milliseconds since 1970. Nothing removes them before.
+    -- Until when a process may be showing its bytes as the blob's, milliseconds since 1970, and which. Nothing removes them before,
+    -- and no other process ends the upload.
     showing bigint not null default 0,
+    shown_by bigint not null default 0,
     -- How far it is in an object store; not used yet.
     multipart text,
     kept bigint not null default 0,
