@@ -126,10 +126,12 @@ impl Cluster {
             .unwrap();
         assert!(made.status.success(), "{}", String::from_utf8_lossy(&made.stderr));
         let port = std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
+        // A connection that is being opened delays the end of the server until the time for its authentication is over.
         // A process that is killed loses nothing that the system has: without a power cut, a sync shows nothing.
         let settings = format!(
             "listen_addresses = '127.0.0.1'\nport = {port}\nunix_socket_directories = '{}'\nfsync = off\n\
-             max_connections = 200\nshared_buffers = 32MB\nautovacuum_naptime = 5s\n",
+             max_connections = 200\nshared_buffers = 32MB\nautovacuum_naptime = 5s\n\
+             authentication_timeout = 3s\n",
             folder.display()
         );
         let mut file = fs::OpenOptions::new().append(true).open(data.join("postgresql.conf")).unwrap();

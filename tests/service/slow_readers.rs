@@ -26,7 +26,9 @@ async fn shut_windows_give_back_their_places_and_their_memory() {
     let (upload, answer) = (1 << 20, 3 << 20);
     // One tenant leaves a place to others.
     let max_streams = STREAMS + 1;
-    let limits = Limits { connections: stalling(700), max_streams, memory_bytes: upload + answer, ..Limits::default() };
+    // And an eighth of the memory.
+    let memory_bytes = (upload + answer) * 8 / 7 + 1;
+    let limits = Limits { connections: stalling(700), max_streams, memory_bytes, ..Limits::default() };
     let server = Server::start(Setup { limits, ..Setup::default() }).await;
     let mut held = Vec::new();
     // Shut from the start, and shut after some bytes; all on one connection, and each on its own.

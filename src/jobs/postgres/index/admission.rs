@@ -157,13 +157,13 @@ async fn own_room(
     let given_up = room.give_up(held.into_iter().map(|(digest, size)| (digest.into(), count(size))))?;
     let locked = "select digest from tessera.blobs where digest = any($1) order by digest for update";
     let locked = sqlx::query(locked).bind(keys(&given_up)).fetch_all(&mut *work).await?.len();
-    let pinned = "select count(*) from tessera.pins where digest = any($1) and owner = $2";
-    let pinned: i64 = sqlx::query_scalar(pinned)
-        .bind(keys(&given_up))
-        .bind(owner.as_bytes().as_slice())
-        .fetch_one(&mut *work)
-        .await?;
-    Ok((locked == given_up.len() && pinned == 0).then_some(given_up))
+    // The owner may have given one up itself.
+    let still = "select (select count(*) from tessera.pins where digest = any($1) and owner = $2), \
+                 (select count(*) from tessera.owners where digest = any($1) and owner = $2)";
+    let (pinned, owned): (i64, i64) =
+        sqlx::query_as(still).bind(keys(&given_up)).bind(owner.as_bytes().as_slice()).fetch_one(&mut *work).await?;
+    let is_so = locked == given_up.len() && owned == given_up.len() as i64 && pinned == 0;
+    Ok(is_so.then_some(given_up))
 }
 
 enum Found {
