@@ -92,7 +92,7 @@ WRONG = [
     ({"points": 100, "seed": -1}, "seed"),
     ({"points": 100, "seeds": np.zeros((3, 3))}, "seeds"),
     ({"points": 100, "attributes": {"height": np.zeros(3)}}, "height"),
-    ({"points": 100, "attributes": {"0 height": np.zeros(1800)}}, "name"),
+    ({"points": 100, "attributes": {"\theight": np.zeros(1800)}}, "name"),
     ({"points": 100, "attributes": 7}, "attributes"),
 ]
 

@@ -33,7 +33,7 @@ def test_pyvista(surface):
     out = result.mesh
     assert isinstance(out, pyvista.PolyData) and out.is_all_triangles and out.is_manifold
     assert np.abs(out.point_data["heat"] - out.points[:, 2]).max() < 0.2
-    assert "a_name" in out.point_data
+    assert "a name" in out.point_data
     # Polygons are divided, and volumes have a surface.
     for other in (pyvista.Cube(), pyvista.ImageData(dimensions=(4, 4, 4))):
         assert tessera_remesh.remesh(other, points=100).report.euler == 2
@@ -112,11 +112,12 @@ def test_what_cannot_be_carried_is_a_warning(surface):
     count = mesh.n_points
     mesh.point_data["many"] = np.zeros((count, 65))
     mesh.point_data["id"] = np.arange(count) + 2**60
-    mesh.point_data["a b"], mesh.point_data["a?b"] = np.zeros(count), np.ones(count)
+    mesh.point_data["a\tb"], mesh.point_data["a\x01b"] = np.zeros(count), np.ones(count)
     with pytest.warns(tessera_remesh.RemeshWarning) as caught:
         carried = tessera_remesh.remesh(mesh, points=100).attributes.scalars
     said = sorted(str(warning.message) for warning in caught)
     assert len(said) == 2 and "id" in said[0] and "many" in said[1]
+    # Control characters are no part of a name.
     assert sorted(carried) == ["a_b", "a_b_2"] and (carried["a_b"] == 0).all() and (carried["a_b_2"] == 1).all()
 
 
