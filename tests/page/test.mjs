@@ -632,7 +632,7 @@ const tests = {
       await drop(page, "beyond.ply", ascii("3 0 1 7"));
       await message(page, /vertex 7/);
       await drop(page, "bad.glb", "glTFxxxx");
-      await message(page, /bad\.glb cannot be read.*The file is no surface/s);
+      await message(page, /bad\.glb cannot be read.*The file cannot be read: .*cut off/s);
       await drop(page, "cut.off", "OFF\n3 1 0\n0 0 0\n1 0 0\n");
       await message(page, /ends early/);
       await drop(page, "packed.obj.gz", Buffer.from([0x1f, 0x8b, 8, 0, 1, 2, 3]));

@@ -246,7 +246,10 @@ impl Forecast {
                 JobApiError::TooLarge { of: Memory::Host, needed_bytes, limit_bytes: limits.host }
             }
             DataError::TooLong { limit } => JobApiError::Packed { limit_bytes: limit as u64 },
-            error => JobApiError::Input { field: "spec.mesh.file".to_owned(), problem: error.to_string() },
+            error => JobApiError::Input {
+                field: "spec.mesh.file".to_owned(),
+                problem: format!("the blob cannot be read: {error}"),
+            },
         };
         if size_bytes <= READ_BYTES {
             let all = self.whole(blob, size_bytes).await?;
