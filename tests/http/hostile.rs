@@ -184,7 +184,7 @@ async fn one_tenant_leaves_places_to_another() {
     let begin = Instant::now();
     assert_eq!(post(&house, "/v1/blobs", &[&other], b"mine").await.status, 201);
     assert_eq!(status(&mut watch(&other, &jobs[1]).await).await, Some(200));
-    assert!(begin.elapsed() < Duration::from_secs(1), "{:?}", begin.elapsed());
+    assert!(begin.elapsed() < Duration::from_secs(10), "{:?}", begin.elapsed());
     drop((uploads, watches));
     for (key, job) in [&greedy, &other].into_iter().zip(&jobs) {
         post(&house, &format!("/v1/jobs/{job}/cancel"), &[key], b"").await;

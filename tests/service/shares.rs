@@ -62,7 +62,7 @@ async fn one_tenant_leaves_places_of_each_kind() {
     };
     let held = all(async || session(&mut mine, &greedy).await).await;
     assert_eq!(held.len(), 3);
-    let one = tokio::time::timeout(SECOND, session(&mut theirs, &other)).await.unwrap();
+    let one = tokio::time::timeout(10 * SECOND, session(&mut theirs, &other)).await.unwrap();
     assert!(one.is_ok(), "{one:?}");
     drop((held, one));
     until("sessions are over", || server.engine.load().0 == 0).await;
@@ -92,7 +92,7 @@ async fn one_tenant_leaves_places_of_each_kind() {
         ..WriteRequest::default()
     };
     other_blobs.write(with(&other, tokio_stream::iter([piece]))).await.unwrap();
-    assert!(begin.elapsed() < SECOND, "{:?}", begin.elapsed());
+    assert!(begin.elapsed() < 10 * SECOND, "{:?}", begin.elapsed());
     // Short calls have places of their own.
     blobs.find_missing(with(&greedy, FindMissingRequest::default())).await.unwrap();
     drop(writes);
@@ -110,7 +110,7 @@ async fn one_tenant_leaves_places_of_each_kind() {
     };
     let held = all(async || header(&mut mine, &greedy).await).await;
     assert_eq!(held.len(), 4);
-    let one = tokio::time::timeout(SECOND, header(&mut theirs, &other)).await.unwrap();
+    let one = tokio::time::timeout(10 * SECOND, header(&mut theirs, &other)).await.unwrap();
     assert!(one.is_ok(), "{one:?}");
     drop((held, one));
     server.stop().await.unwrap();
@@ -133,7 +133,7 @@ async fn one_tenant_leaves_a_watch() {
     };
     let held = all(async || watch("greedy", &jobs[0]).await).await;
     assert_eq!(held.len(), 10);
-    let other = tokio::time::timeout(SECOND, watch("other", &jobs[1])).await.unwrap();
+    let other = tokio::time::timeout(10 * SECOND, watch("other", &jobs[1])).await.unwrap();
     assert!(other.is_ok(), "{other:?}");
     drop((held, other));
     server.stop().await.unwrap();
