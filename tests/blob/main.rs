@@ -118,8 +118,7 @@ async fn local_with(index: impl Fn() -> Arc<dyn BlobIndex>, folder: &Path, optio
 /// A store of jobs in a database that has the index. Each use of a blob counts.
 #[cfg(all(unix, feature = "postgres"))]
 async fn postgres(database: &postgres_server::Database) -> jobs::postgres::PostgresStore {
-    let options = jobs::postgres::PostgresOptions::new(database.url(), "test");
-    let options = jobs::postgres::PostgresOptions { same_use: std::time::Duration::ZERO, ..options };
+    let options = jobs::postgres::PostgresOptions { same_use: std::time::Duration::ZERO, ..database.options("test") };
     jobs::postgres::PostgresStore::open(options).await.unwrap()
 }
 

@@ -16,6 +16,8 @@ use std::sync::atomic::{AtomicU32, Ordering};
 use std::sync::{Mutex, OnceLock, PoisonError};
 use std::time::{Duration, Instant};
 
+use jobs::postgres::PostgresOptions;
+
 /// The password of the user `tessera` at the port. At the socket it is not asked for.
 pub const PASSWORD: &str = "pass word/%@";
 
@@ -223,6 +225,11 @@ impl Database {
     pub fn url(&self) -> String {
         let folder = percent(&self.cluster.folder);
         format!("postgres://tessera@localhost:{}/{}?host={folder}", self.cluster.port, self.name)
+    }
+
+    /// A store's options. A busy machine is no database that is away.
+    pub fn options(&self, holder: &str) -> PostgresOptions {
+        PostgresOptions { acquire: Duration::from_secs(6), ..PostgresOptions::new(self.url(), holder) }
     }
 
     /// Its address by the port, for the given user and password.

@@ -326,7 +326,7 @@ fn too_many_owners_replace_each_other_as_elsewhere() {
 #[test]
 fn a_use_soon_after_another_writes_nothing() {
     let database = server::database();
-    let options = jobs::postgres::PostgresOptions::new(database.url(), "one");
+    let options = database.options("one");
     let store = wait(jobs::postgres::PostgresStore::open(options)).unwrap();
     let index = store.index();
     wait(async {

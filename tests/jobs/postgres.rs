@@ -60,7 +60,7 @@ impl Clock {
 
 fn options(url: String) -> PostgresOptions {
     // Each use counts: the suites look at the order of uses.
-    PostgresOptions { same_use: Duration::ZERO, ..PostgresOptions::new(url, "one") }
+    PostgresOptions { same_use: Duration::ZERO, acquire: Duration::from_secs(6), ..PostgresOptions::new(url, "one") }
 }
 
 fn refusal(options: PostgresOptions) -> StoreError {

@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 use futures_util::{StreamExt, TryStreamExt};
 use jobs::blob::{BlobOptions, Digest, ObjectBlobs, put_of};
 use jobs::executor::api::{JobApi, JobApiError};
-use jobs::postgres::{PostgresOptions, PostgresStore};
+use jobs::postgres::PostgresStore;
 use jobs::record::state::State;
 use jobs::record::{Change, Job, JobId, Outcome, Spec};
 use jobs::store::{JobStore, StoreError};
@@ -53,7 +53,7 @@ impl Node {
     }
 
     async fn shared(name: &str, database: &Database, bucket: &Arc<InMemory>, options: ExecutorOptions) -> Self {
-        let store = PostgresStore::open(PostgresOptions::new(database.url(), name)).await.unwrap();
+        let store = PostgresStore::open(database.options(name)).await.unwrap();
         let blobs = ObjectBlobs::shared_with(store.index(), Arc::clone(bucket), BlobOptions::default());
         let blobs = Arc::new(blobs.await.unwrap());
         Self::start(Stores { jobs: Arc::new(store), blobs }, options).await
@@ -267,7 +267,7 @@ fn too_many_waiting_jobs_are_refused_and_a_database_that_is_away_is_said_soon() 
         let begin = Instant::now();
         let away = a.executor.create(spec).await.unwrap_err();
         assert!(matches!(away, JobApiError::Store(StoreError::Unavailable { .. })), "{away}");
-        assert!(begin.elapsed() < Duration::from_millis(2500), "{:?}", begin.elapsed());
+        assert!(begin.elapsed() < Duration::from_secs(10), "{:?}", begin.elapsed());
         database.cluster.start();
         drop(busy);
         a.ended(first).await;

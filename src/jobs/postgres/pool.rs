@@ -18,7 +18,7 @@ use crate::store::StoreError;
 
 /// The oldest server that is used.
 const OLDEST: i32 = 14;
-/// For a connection. Together with a retry by the caller it must fit into a call's patience.
+/// [`PostgresOptions::acquire`], if nothing else is given.
 const ACQUIRE: Duration = Duration::from_millis(1500);
 /// For all that an operation does.
 const OPERATION: Duration = Duration::from_secs(8);
@@ -40,6 +40,8 @@ pub struct PostgresOptions {
     pub holder: String,
     /// The most connections of the pool; one more listens.
     pub connections: u32,
+    /// For a connection. With a retry by the caller it must fit into a call's patience, and into the time of an operation.
+    pub acquire: Duration,
     /// Uses of a blob within this time count as one, which saves writes: those that go for want of room were not used for longer.
     pub same_use: Duration,
     /// Whether `synchronous_commit` may be `off` or `local`: a crash or a failover then loses jobs that were acknowledged.
@@ -56,6 +58,7 @@ impl PostgresOptions {
             password_file: None,
             holder: holder.into(),
             connections: 8,
+            acquire: ACQUIRE,
             same_use: SAME_USE,
             may_lose: false,
             silence: Duration::from_secs(10),
@@ -139,7 +142,7 @@ fn pool(options: &PostgresOptions, connecting: PgConnectOptions, connections: u3
     let may_lose = options.may_lose;
     PgPoolOptions::new()
         .max_connections(connections)
-        .acquire_timeout(ACQUIRE)
+        .acquire_timeout(options.acquire)
         .after_connect(move |connection, _| {
             Box::pin(async move {
                 check(connection, may_lose)
