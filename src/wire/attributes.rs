@@ -293,7 +293,7 @@ mod tests {
         assert_eq!(path(&[header(AttributeKind::TextureCoordinates, 7)]), "attributes[0].values");
         assert_eq!(path(&[header(AttributeKind::TextureCoordinates, 0)]), "attributes[0].values");
         assert_eq!(path(&[header(AttributeKind::Unspecified, 4)]), "attributes[0].kind");
-        assert_eq!(path(&[AttributeHeader { name: "a b".into(), ..scalar.clone() }]), "attributes[0].name");
+        assert_eq!(path(&[AttributeHeader { name: "a\nb".into(), ..scalar.clone() }]), "attributes[0].name");
         assert_eq!(path(&[AttributeHeader { r#type: 99, ..scalar.clone() }]), "attributes[0].type");
         let texture = || header(AttributeKind::TextureCoordinates, 6);
         assert_eq!(path(&[AttributeHeader { r#type: 3, ..texture() }]), "attributes[0].type");
