@@ -82,7 +82,8 @@ impl Forecast {
         };
         let (owner, format) = (Owner::of(&spec.tenant), *format);
         let size_bytes = self.size_of(owner, *blob).await?;
-        if size_bytes.saturating_mul(MADE) > self.engine.memory().host.min(MADE * READ_BYTES) {
+        // What is packed in it counts too.
+        if counts.input_bytes.saturating_mul(MADE) > self.engine.memory().host.min(MADE * READ_BYTES) {
             return Ok(counts);
         }
         let (density, seeds) = match &task.operation {
