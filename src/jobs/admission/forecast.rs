@@ -465,6 +465,31 @@ mod tests {
         tokio::task::spawn_blocking(move || thread.join()).await.unwrap().unwrap();
     }
 
+    /// An estimate knows of needles, unless their file is large or unpacks to more than is looked at.
+    #[tokio::test(flavor = "multi_thread")]
+    async fn estimates_look_at_the_surface() {
+        let (engine, thread) = engine();
+        let blobs = crate::Stores::ephemeral(crate::blob::BlobOptions::default()).blobs;
+        let forecast = Forecast::new(Arc::clone(&blobs), engine.clone(), 1_000_000);
+        let mut fan = String::from("v 0 0 1\n");
+        for k in 0..3000 {
+            let angle = f64::from(k) * 0.002;
+            fan.push_str(&format!("v {} {} 0\n", angle.cos(), angle.sin()));
+        }
+        (2..3001).for_each(|k| fan.push_str(&format!("f 1 {k} {}\n", k + 1)));
+        // Longer than is looked at, and not packed so small that it is refused.
+        let mut long = fan.clone();
+        (0..READ_BYTES / 20).for_each(|k| long.push_str(&format!("# {k:020}\n")));
+        for (bytes, is_looked_at) in [(fan.into_bytes(), true), (gzip(long.into_bytes()), false)] {
+            let blob = put_of(&*blobs, "t", None, bytes.into()).await.unwrap().digest;
+            let spec = spec(blob, Format::Obj, JobArrays::default(), "t");
+            let counts = forecast.counts_by_surface(&spec, None).await.unwrap();
+            assert_eq!(counts.extra_pairs > 0, is_looked_at);
+        }
+        engine.close();
+        tokio::task::spawn_blocking(move || thread.join()).await.unwrap().unwrap();
+    }
+
     /// Lists beside a surface are predicted: as long as their text, and as many numbers as the surface has places for.
     #[tokio::test(flavor = "multi_thread")]
     async fn lists_are_predicted() {
