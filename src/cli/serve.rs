@@ -194,8 +194,8 @@ async fn serve(args: &ServeArgs, config: ServeConfig, tls: Option<Arc<Tls>>, met
     let http = bind("--http-listen", calls(&config.http)).await?;
     let operators = bind("--admin-listen", &config.admin).await?;
     let address = listener.as_ref().map(TcpListener::local_addr).transpose().context("asking for the port")?;
-    if let Some(address) = address {
-        executor.advertise(config.advertise.clone().unwrap_or_else(|| advertised(address, tls.is_some())));
+    if let Some((address, cluster)) = address.zip(executor.cluster()) {
+        cluster.advertise(config.advertise.clone().unwrap_or_else(|| advertised(address, tls.is_some())));
     }
     let executor: Arc<dyn JobApi> = Arc::new(executor);
     tracing::info!(
