@@ -3,13 +3,16 @@
 Usage: check_files.py KUBECTL
 
 Overlays are put together by kustomize. Each object is held against the schemas of Kubernetes, and the pods against what their own
-numbers mean: a drain that lasts longer than a pod may live would lose work.
+numbers mean: a drain that lasts longer than a pod may live would lose work. Objects of extensions have no schema here: of these the
+ScaledObject's fields are checked by hand, the others are named.
 """
 
+import base64
 import pathlib
 import re
 import subprocess
 import sys
+import urllib.parse
 
 import kubernetes_validate
 import yaml
@@ -21,6 +24,13 @@ KUBERNETES = "1.33"
 # Seconds that a server may take after its grace period: cut, close, join.
 AFTER_GRACE = 17
 NAME = {"app.kubernetes.io/name": "tessera"}
+WORKLOADS = ("Deployment", "StatefulSet")
+# Of KEDA's ScaledObject and its triggers, as their documentation names them: what must be there, and what may.
+SCALED = ({"scaleTargetRef", "triggers"}, {"minReplicaCount", "maxReplicaCount", "pollingInterval", "cooldownPeriod", "advanced", "fallback"})
+TRIGGERS = {
+    "prometheus": ({"serverAddress", "query", "threshold"}, {"activationThreshold", "namespace", "ignoreNullValues"}),
+    "metrics-api": ({"url", "valueLocation", "targetValue"}, {"format", "activationTargetValue"}),
+}
 
 
 class Wrong(Exception):
@@ -36,14 +46,28 @@ def documents(path):
     return [document for document in yaml.safe_load_all(path.read_text()) if document]
 
 
-def one(objects, kind):
-    found = [entry for entry in objects if entry["kind"] == kind]
-    need(len(found) == 1, f"{len(found)} objects of kind {kind}")
+def one(objects, *kinds):
+    found = [entry for entry in objects if entry["kind"] in kinds]
+    need(len(found) == 1, f"{len(found)} objects of kind {' or '.join(kinds)}")
     return found[0]
 
 
+def check_fields(given, fields, what):
+    must, may = fields
+    need(must <= set(given), f"{what} lacks {', '.join(sorted(must - set(given)))}")
+    need(set(given) <= must | may, f"{what} has {', '.join(sorted(set(given) - must - may))}")
+
+
+def check_variables(variables, what):
+    for variable in variables:
+        if variable.startswith("TESSERA_"):
+            option = variable.removeprefix("TESSERA_").lower().replace("_", "-")
+            need(f"`--{option}`" in options(), f"{what}: {variable} is no option")
+
+
 def check_pods(objects):
-    pods = one(objects, "StatefulSet")["spec"]["template"]
+    workload = one(objects, *WORKLOADS)
+    pods = workload["spec"]["template"]
     need(pods["metadata"]["labels"].items() >= NAME.items(), "the pods lack their label")
     spec = pods["spec"]
     containers = spec["containers"] + spec.get("initContainers", [])
@@ -56,19 +80,94 @@ def check_pods(objects):
         rules = container["securityContext"]
         need(not rules["allowPrivilegeEscalation"] and rules["readOnlyRootFilesystem"], container["name"])
         need(rules["capabilities"] == {"drop": ["ALL"]}, container["name"])
-        known = {volume["name"] for volume in spec.get("volumes", [])} | {"data"}
+        known = {entry["name"] for entry in spec.get("volumes", [])}
+        known |= {entry["metadata"]["name"] for entry in workload["spec"].get("volumeClaimTemplates", [])}
         need({mount["name"] for mount in container["volumeMounts"]} <= known, "a mount without its volume")
     server = spec["containers"][0]
-    variables = {variable["name"]: variable["value"] for variable in server["env"]}
+    variables = {variable["name"]: variable.get("value") for variable in server["env"]}
     need(len(variables) == len(server["env"]), "a variable twice")
+    shared = {}
+    for source in server.get("envFrom", []):
+        ((kind, named),) = source.items()
+        kind = {"configMapRef": "ConfigMap", "secretRef": "Secret"}[kind]
+        found = [entry["data"] for entry in objects if (entry["kind"], entry["metadata"]["name"]) == (kind, named["name"])]
+        need(len(found) == 1, f"no {kind} {named['name']}")
+        need(not set(found[0]) & (set(shared) | set(variables)), f"{named['name']} has a variable that is set elsewhere")
+        shared |= found[0]
     rests = server["lifecycle"]["preStop"]["sleep"]["seconds"]
     needed = rests + float(variables["TESSERA_GRACE_S"]) + AFTER_GRACE
     need(needed <= spec["terminationGracePeriodSeconds"], f"a pod needs {needed} s to end")
     guarded = {"TESSERA_TLS_CERT", "TESSERA_TLS_KEY", "TESSERA_REQUIRE_KEYS"} <= set(variables)
     need(guarded != ("TESSERA_INSECURE" in variables), "neither guarded nor insecure, or both")
-    for variable in variables:
-        option = variable.removeprefix("TESSERA_").lower().replace("_", "-")
-        need(f"`--{option}`" in options(), f"{variable} is no option")
+    check_variables({**variables, **shared}, workload["kind"])
+    if "TESSERA_STORE" in shared:
+        check_sharing(objects, workload, variables, shared)
+
+
+def check_sharing(objects, workload, variables, shared):
+    """What servers of one database and one bucket need besides."""
+    need(workload["kind"] == "Deployment", "pods of a shared store need no names that last")
+    spec = workload["spec"]["template"]["spec"]
+    named = [entry for entry in spec["containers"][0]["env"] if entry["name"] == "TESSERA_NODE"]
+    need(named and named[0]["valueFrom"]["fieldRef"]["fieldPath"] == "metadata.name", "a node is not named as its pod")
+    need("TESSERA_BLOBS" in shared, "a store without a bucket")
+    store, bucket = (urllib.parse.urlsplit(shared[name]) for name in ("TESSERA_STORE", "AWS_ENDPOINT"))
+    need(store.password is None, "the URL of the database has a password")
+    need(bucket.scheme == "https" and "sslmode=verify-full" in store.query, "database or bucket without TLS")
+    open_ports = {port["port"] for rule in one(objects, "NetworkPolicy")["spec"]["egress"] for port in rule["ports"]}
+    need({53, store.port or 5432, bucket.port or 443} <= open_ports, "the network policy lets servers not reach what they need")
+    # Files that options name lie in a secret that is mounted.
+    files = [variables["TESSERA_STORE_PASSWORD_FILE"], *urllib.parse.parse_qs(store.query).get("sslrootcert", [])]
+    for file in map(pathlib.PurePosixPath, files):
+        (volume,) = (mount["name"] for mount in spec["containers"][0]["volumeMounts"] if mount["mountPath"] == str(file.parent))
+        (secret,) = (entry["secret"]["secretName"] for entry in spec["volumes"] if entry["name"] == volume)
+        (made,) = (entry for entry in objects if entry["kind"] == "Secret" and entry["metadata"]["name"] == secret)
+        need(file.name in made["data"], f"the secret {secret} has no {file.name}")
+    for entry in objects:
+        for key, value in entry["data"].items() if entry["kind"] == "Secret" else ():
+            need(base64.b64decode(value) == b"replace-me", f"{entry['metadata']['name']} has a {key} that is no placeholder")
+
+
+def check_scaling(objects):
+    """KEDA's object, whose schema is not at hand."""
+    for entry in objects:
+        if entry["kind"] != "ScaledObject":
+            continue
+        spec = entry["spec"]
+        check_fields(spec, SCALED, "the ScaledObject")
+        target = spec["scaleTargetRef"]
+        workload = one(objects, *WORKLOADS)
+        there = {"apiVersion": workload["apiVersion"], "kind": workload["kind"], "name": workload["metadata"]["name"]}
+        need(target == there, f"{target} is scaled, and there is {there}")
+        need(1 <= spec["minReplicaCount"] <= spec["maxReplicaCount"], "fewer servers at most than at least")
+        for trigger in spec["triggers"]:
+            need(trigger["type"] in TRIGGERS, f"a trigger {trigger['type']}")
+            check_fields(trigger["metadata"], TRIGGERS[trigger["type"]], f"the trigger {trigger['type']}")
+            need(all(isinstance(value, str) for value in trigger["metadata"].values()), "a figure of a trigger is no text")
+            if "url" in trigger["metadata"]:
+                check_asking(objects, entry["metadata"]["namespace"], trigger["metadata"]["url"])
+
+
+def check_asking(objects, namespace, url):
+    """Whether KEDA's operator gets to the port that the URL names."""
+    url = urllib.parse.urlsplit(url)
+    service, *domain = url.hostname.split(".")
+    need(domain == [namespace, "svc"], f"KEDA asks {url.hostname}, and the servers are in {namespace}")
+    ports = [
+        port["targetPort"]
+        for entry in objects
+        if entry["kind"] == "Service" and entry["metadata"]["name"] == service
+        for port in entry["spec"]["ports"]
+        if port["port"] == url.port
+    ]
+    need(ports == ["admin"], f"KEDA asks {url.netloc}, which is {ports}")
+    callers = [
+        caller.get("namespaceSelector", {}).get("matchLabels", {}).get("kubernetes.io/metadata.name")
+        for rule in one(objects, "NetworkPolicy")["spec"]["ingress"]
+        if {"port": "admin"} in rule["ports"]
+        for caller in rule["from"]
+    ]
+    need("keda" in callers, "the network policy keeps KEDA out")
 
 
 def check_selectors(objects):
@@ -91,10 +190,11 @@ def check_kubernetes(kubectl):
         try:
             check_pods(objects)
             check_selectors(objects)
+            check_scaling(objects)
         except Wrong as wrong:
             raise Wrong(f"{folder.name}: {wrong}") from wrong
         others = sorted({entry["kind"] for entry in objects if entry not in own})
-        print(f"{folder.name}: {len(own)} objects" + (f"; of extensions, not checked: {', '.join(others)}" if others else ""))
+        print(f"{folder.name}: {len(own)} objects" + (f"; of extensions, without a schema: {', '.join(others)}" if others else ""))
 
 
 def options():
