@@ -26,7 +26,9 @@ echo "-- Dockerfile"
 "$venv/bin/hadolint" --ignore DL3008 deploy/Dockerfile
 
 echo "-- Envoy"
-"$venv/bin/envoy" --mode validate --log-level error -c deploy/envoy/envoy.yaml
+for file in deploy/envoy/*.yaml; do
+    "$venv/bin/envoy" --mode validate --log-level error -c "$file"
+done
 
 echo "-- Compose"
 "$venv/bin/check-jsonschema" --quiet --builtin-schema vendor.compose-spec deploy/compose*.yaml

