@@ -22,7 +22,7 @@ use geometry::rvd::BackendChoice;
 use geometry::token::Token;
 use jobs::blob::BlobOptions;
 use jobs::executor::api::{JobApi, JobApiError};
-use jobs::executor::{NodeOptions, host_name};
+use jobs::executor::{DatabaseOptions, NodeOptions, host_name};
 use jobs::memory;
 use jobs::store::StoreError;
 use jobs::{Backends, Ceilings, Engine, EngineOptions, Executor, ExecutorOptions, JobError, LossPolicy, Stores};
@@ -48,7 +48,9 @@ async fn stores(config: &ServeConfig) -> Result<Stores> {
     std::fs::create_dir_all(folder).map_err(cannot)?;
     let stores = match (&config.database, &config.bucket) {
         (Some((url, password)), Some(bucket)) => {
-            Stores::in_database(&config.node, url, password.clone(), bucket, room).await
+            let (node, may_lose) = (config.node.as_str(), config.store_may_lose);
+            let database = DatabaseOptions { node, url, password: password.clone(), may_lose };
+            Stores::in_database(database, bucket, room).await
         }
         (_, None) => Stores::in_folder(folder.clone(), room).await,
         (None, Some(url)) => Stores::in_bucket(folder.clone(), url, room).await,

@@ -51,8 +51,6 @@ use wire::counts::Bounds;
 
 /// How often jobs that are over are looked for.
 const SWEEP: Duration = Duration::from_secs(1);
-/// How often a process of a shared store says that it is alive, in sweeps.
-const BEAT: u32 = 4;
 /// How often a storage that is well is checked, in sweeps.
 const STORAGE_CHECK: u32 = 5;
 /// Sweeps between two looks for abandoned uploads.
@@ -256,6 +254,7 @@ impl Executor {
         if is_shared {
             tokio::spawn(sharing::pull(Arc::downgrade(&inner)));
             tokio::spawn(sharing::renew(Arc::downgrade(&inner)));
+            tokio::spawn(cluster::beat(Arc::downgrade(&inner)));
         }
         Ok(Self { inner })
     }
@@ -296,8 +295,7 @@ async fn sweep(inner: Weak<Inner>) {
         {
             tracing::error!(%error, "uploads that nobody continues could not be let go of");
         }
-        let beats = sweeps % BEAT == 1;
-        let swept = match inner.sweeps(beats).await {
+        let swept = match inner.sweeps().await {
             Ok(true) => inner.expire().await,
             Ok(false) => continue,
             Err(error) => Err(error),

@@ -32,8 +32,9 @@ pub(crate) async fn follow(api: Arc<dyn JobApi>, metrics: Metrics, readiness: Re
     let mut drained = cluster.drained();
     loop {
         readiness.set(Reason::Drained, *drained.borrow_and_update());
-        if let Ok(overview) = cluster.overview().await {
-            metrics.cluster(&overview);
+        match cluster.overview().await {
+            Ok(overview) => metrics.cluster(&overview),
+            Err(_) => metrics.no_cluster(),
         }
         // Without a sender the executor is gone.
         tokio::select! {

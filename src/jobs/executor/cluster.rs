@@ -4,7 +4,7 @@
 //! nothing here claims a job. Must not know: leases, how a job is done, which store it is.
 
 use std::collections::BTreeMap;
-use std::sync::Arc;
+use std::sync::{Arc, Weak};
 use std::time::{Duration, Instant};
 
 use async_trait::async_trait;
@@ -19,8 +19,25 @@ use crate::record::{Bytes, Job, JobId, Spec};
 use crate::store::shared::{Node, Overview, Role, Unschedulable};
 use crate::store::{SharedStore, StoreError};
 
+/// Between two words that this process is alive.
+const BEAT: Duration = Duration::from_secs(4);
 /// How long it is used what all servers have to do.
 const OVERVIEW: Duration = Duration::from_secs(2);
+
+/// Says that this process is alive, for as long as the executor lives. Waits for nothing else, such as a bucket that is away.
+pub(super) async fn beat(inner: Weak<Inner>) {
+    loop {
+        let Some(this) = inner.upgrade() else { return };
+        // Once it drains it is about to leave.
+        if let Some(shared) = this.shared()
+            && !this.is_draining()
+        {
+            this.beat(shared).await;
+        }
+        drop(this);
+        tokio::time::sleep(BEAT).await;
+    }
+}
 
 /// How this process shows itself to others that share its store.
 #[derive(Clone, Debug, Default)]
@@ -123,13 +140,12 @@ impl Inner {
         }
     }
 
-    /// Whether this process sweeps now. In a shared store it says that it is alive besides, if `beats`.
-    pub(super) async fn sweeps(&self, beats: bool) -> Result<bool, StoreError> {
-        let Some(shared) = self.shared() else { return Ok(true) };
-        if beats {
-            self.beat(shared).await;
+    /// Whether this process sweeps now.
+    pub(super) async fn sweeps(&self) -> Result<bool, StoreError> {
+        match self.shared() {
+            Some(shared) => shared.sweeps().await,
+            None => Ok(true),
         }
-        shared.sweeps().await
     }
 
     /// All servers and all work of a shared store, as they were a moment ago.
