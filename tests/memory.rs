@@ -89,7 +89,7 @@ fn hostile() -> Vec<(&'static str, Format, Vec<u8>)> {
              property uchar z\nproperty uchar red\nproperty uchar green\nproperty uchar blue\nproperty uchar alpha\n{names}\
              element face 1\nproperty list uchar uint vertex_indices\nproperty list uchar uchar n\nend_header\n"
         );
-        let all: Vec<u8> = (0..12 * vertices).map(|k| (k % 251) as u8).collect();
+        let all: Vec<u8> = (0..12 * vertices).map(|k| (k * k % 251) as u8).collect();
         [head.as_bytes(), &all, &[3, 0, 0, 0, 0, 1, 0, 0, 0, 2, 0, 0, 0, 0]].concat()
     };
     let textured_text = filled(
