@@ -8,6 +8,7 @@
 //! A job fails for crashes only if it was at work alone. Must not know: messages, clients, which store.
 
 pub mod api;
+mod cluster;
 pub mod diagram;
 mod input;
 mod perform;
@@ -20,28 +21,29 @@ pub mod streams;
 
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, Mutex, Weak};
+use std::sync::{Arc, Mutex, OnceLock, Weak};
 use std::time::{Duration, Instant};
 
 use async_trait::async_trait;
 use tokio::runtime::Handle;
 use tokio::sync::{mpsc, watch};
 
-use crate::admission::estimate::Counts;
+use crate::admission::estimate::{Counts, Need};
 use crate::admission::forecast::{Forecast, must_fit};
 use crate::blob::{BlobError, BlobOptions, BlobStore, ObjectBlobs, Owner};
 use crate::engine::{AdmissionRequest, Engine};
-use crate::executor::api::{Estimate, JobApi, JobApiError};
+use crate::executor::api::{ClusterApi, Estimate, JobApi, JobApiError};
 use crate::observe::preview::{PreviewReceiver, Previews};
 use crate::places::may_take;
-use crate::record::Bytes;
 use crate::record::event::{Events, Progress};
 use crate::record::{Change, FailureKind, Job, JobId, Spec};
+use crate::store::shared::{Overview, Unschedulable};
 use crate::store::{
-    Created, JobStore, MAX_CRASHES, MemoryStore, NewJob, Orphans, Page, Query, RedbOptions, RedbStore, Retention,
+    Cost, Created, JobStore, MAX_CRASHES, MemoryStore, NewJob, Orphans, Page, Query, RedbOptions, RedbStore, Retention,
     StoreError,
 };
 use crate::{JobError, admission, lock};
+pub use cluster::{NodeOptions, host_name};
 use geometry::token::Token;
 use sharing::{Leases, Numbers};
 use storage::Storage;
@@ -76,6 +78,7 @@ pub struct ExecutorOptions {
     /// In a store that several processes share, the lease of work that has not checked its token for so long is not renewed.
     /// Longer than one submission to the device may take.
     pub silence: Duration,
+    pub node: NodeOptions,
     pub bounds: Bounds,
 }
 
@@ -88,9 +91,23 @@ impl ExecutorOptions {
             max_crashes: MAX_CRASHES,
             lease: Duration::from_secs(60),
             silence: Duration::from_secs(120),
+            node: NodeOptions::default(),
             bounds,
         }
     }
+}
+
+/// A database that several servers share.
+#[derive(Clone, Debug)]
+pub struct DatabaseOptions<'a> {
+    /// This server's name among them.
+    pub node: &'a str,
+    /// `postgres://USER@HOST/DATABASE`.
+    pub url: &'a str,
+    /// A file with its password, if the URL has none.
+    pub password: Option<PathBuf>,
+    /// Whether a crash or a failover of the database may lose jobs that were acknowledged.
+    pub may_lose: bool,
 }
 
 #[derive(Clone)]
@@ -124,26 +141,26 @@ impl Stores {
         }
     }
 
-    /// Jobs in a PostgreSQL database that several servers share; blobs in a bucket, as in [`Self::in_bucket`]. `password` is a
-    /// file, if the URL has none. Errors: why database or bucket cannot be used.
+    /// Jobs in a PostgreSQL database that several servers share; blobs in a bucket, as in [`Self::in_bucket`]. Errors: why database
+    /// or bucket cannot be used.
     pub async fn in_database(
-        database: &str,
-        password: Option<PathBuf>,
+        database: DatabaseOptions<'_>,
         bucket: &str,
         blobs: BlobOptions,
     ) -> Result<Self, JobApiError> {
         #[cfg(all(feature = "postgres", feature = "s3"))]
         {
             use crate::postgres::{PostgresOptions, PostgresStore};
-            let options =
-                PostgresOptions { password_file: password, ..PostgresOptions::new(database, sharing::unique_name()?) };
+            let DatabaseOptions { node, url, password: password_file, may_lose } = database;
+            let holder = cluster::unique_name(node)?;
+            let options = PostgresOptions { password_file, may_lose, ..PostgresOptions::new(url, holder) };
             let jobs = PostgresStore::open(options).await?;
             let blobs = ObjectBlobs::s3(jobs.index(), bucket, [], blobs).await?;
             Ok(Self { jobs: Arc::new(jobs), blobs: Arc::new(blobs) })
         }
         #[cfg(not(all(feature = "postgres", feature = "s3")))]
         {
-            let _ = (database, password, bucket, blobs);
+            let _ = (database, bucket, blobs);
             let cause = "this program was built without the feature postgres or s3".to_owned();
             Err(StoreError::Unusable { cause }.into())
         }
@@ -182,6 +199,11 @@ struct Inner {
     /// Held while a job is claimed.
     claiming: tokio::sync::Mutex<()>,
     numbers: tokio::sync::Mutex<Numbers>,
+    overview: tokio::sync::Mutex<Option<(Instant, Arc<Overview>)>>,
+    /// Whether an operator wants this process to take no more work of a shared store.
+    drained: watch::Sender<bool>,
+    /// Where this process takes calls.
+    address: OnceLock<String>,
     storage: Storage,
     progress: mpsc::Sender<ProgressCommand>,
     previews: Previews,
@@ -227,6 +249,9 @@ impl Executor {
             leases: Leases::default(),
             claiming: tokio::sync::Mutex::default(),
             numbers: tokio::sync::Mutex::default(),
+            overview: tokio::sync::Mutex::default(),
+            drained: watch::Sender::new(false),
+            address: OnceLock::new(),
             storage: Storage::default(),
             progress,
             previews: Previews::default(),
@@ -239,6 +264,7 @@ impl Executor {
         if is_shared {
             tokio::spawn(sharing::pull(Arc::downgrade(&inner)));
             tokio::spawn(sharing::renew(Arc::downgrade(&inner)));
+            tokio::spawn(cluster::beat(Arc::downgrade(&inner)));
         }
         Ok(Self { inner })
     }
@@ -266,7 +292,7 @@ async fn record_progress(
 
 /// Lets go of what is over, again and again.
 async fn sweep(inner: Weak<Inner>) {
-    let (mut sweeps, mut recovered) = (0u32, Instant::now());
+    let (mut sweeps, mut recovered, mut is_away) = (0u32, Instant::now(), false);
     loop {
         tokio::time::sleep(SWEEP).await;
         let Some(inner) = inner.upgrade() else { return };
@@ -274,8 +300,24 @@ async fn sweep(inner: Weak<Inner>) {
         if sweeps.is_multiple_of(STORAGE_CHECK) || inner.storage.is_down() {
             inner.storage.check(inner.stores.blobs.as_ref()).await;
         }
-        match inner.expire().await {
-            Ok(()) => {}
+        if sweeps.is_multiple_of(SWEEP_UPLOADS)
+            && let Err(error) = inner.stores.blobs.sweep().await
+        {
+            tracing::error!(%error, "uploads that nobody continues could not be let go of");
+        }
+        let swept = match inner.sweeps().await {
+            Ok(true) => inner.expire().await,
+            Ok(false) => continue,
+            Err(error) => Err(error),
+        };
+        match swept {
+            Ok(()) => is_away = false,
+            Err(error @ StoreError::Unavailable { .. }) => {
+                if !std::mem::replace(&mut is_away, true) {
+                    tracing::error!(%error, "jobs that are over cannot be let go of; trying again");
+                }
+                continue;
+            }
             Err(error @ (StoreError::Broken { .. } | StoreError::Closed)) => {
                 tracing::error!(%error, "nothing more can be kept");
                 inner.broken.send_replace(true);
@@ -288,11 +330,6 @@ async fn sweep(inner: Weak<Inner>) {
             if let Err(error) = inner.recover_lost().await {
                 tracing::warn!(%error, "leases that are over could not be looked for");
             }
-        }
-        if sweeps.is_multiple_of(SWEEP_UPLOADS)
-            && let Err(error) = inner.stores.blobs.sweep().await
-        {
-            tracing::error!(%error, "uploads that nobody continues could not be let go of");
         }
     }
 }
@@ -466,7 +503,8 @@ impl Inner {
         if may_take(own, waiting, self.options.waiting_jobs) { Ok(()) } else { Err(full.into()) }
     }
 
-    /// What must be known before the input is looked at: the job, if its request came before. Errors: as [`Self::has_place`].
+    /// What must be known before the input is looked at: the job, if its request came before. Errors: as [`Self::has_place`]; in a
+    /// shared store `Blob` if blobs cannot be stored now.
     async fn begin_create(&self, spec: &Spec) -> Result<Option<Job>, JobApiError> {
         // Its input may be gone by now, and is not needed.
         if !spec.request_id.is_empty()
@@ -474,23 +512,41 @@ impl Inner {
         {
             return Ok(Some(job));
         }
+        // Servers that share a bucket know within seconds that it is away.
+        if self.shared().is_some()
+            && let Some(error) = self.storage.trouble()
+        {
+            return Err(error.into());
+        }
         self.has_place(&spec.tenant).await.map(|()| None)
     }
 
     /// Checks all that can be checked before a job is kept; gives the memory that it needs.
-    async fn admit(&self, spec: &Spec) -> Result<Bytes, JobApiError> {
+    async fn admit(&self, spec: &Spec) -> Result<Need, JobApiError> {
         self.has_place(&spec.tenant).await?;
-        self.engine.backend(spec.task().backend)?;
+        let is_shared = self.shared().is_some();
+        if !is_shared {
+            self.engine.backend(spec.task().backend)?;
+        }
         let counts = self.forecast.counts(spec, None).await?;
         self.within_bounds(&counts)?;
         let need = self.forecast.need(&counts);
-        must_fit(&need, self.engine.memory())?;
-        Ok(need.memory)
+        match self.why_not(&need, spec).await? {
+            // One that can may come: the job says so as long as it waits.
+            Some(Unschedulable::NoServer | Unschedulable::NoGpu) => {}
+            None if is_shared => {}
+            _ => must_fit(&need, self.largest().await?)?,
+        }
+        Ok(need)
     }
 }
 
 #[async_trait]
 impl JobApi for Executor {
+    fn cluster(&self) -> Option<&dyn ClusterApi> {
+        self.inner.shared().map(|_| self as &dyn ClusterApi)
+    }
+
     async fn create(&self, spec: Spec) -> Result<Created, JobApiError> {
         let this = &self.inner;
         let begun = match this.shared() {
@@ -504,8 +560,10 @@ impl JobApi for Executor {
             return Ok(Created { job, existed: true });
         }
         this.check_input(&spec).await?;
-        let needs = this.admit(&spec).await?;
-        let created = this.stores.jobs.create(NewJob { random: getrandom_u128()?, spec, needs }).await?;
+        let need = this.admit(&spec).await?;
+        let cost = Cost { seconds: need.seconds, weight: this.engine.weights().of(&spec.tenant) };
+        let new = NewJob { random: getrandom_u128()?, spec, needs: need.memory, cost };
+        let created = this.stores.jobs.create(new).await?;
         if this.shared().is_some() {
             if !created.existed {
                 this.count_waiting(&created.job.spec.tenant).await;
@@ -566,11 +624,15 @@ impl JobApi for Executor {
     }
 
     async fn estimate(&self, spec: Spec, vertices: Option<u64>, facets: Option<u64>) -> Result<Estimate, JobApiError> {
-        self.inner.engine.backend(spec.task().backend)?;
+        let is_shared = self.inner.shared().is_some();
+        if !is_shared {
+            self.inner.engine.backend(spec.task().backend)?;
+        }
         let given = vertices.zip(facets);
         let counts = self.inner.forecast.counts_by_surface(&spec, given).await?;
         let need = self.inner.forecast.need(&counts);
-        let limits = self.inner.engine.memory();
+        let limits = self.inner.largest().await?;
+        let unschedulable = self.inner.why_not(&need, &spec).await?;
         let in_bounds = self.inner.within_bounds(&counts).is_ok();
         Ok(Estimate {
             host_bytes: need.memory.host,
@@ -578,7 +640,8 @@ impl JobApi for Executor {
             device_bytes: need.memory.device,
             device_limit_bytes: if limits.device == u64::MAX { 0 } else { limits.device },
             seconds: need.seconds,
-            fits: in_bounds && need.memory.fits(limits),
+            fits: in_bounds && unschedulable.is_none() && (is_shared || need.memory.fits(limits)),
+            unschedulable: unschedulable.map(|unschedulable| unschedulable.to_string()),
         })
     }
 
@@ -604,6 +667,11 @@ impl JobApi for Executor {
         }
         while self.inner.engine.kept(None) > 0 || !self.inner.leases.is_empty() {
             tokio::time::sleep(Duration::from_millis(10)).await;
+        }
+        if let Some(shared) = self.inner.shared()
+            && let Err(error) = shared.leave().await
+        {
+            tracing::debug!(%error, "the others take this server for away in a moment");
         }
     }
 }

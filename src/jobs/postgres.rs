@@ -6,21 +6,25 @@
 //! until the job is read again, and a request with a number can be repeated. Only the database's clock decides. Progress is
 //! kept at once, and may be lost only with its day. Must not know: messages, how jobs are done.
 
+mod cluster;
 mod index;
 mod jobs;
 mod listen;
 mod migrations;
+mod operator;
 mod pool;
 mod rows;
 mod upkeep;
 
-use std::collections::HashMap;
+use std::collections::{BTreeMap, HashMap};
+use std::sync::atomic::{AtomicU32, Ordering};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 use tokio::sync::watch;
 use tokio::task::JoinHandle;
 
+pub use operator::{Checked, Operator};
 pub use pool::PostgresOptions;
 
 use crate::beside::Beside;
@@ -28,13 +32,14 @@ use crate::blob::index::BlobIndex;
 use crate::lock;
 use crate::record::event::{Events, Progress};
 use crate::record::{Change, Job, JobId, Spec};
+use crate::store::shared::{Document, Node, Overview, Unschedulable};
 use crate::store::{
     Answer, Created, JobStore, NewJob, Offer, Orphans, Page, Query, Recovered, Retention, SharedStore, StoreError,
     Swept, Waiters,
 };
 use index::PostgresIndex;
 use jobs::Work;
-use listen::Voice;
+use listen::{Ears, Voice};
 use pool::Database;
 
 /// A wait looks this often, woken or not: progress wakes nothing.
@@ -53,6 +58,8 @@ pub struct PostgresStore {
     /// Changes when jobs may have come to wait.
     work: Arc<watch::Sender<()>>,
     voice: Voice,
+    /// Servers that are alive beside this one.
+    others: Arc<AtomicU32>,
     listener: JoinHandle<()>,
     /// When the days of progress were last looked at.
     days: Mutex<Instant>,
@@ -66,11 +73,13 @@ impl PostgresStore {
         let index = Arc::new(PostgresIndex::new(database.clone(), options.same_use));
         let waiters = Arc::<Waiters>::default();
         let work = Arc::new(watch::Sender::new(()));
-        let heard = (Arc::clone(&waiters), Arc::clone(&work));
-        let listener = tokio::spawn(listen::listen(Database::apart(&options)?, heard));
+        let others = Arc::<AtomicU32>::default();
+        let ears = Ears { waiters: Arc::clone(&waiters), work: Arc::clone(&work), others: Arc::clone(&others) };
+        let listener = tokio::spawn(listen::listen(Database::apart(&options)?, ears));
         let voice = Voice::new(database.pool().clone(), Arc::clone(&waiters), Arc::clone(&work));
         let PostgresOptions { holder, silence, .. } = options;
-        Ok(Self { database, index, holder, silence, waiters, work, voice, listener, days: Mutex::new(Instant::now()) })
+        let days = Mutex::new(Instant::now());
+        Ok(Self { database, index, holder, silence, waiters, work, voice, others, listener, days })
     }
 
     async fn keep_days(&self) {
@@ -99,7 +108,7 @@ macro_rules! transaction {
         Box::pin($store.database.$run(async move {
             let mut $work = Work::begin(&$store.database).await?;
             let done = $operation.await;
-            $work.end(done, &$store.voice).await
+            $work.end(done, Some(&$store.voice)).await
         }))
     };
 }
@@ -204,6 +213,38 @@ impl SharedStore for PostgresStore {
 
     fn waiting(&self) -> Answer<'_, HashMap<String, usize>> {
         connection!(self, |connection| jobs::waiting(connection))
+    }
+
+    fn beat(&self, node: Node) -> Answer<'_, bool> {
+        connection!(self, |connection| async {
+            let (drain, others) = cluster::beat(connection, &self.holder, &node).await?;
+            self.others.store(others, Ordering::Relaxed);
+            Ok(drain)
+        })
+    }
+
+    fn sweeps(&self) -> Answer<'_, bool> {
+        connection!(self, |connection| cluster::sweeps(connection))
+    }
+
+    fn share_calls(&self, open: BTreeMap<String, u32>) -> Answer<'_, BTreeMap<String, u32>> {
+        connection!(self, |connection| cluster::share_calls(connection, &self.holder, open))
+    }
+
+    fn document(&self, name: &'static str) -> Answer<'_, Option<Document>> {
+        connection!(self, |connection| cluster::document(connection, name))
+    }
+
+    fn leave(&self) -> Answer<'_, ()> {
+        connection!(self, |connection| cluster::leave(connection, &self.holder))
+    }
+
+    fn overview(&self) -> Answer<'_, Overview> {
+        connection!(self, |connection| cluster::overview(connection))
+    }
+
+    fn unschedulable(&self, id: JobId) -> Answer<'_, Option<Unschedulable>> {
+        connection!(self, |connection| cluster::unschedulable(connection, id))
     }
 }
 

@@ -17,6 +17,8 @@ mod process;
 
 #[cfg(all(unix, feature = "postgres"))]
 mod clients;
+#[cfg(all(unix, feature = "postgres"))]
+mod cluster;
 mod disk;
 mod figures;
 mod index;
@@ -27,6 +29,8 @@ mod outage;
 #[cfg(all(unix, feature = "postgres"))]
 mod postgres;
 mod random;
+#[cfg(all(unix, feature = "postgres"))]
+mod scaling;
 #[cfg(all(unix, feature = "postgres"))]
 mod shared;
 mod specs;

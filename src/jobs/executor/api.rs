@@ -4,6 +4,9 @@
 //! Invariant: a job of another tenant does not exist for a caller. An answer that is not an error says what is kept.
 //! Must not know: streams, how work is done, where jobs are kept.
 
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
 use async_trait::async_trait;
 use tokio::sync::watch;
 
@@ -12,6 +15,7 @@ use crate::blob::BlobError;
 pub use crate::observe::preview::{Preview, PreviewReceiver};
 use crate::record::event::Events;
 use crate::record::{Job, JobId, Spec};
+use crate::store::shared::Overview;
 use crate::store::{Created, Page, Query};
 
 /// See the module's head. A call of [`create`](Self::create), [`cancel`](Self::cancel) or [`delete`](Self::delete) must
@@ -56,9 +60,39 @@ pub trait JobApi: Send + Sync {
 
     /// Takes nothing new and begins nothing more. Ends once nothing is at work; what waits is done after the next start.
     async fn drain(&self);
+
+    /// What there is more where several servers share the store.
+    fn cluster(&self) -> Option<&dyn ClusterApi> {
+        None
+    }
 }
 
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+/// What there is more where several servers share a store.
+#[async_trait]
+pub trait ClusterApi: Send + Sync {
+    /// The process that has a job at work, if it is another one that shares the store: that one alone shows its seeds.
+    async fn at_work_elsewhere(&self, tenant: &str, id: JobId) -> Result<Option<String>, JobApiError>;
+
+    /// Why no server that is alive does a queued job; `None` if one can.
+    async fn unschedulable(&self, job: &Job) -> Result<Option<String>, JobApiError>;
+
+    /// All servers and all work, a moment old.
+    async fn overview(&self) -> Result<Arc<Overview>, JobApiError>;
+
+    /// If this server does no streams, since it does no work or is to take no more: where one that does takes calls, if any is known.
+    async fn streams_elsewhere(&self) -> Option<Option<String>>;
+
+    /// This server takes calls at this address.
+    fn advertise(&self, address: String);
+
+    /// Tells how many calls are open here by key, and gives how many are at the other servers; nothing if the store does not answer.
+    async fn share_calls(&self, open: BTreeMap<String, u32>) -> BTreeMap<String, u32>;
+
+    /// Whether an operator wants this server to take no more work.
+    fn drained(&self) -> watch::Receiver<bool>;
+}
+
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct Estimate {
     /// Predicted peak memory of the process, bytes.
     pub host_bytes: u64,
@@ -71,4 +105,6 @@ pub struct Estimate {
     /// Seconds of work, if nothing else is at work.
     pub seconds: f64,
     pub fits: bool,
+    /// Why no server that is alive does it; `None` if one can, or if this one alone does jobs.
+    pub unschedulable: Option<String>,
 }

@@ -16,10 +16,12 @@ use super::{ALONE_CHECK, Inner, is_outdated};
 use crate::lock;
 use crate::record::{Change, Job, JobId};
 use crate::store::{Offer, Orphans, SharedStore, StoreError};
+use geometry::rvd::{BackendChoice, BackendKind};
 use geometry::token::Token;
 
 /// A process with room looks for work this often, woken or not.
 const POLL: Duration = Duration::from_secs(1);
+pub(super) const GPU: BackendChoice = BackendChoice::Only(BackendKind::Gpu);
 /// Renewals in the time of a lease.
 const RENEWALS: u32 = 3;
 /// Looks for leases that are over, in the time of a lease.
@@ -65,7 +67,11 @@ impl Leases {
     }
 
     pub(super) fn is_empty(&self) -> bool {
-        lock(&self.0).is_empty()
+        self.len() == 0
+    }
+
+    pub(super) fn len(&self) -> usize {
+        lock(&self.0).len()
     }
 
     fn get(&self, id: JobId, at: u64) -> Option<Lease> {
@@ -92,8 +98,11 @@ pub(super) struct Numbers {
 
 /// Claims jobs while there is a free place, for as long as the executor lives.
 pub(super) async fn pull(inner: Weak<Inner>) {
-    let work = |inner: Arc<Inner>| Some(inner.stores.jobs.shared()?.work());
-    let Some(mut work) = inner.upgrade().and_then(work) else { return };
+    let work = |inner: Arc<Inner>| {
+        let works = inner.options.node.role.works();
+        inner.stores.jobs.shared().filter(|_| works).map(|shared| (shared.work(), inner.drained.subscribe()))
+    };
+    let Some((mut work, mut drained)) = inner.upgrade().and_then(work) else { return };
     loop {
         let Some(this) = inner.upgrade() else { return };
         work.mark_unchanged();
@@ -106,6 +115,7 @@ pub(super) async fn pull(inner: Weak<Inner>) {
         drop(this);
         tokio::select! {
             _ = work.changed() => {}
+            _ = drained.changed() => {}
             () = engine.freed() => {}
             () = tokio::time::sleep(POLL) => {}
         }
@@ -136,15 +146,6 @@ pub(super) async fn end_preview(inner: Weak<Inner>, id: JobId) {
     }
 }
 
-/// A name that no other process has.
-#[cfg(all(feature = "postgres", feature = "s3"))]
-pub(super) fn unique_name() -> Result<String, crate::admission::JobApiError> {
-    let told = std::fs::read_to_string("/proc/sys/kernel/hostname").ok();
-    let host = told.or_else(|| std::env::var("HOSTNAME").ok()).unwrap_or_default();
-    let host = Some(host.trim()).filter(|host| !host.is_empty()).unwrap_or("unknown").to_owned();
-    Ok(format!("{host} process {} {:08x}", std::process::id(), super::getrandom_u128()? as u32))
-}
-
 impl Inner {
     pub(super) fn shared(&self) -> Option<&dyn SharedStore> {
         self.stores.jobs.shared()
@@ -153,11 +154,13 @@ impl Inner {
     /// Claims a job and queues it, if there is a place for one.
     async fn pull_one(self: &Arc<Self>) -> Result<bool, StoreError> {
         let claiming = self.claiming.lock().await;
-        if self.is_draining() || !self.engine.has_place() {
+        if self.is_draining() || *self.drained.borrow() || !self.engine.has_place() {
             return Ok(false);
         }
-        let room = self.engine.memory().minus(self.engine.planned());
-        let offer = Offer::new(self.name.clone(), self.options.lease, room);
+        let whole = self.engine.memory();
+        let room = whole.minus(self.engine.planned());
+        let has_gpu = self.engine.backend(GPU).is_ok();
+        let offer = Offer { whole, has_gpu, ..Offer::new(self.name.clone(), self.options.lease, room) };
         let Some(job) = self.stores.jobs.claim_next(offer).await? else { return Ok(false) };
         let token = self.engine.token_within(job.spec.task().deadlines.run);
         self.leases.insert(&job, token.clone());

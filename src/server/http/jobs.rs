@@ -68,6 +68,7 @@ pub(super) struct JobBody<'a> {
     #[schemars(schema_with = "word_or_null::<Cause>")]
     expired_by: Option<Cause>,
     request_id: &'a str,
+    unschedulable: Option<String>,
 }
 
 #[derive(Serialize, JsonSchema)]
@@ -138,6 +139,7 @@ impl<'a> JobBody<'a> {
             results,
             expired_by,
             request_id: &job.spec.request_id,
+            unschedulable: None,
         }
     }
 }
@@ -208,7 +210,12 @@ pub(super) async fn list(State(desk): State<Desk>, Extension(client): Whose, req
 }
 
 pub(super) async fn one(State(desk): State<Desk>, Extension(client): Whose, Path(id): Path<String>) -> Answered {
-    Ok(answer(StatusCode::OK, &JobBody::of(&desk.api.get(&client.tenant, job_id(&id)?).await?)))
+    let job = desk.api.get(&client.tenant, job_id(&id)?).await?;
+    let unschedulable = match desk.api.cluster() {
+        Some(cluster) => cluster.unschedulable(&job).await?,
+        None => None,
+    };
+    Ok(answer(StatusCode::OK, &JobBody { unschedulable, ..JobBody::of(&job) }))
 }
 
 pub(super) async fn cancel(State(desk): State<Desk>, Extension(client): Whose, Path(id): Path<String>) -> Answered {
@@ -398,7 +405,13 @@ pub(super) async fn seeds(
     let mut asked = Asked::of_query(request.uri().query())?;
     let after: u64 = asked.whole("after")?.unwrap_or(0);
     asked.finish()?;
-    let mut receiver = desk.api.preview(&client.tenant, job_id(&id)?).await?;
+    let id = job_id(&id)?;
+    if let Some(cluster) = desk.api.cluster()
+        && let Some(holder) = cluster.at_work_elsewhere(&client.tenant, id).await?
+    {
+        return Err(RequestError::SeedsElsewhere { holder }.into());
+    }
+    let mut receiver = desk.api.preview(&client.tenant, id).await?;
     let newer = receiver.wait_for(|shown| shown.as_ref().is_some_and(|shown| shown.steps > after));
     let found = tokio::select! {
         found = tokio::time::timeout(WAIT, newer) => found,
