@@ -45,7 +45,10 @@ async fn stores(config: &ServeConfig) -> Result<Stores> {
     let cannot = |error| Unavailable(format!("cannot make {}: {error}; give another --data-dir", folder.display()));
     std::fs::create_dir_all(folder).map_err(cannot)?;
     let stores = match (&config.database, &config.bucket) {
-        (Some((url, password)), Some(bucket)) => Stores::in_database(url, password.clone(), bucket, room).await,
+        (Some((url, password)), Some(bucket)) => {
+            let copies = (folder.join("cache"), config.cache_bytes);
+            Stores::in_database(url, password.clone(), bucket, room, copies).await
+        }
         (_, None) => Stores::in_folder(folder.clone(), room).await,
         (None, Some(url)) => Stores::in_bucket(folder.clone(), url, room).await,
     };

@@ -7,6 +7,7 @@
 //! says what may be stored and removed; the rest of the room moves bytes. Must not know: what the bytes mean, jobs, or the
 //! wire.
 
+mod cache;
 mod chunk;
 mod digest;
 mod error;
@@ -20,6 +21,7 @@ mod staging;
 mod store;
 mod upload;
 
+pub use cache::CacheUse;
 #[cfg(feature = "postgres")]
 pub(crate) use chunk::NO_OWNER;
 pub use chunk::{Chunk, MAX_CHUNK_BYTES, UploadId, UploadStatus};

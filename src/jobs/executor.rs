@@ -125,12 +125,13 @@ impl Stores {
     }
 
     /// Jobs in a PostgreSQL database that several servers share; blobs in a bucket, as in [`Self::in_bucket`]. `password` is a
-    /// file, if the URL has none. Errors: why database or bucket cannot be used.
+    /// file, if the URL has none. `copies` is a folder for copies of blobs, and how many bytes they may take. Errors: why database or bucket cannot be used.
     pub async fn in_database(
         database: &str,
         password: Option<PathBuf>,
         bucket: &str,
         blobs: BlobOptions,
+        (copies, copies_bytes): (PathBuf, u64),
     ) -> Result<Self, JobApiError> {
         #[cfg(all(feature = "postgres", feature = "s3"))]
         {
@@ -139,11 +140,12 @@ impl Stores {
                 PostgresOptions { password_file: password, ..PostgresOptions::new(database, sharing::unique_name()?) };
             let jobs = PostgresStore::open(options).await?;
             let blobs = ObjectBlobs::s3(jobs.index(), bucket, [], blobs).await?;
+            let blobs = blobs.with_cache(copies, copies_bytes).await?;
             Ok(Self { jobs: Arc::new(jobs), blobs: Arc::new(blobs) })
         }
         #[cfg(not(all(feature = "postgres", feature = "s3")))]
         {
-            let _ = (database, password, bucket, blobs);
+            let _ = (database, password, bucket, blobs, copies, copies_bytes);
             let cause = "this program was built without the feature postgres or s3".to_owned();
             Err(StoreError::Unusable { cause }.into())
         }

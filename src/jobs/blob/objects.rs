@@ -16,6 +16,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use async_trait::async_trait;
+use bytes::Bytes;
 use futures_util::{StreamExt, TryStreamExt, stream};
 use object_store::local::LocalFileSystem;
 use object_store::memory::InMemory;
@@ -24,6 +25,7 @@ use object_store::path::Path;
 use object_store::{GetOptions, ObjectStore};
 use tokio::task::spawn_blocking;
 
+use super::cache::{Cache, CacheUse};
 use super::chunk::{Chunk, UploadId, UploadStatus};
 use super::digest::{BLOBS, path_of};
 use super::error::{found, io, join, object};
@@ -100,7 +102,7 @@ impl ObjectBlobs {
         store: Arc<S>,
         options: BlobOptions,
     ) -> Result<Self, BlobError> {
-        let staging = Multipart::new(&store, UPLOADS);
+        let staging = Multipart::new(&store, UPLOADS, Arc::clone(&index).notes());
         Self::open(store, Box::new(staging), Kind::Shared, options, index).await
     }
 
@@ -115,6 +117,17 @@ impl ObjectBlobs {
         options: BlobOptions,
     ) -> Result<Self, BlobError> {
         Self::shared_with(index, Arc::new(super::s3::open(url, settings)?), options).await
+    }
+
+    /// Keeps copies of blobs in a folder of this machine, up to `limit_bytes`; 0 is none. One process at a time may use the folder.
+    /// Errors: `StorageFull`, `Unavailable`.
+    pub async fn with_cache(self, folder: PathBuf, limit_bytes: u64) -> Result<Self, BlobError> {
+        let opened = spawn_blocking(move || Cache::open(folder, limit_bytes)).await.map_err(join)?;
+        let cache = opened.map_err(io("open the folder of copies of blobs"))?;
+        if limit_bytes > 0 {
+            let _ = self.0.cache.set(cache);
+        }
+        Ok(self)
     }
 
     async fn open(
@@ -211,11 +224,24 @@ impl BlobStore for ObjectBlobs {
             return Ok(BlobRead { info, range, bytes: stream::empty().boxed() });
         }
         let whole = (range == (0..info.size_bytes)).then_some(digest);
+        let cache = self.0.cache.get().filter(|_| whole.is_some());
+        if let Some(cache) = cache
+            && let Some(bytes) = cache.read(info).await
+        {
+            return Ok(BlobRead { info, range, bytes });
+        }
         // A whole blob is read to the end of what is there, which may be another end by now.
         let part = whole.is_none().then(|| range.clone().into());
         let wanted = GetOptions { range: part, ..GetOptions::default() };
         match found("open a blob", self.0.objects.get_opts(&path_of(&digest), wanted).await)? {
-            Some(opened) => Ok(BlobRead { info, range, bytes: self.0.clone().guarded(bytes_of(opened, whole)) }),
+            Some(opened) => {
+                let bytes = self.0.clone().guarded(bytes_of(opened, whole));
+                let bytes = match cache {
+                    Some(cache) => cache.copied(info, bytes),
+                    None => bytes,
+                };
+                Ok(BlobRead { info, range, bytes })
+            }
             None => {
                 // Another program removed it.
                 self.0.index.forget(digest).await?;
@@ -283,6 +309,16 @@ impl BlobStore for ObjectBlobs {
 
     async fn sweep(&self) -> Result<usize, BlobError> {
         self.change(|inner| async move { inner.sweep().await }).await
+    }
+
+    async fn remember(&self, digest: Digest, bytes: &Bytes) {
+        if let Some(cache) = self.0.cache.get() {
+            cache.put(digest, bytes.clone()).await;
+        }
+    }
+
+    fn cache_use(&self) -> CacheUse {
+        self.0.cache.get().map(Cache::used).unwrap_or_default()
     }
 
     async fn check(&self) -> Result<(), BlobError> {

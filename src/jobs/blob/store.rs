@@ -12,6 +12,7 @@ use async_trait::async_trait;
 use bytes::Bytes;
 use futures_util::stream::BoxStream;
 
+use super::cache::CacheUse;
 use super::chunk::{CHUNK_BYTES, Chunk, UploadId, UploadStatus};
 use super::{BlobError, Digest, Owner};
 
@@ -161,6 +162,14 @@ pub trait BlobStore: Send + Sync + Debug {
     /// Whether something could be stored now. It asks the storage each time. Errors: `StorageFull`.
     async fn check(&self) -> Result<(), BlobError>;
 
+    /// A hint: these are the bytes of a blob that was stored just now, and may be read soon.
+    async fn remember(&self, _: Digest, _: &Bytes) {}
+
+    /// How often copies on the local disk were of use.
+    fn cache_use(&self) -> CacheUse {
+        CacheUse::default()
+    }
+
     /// The quota.
     fn limit_bytes(&self) -> u64;
 
@@ -200,7 +209,11 @@ async fn put_upload(
         match put_once(store, upload, limit, &bytes, pin).await {
             // Another writer of the same upload gave up, or the blob was evicted before it could be pinned.
             Err(BlobError::UploadNotFound { .. }) if attempts < 3 => attempts += 1,
-            result => return result,
+            Ok(info) => {
+                store.remember(digest, &bytes).await;
+                return Ok(info);
+            }
+            Err(error) => return Err(error),
         }
     }
 }

@@ -97,6 +97,9 @@ pub struct ServeArgs {
     /// variable PGPASSFILE names.
     #[arg(long, value_name = "FILE", env = "TESSERA_STORE_PASSWORD_FILE")]
     pub store_password_file: Option<PathBuf>,
+    /// MiB of copies of blobs that are kept in the data folder, so that the same input is fetched once. With --store; 0 is none.
+    #[arg(long, value_name = "MIB", default_value_t = 1024, value_parser = whole::<u64>, env = "TESSERA_CACHE_MIB")]
+    pub cache_mib: u64,
     /// MiB of the disk that uploads and results leave free, so that the journal of jobs always has room.
     #[arg(long, value_name = "MIB", default_value_t = 64, value_parser = whole::<u64>, env = "TESSERA_DISK_RESERVE_MIB")]
     pub disk_reserve_mib: u64,
