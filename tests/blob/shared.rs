@@ -143,9 +143,9 @@ mod one_index {
     use jobs::postgres::PostgresStore;
     use jobs::store::JobStore;
     use needs::needs;
-    use object_store::ObjectStore;
     use object_store::multipart::{MultipartStore, PartId};
     use object_store::path::Path;
+    use object_store::{ObjectStore, ObjectStoreExt};
 
     use super::*;
     use crate::postgres_server::{Database, database};
@@ -338,6 +338,81 @@ mod one_index {
             assert_eq!(one.blobs.begin(id).await.unwrap().kept_bytes, 0);
             one.blobs.abandon(id).await.unwrap();
         }
+    }
+
+    /// Objects that no process knows of, as a crash or a database of yesterday leaves them.
+    #[needs(postgres)]
+    #[tokio::test]
+    async fn objects_that_nothing_needs_are_removed() {
+        let (database, bucket) = (database(), Arc::new(InMemory::new()));
+        let options = BlobOptions { keep_unneeded: Duration::ZERO, scan_period: Duration::ZERO, ..usual() };
+        let Process { blobs, .. } = process(&database, &bucket, options).await;
+        let owned = content(1, 100);
+        send_large(&blobs, upload_of(&owned).of("a"), &owned, 100).await;
+        blobs.finish(upload_of(&owned).of("a"), None).await.unwrap();
+        let pinned = jobs::blob::put(&blobs, content(2, 100), Some("job")).await.unwrap().digest;
+        let (half, bytes) = large(3);
+        send_large(&blobs, half, &bytes, 3 * CHUNK).await;
+        let kept = left(&bucket, "").await;
+        // A blob without a row, one with the mark of an owner, and what is left of an upload.
+        let place = |digest: Digest| format!("{}/{digest}", &digest.to_string()[..2]);
+        let [lost, marked] = [5, 6].map(|seed| content(seed, 100));
+        let (gone, found) = (upload_of(&content(7, 5)).of("a"), upload_of(&marked).of("b"));
+        let mark = format!("owners/{}-{}", place(found.digest), found.owner.unwrap());
+        for (path, bytes) in [
+            (format!("blobs/{}", place(Digest::of(&lost))), lost.clone()),
+            (format!("blobs/{}", place(found.digest)), marked.clone()),
+            (mark.clone(), Bytes::new()),
+            (format!("uploads/{gone}/0"), content(7, 3)),
+            (format!("uploads/{gone}.json"), Bytes::from_static(b"{}")),
+        ] {
+            bucket.put(&Path::from(path), bytes.into()).await.unwrap();
+        }
+        blobs.sweep().await.unwrap();
+        let mut now = left(&bucket, "").await;
+        now.retain(|path| !path.contains(&found.digest.to_string()));
+        assert_eq!(now, kept);
+        assert_eq!(read_all(&blobs, found.digest).await.unwrap(), marked);
+        assert!(blobs.is_owned(found.owner.unwrap(), found.digest).await.unwrap());
+        // What nothing holds any more goes as well.
+        blobs.unpin("job").await.unwrap();
+        blobs.sweep().await.unwrap();
+        assert!(!left(&bucket, "").await.iter().any(|path| path.contains(&pinned.to_string())));
+        assert_eq!(blobs.begin(half).await.unwrap().kept_bytes, 3 * CHUNK);
+        let usage = blobs.usage().await.unwrap();
+        assert_eq!((usage.blobs, usage.uploads), (2, 1));
+    }
+
+    /// A blob is fetched once, and only for those that may have it.
+    #[needs(postgres)]
+    #[tokio::test]
+    async fn copies_on_the_local_disk_serve_what_is_stored() {
+        let (database, bucket, folder) = (database(), Arc::new(InMemory::new()), tempfile::tempdir().unwrap());
+        let one = process(&database, &bucket, usual()).await.blobs;
+        let two = process(&database, &bucket, usual()).await.blobs;
+        let two = two.with_cache(folder.path().join("cache"), 1 << 20).await.unwrap();
+        let bytes = content(1, 300_000);
+        let digest = jobs::blob::put_of(&one, "a", None, bytes.clone()).await.unwrap().digest;
+        let uses = || (two.cache_use().hits, two.cache_use().misses);
+        assert_eq!(read_all(&two, digest).await.unwrap(), bytes);
+        assert_eq!(crate::read(&two, digest, 5..10).await.unwrap(), bytes[5..10]);
+        assert_eq!(uses(), (0, 1));
+        // Without the bucket.
+        let path = Path::from(format!("blobs/{}/{digest}", &digest.to_string()[..2]));
+        bucket.delete(&path).await.unwrap();
+        assert_eq!(read_all(&two, digest).await.unwrap(), bytes);
+        assert_eq!(uses(), (1, 1));
+        let copy = folder.path().join("cache").join(digest.to_string());
+        std::fs::write(copy, &bytes[1..]).unwrap();
+        bucket.put(&path, bytes.clone().into()).await.unwrap();
+        assert_eq!(read_all(&two, digest).await.unwrap(), bytes);
+        assert_eq!(uses(), (1, 2));
+        // Results that are written are there at once. What is removed is gone, whether there is a copy or not.
+        let result = jobs::blob::put(&two, content(2, 1000), None).await.unwrap().digest;
+        read_all(&two, result).await.unwrap();
+        assert_eq!(uses(), (2, 2));
+        one.delete(result).await.unwrap();
+        assert_eq!(read_all(&two, result).await, Err(BlobError::NotFound { digest: result }));
     }
 
     /// The process goes down after the object was made, and before the index had it.

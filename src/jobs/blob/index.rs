@@ -80,7 +80,7 @@ pub struct Note {
     pub hash: String,
 }
 
-/// Notes of uploads, from which any process continues them. Every call may fail with `Unavailable`; it is unknown then whether
+/// Notes of uploads, from which any process continues them. Every call may fail with `Unavailable` or `Database`; it is unknown then whether
 /// the note was changed.
 #[async_trait]
 pub trait UploadNotes: Send + Sync + Debug {
@@ -102,7 +102,7 @@ pub trait UploadNotes: Send + Sync + Debug {
     }
 }
 
-/// See the module's head. Every call may fail with `Unavailable`.
+/// See the module's head. Every call may fail with `Unavailable` or `Database`.
 #[async_trait]
 pub trait BlobIndex: Send + Sync + Debug {
     /// Enters what a storage has. No quota is checked. Gives the owners that count for nothing: their blob is not stored,

@@ -137,18 +137,7 @@ impl ObjectBlobs {
         options: BlobOptions,
         index: Arc<dyn BlobIndex>,
     ) -> Result<Self, BlobError> {
-        let mut stored = Stored::default();
-        let mut blobs = objects.list(Some(&Path::from(BLOBS)));
-        while let Some(blob) = blobs.try_next().await.map_err(object("look for blobs"))? {
-            match blob.location.filename().and_then(|name| name.parse::<Digest>().ok()) {
-                Some(digest) if path_of(&digest) == blob.location => {
-                    stored.blobs.push((BlobInfo { digest, size_bytes: blob.size }, changes::stamp_of(&blob)));
-                }
-                _ => tracing::warn!(path = %blob.location, "not a blob; left alone"),
-            }
-        }
-        drop(blobs);
-        stored.owners = marks::scan(&*objects).await?;
+        let mut stored = stored(&*objects).await?;
         stored.uploads = staging.scan().await?;
         let uploads = Uploads::default();
         stored.uploads.iter().for_each(|(id, _)| uploads.found(*id));
@@ -168,6 +157,23 @@ impl ObjectBlobs {
     {
         tokio::spawn(work(Arc::clone(&self.0))).await.map_err(join)?
     }
+}
+
+/// The blobs of a store and their owners.
+async fn stored(objects: &dyn ObjectStore) -> Result<Stored, BlobError> {
+    let mut stored = Stored::default();
+    let mut blobs = objects.list(Some(&Path::from(BLOBS)));
+    while let Some(blob) = blobs.try_next().await.map_err(object("look for blobs"))? {
+        match blob.location.filename().and_then(|name| name.parse::<Digest>().ok()) {
+            Some(digest) if path_of(&digest) == blob.location => {
+                stored.blobs.push((BlobInfo { digest, size_bytes: blob.size }, changes::stamp_of(&blob)));
+            }
+            _ => tracing::warn!(path = %blob.location, "not a blob; left alone"),
+        }
+    }
+    drop(blobs);
+    stored.owners = marks::scan(objects).await?;
+    Ok(stored)
 }
 
 fn open_folder(root: &FilePath, options: &BlobOptions) -> Result<(Arc<LocalFileSystem>, Folder, File), BlobError> {
@@ -243,8 +249,7 @@ impl BlobStore for ObjectBlobs {
                 Ok(BlobRead { info, range, bytes })
             }
             None => {
-                // Another program removed it.
-                self.0.index.forget(digest).await?;
+                self.0.lose(digest).await?;
                 Err(BlobError::NotFound { digest })
             }
         }

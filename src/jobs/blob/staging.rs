@@ -34,6 +34,11 @@ pub(super) trait Staging: Send + Sync {
     /// What is kept of an upload. `None` if there is nothing of it any more.
     async fn load(&self, id: UploadId) -> Result<Option<Box<dyn Part>>, BlobError>;
 
+    /// Removes what is left of uploads that have ended.
+    async fn sweep(&self) -> Result<(), BlobError> {
+        Ok(())
+    }
+
     async fn check(&self) -> Result<(), BlobError>;
 
     /// Removes what is kept of an upload, if anything is.

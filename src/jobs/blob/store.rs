@@ -28,6 +28,11 @@ pub struct BlobOptions {
     pub keep_uploads: Duration,
     /// How long an idle upload keeps its place while others need one.
     pub keep_crowded_uploads: Duration,
+    /// How long a blob stays that no owner and no pin holds, and how long a process has to remove the bytes of one that goes, where
+    /// processes share an index.
+    pub keep_unneeded: Duration,
+    /// Between two looks for objects that such an index lacks.
+    pub scan_period: Duration,
     /// Whether the disk must have a blob before it is said to be stored. Without, a loss of power may lose blobs.
     pub fsync: bool,
     /// Bytes of the disk that stay free: for the journal, which must never find it full.
@@ -43,6 +48,8 @@ impl Default for BlobOptions {
             keep_uploads: Duration::from_secs(24 * 3600),
             // Twice the pause that a client may make between two pieces.
             keep_crowded_uploads: Duration::from_secs(120),
+            keep_unneeded: Duration::from_secs(3600),
+            scan_period: Duration::from_secs(24 * 3600),
             fsync: true,
             reserve_bytes: 64 << 20,
         }
@@ -83,7 +90,7 @@ pub struct BlobRead {
 /// An upload: [`begin`](Self::begin), [`write`](Self::write) at ascending offsets, [`finish`](Self::finish). After a
 /// cut connection or a restart, [`upload_status`](Self::upload_status) says where to go on.
 ///
-/// Every call may also fail with `Unavailable`.
+/// Every call may also fail with `Unavailable`, or with `Database` if the index is in one that does not answer.
 #[async_trait]
 pub trait BlobStore: Send + Sync + Debug {
     /// Begins an upload or goes on with one. Room for the whole size is kept from here on. Blobs may be evicted.

@@ -266,6 +266,14 @@ impl AtWork {
         // Before the job names it: a tenant sees only its own blobs.
         let (owner, digests): (_, Vec<_>) =
             (Owner::of(&self.job.spec.tenant), result.blobs.values().copied().collect());
+        // A server that was stopped for a while may have lost the job: its tenant gets nothing from here then.
+        if inner.shared().is_some() {
+            let (id, at) = (self.job.id, self.job.status.version);
+            match inner.runtime.block_on(inner.stores.jobs.renew(id, at, inner.options.lease)) {
+                Err(error) if is_outdated(&error) => return Err(WorkError::from(Stopped::Cancelled)),
+                _ => {}
+            }
+        }
         let given = inner.runtime.block_on(async {
             inner.stores.blobs.pin_for(owner, &pin, &digests).await?;
             inner.stores.blobs.claim(owner, &digests).await

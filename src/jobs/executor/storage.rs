@@ -65,7 +65,7 @@ impl Storage {
     ) -> Result<T, StorageError> {
         loop {
             match call() {
-                Err(error @ (BlobError::StorageFull | BlobError::Unavailable(_))) => {
+                Err(error @ (BlobError::StorageFull | BlobError::Unavailable(_) | BlobError::Database(_))) => {
                     self.note(Some(error));
                     let next = Instant::now() + RETRY_PERIOD;
                     while Instant::now() < next {

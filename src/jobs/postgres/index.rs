@@ -93,7 +93,10 @@ macro_rules! transaction {
 }
 
 fn unavailable(error: crate::store::StoreError) -> BlobError {
-    BlobError::Unavailable(error.to_string())
+    match error {
+        crate::store::StoreError::Unavailable { cause } => BlobError::Database(cause),
+        error => BlobError::Database(error.to_string()),
+    }
 }
 
 #[async_trait]
@@ -107,12 +110,12 @@ impl BlobIndex for PostgresIndex {
             let entered: Vec<Digest> = run!(self, blobs::enter(self.database.pool(), some))?;
             new.extend(entered);
         }
-        for (digest, owner) in stored.owners {
-            if new.contains(&digest) {
-                lost.extend(self.give(owner, digest).await?.map(|other| (digest, other)));
-            } else if !self.has(owner, digest).await? {
-                lost.push((digest, owner));
-            }
+        let (given, known): (Vec<_>, Vec<_>) = stored.owners.into_iter().partition(|(digest, _)| new.contains(digest));
+        for (digest, owner) in given {
+            lost.extend(self.give(owner, digest).await?.map(|other| (digest, other)));
+        }
+        for some in known.chunks(blobs::AT_ONCE) {
+            lost.extend(run!(self, blobs::not_owned(self.database.pool(), some))?);
         }
         run!(self, uploads::enter(self.database.pool(), &stored.uploads))?;
         Ok(lost)

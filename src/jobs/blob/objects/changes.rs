@@ -6,8 +6,8 @@
 //! bytes are stored. Must not know: which store it is.
 
 use std::fs::File;
-use std::sync::{Arc, OnceLock};
-use std::time::{Duration, SystemTime};
+use std::sync::{Arc, Mutex, OnceLock};
+use std::time::{Duration, Instant, SystemTime};
 
 use futures_util::{StreamExt, TryStreamExt, stream};
 use object_store::local::LocalFileSystem;
@@ -15,7 +15,7 @@ use object_store::{ObjectMeta, ObjectStore, ObjectStoreExt};
 use tokio::sync::{MutexGuard, OwnedMutexGuard};
 use tokio::task::spawn_blocking;
 
-use super::LOCKS;
+use super::{LOCKS, stored};
 use crate::blob::cache::Cache;
 use crate::blob::chunk::{Chunk, UploadId, UploadStatus};
 use crate::blob::digest::path_of;
@@ -25,14 +25,13 @@ use crate::blob::reader::is_sound;
 use crate::blob::staging::{Part, Staging};
 use crate::blob::upload::{Slot, Uploads};
 use crate::blob::{BlobError, BlobInfo, BlobOptions, ByteStream, Digest, Owner};
+use crate::lock;
 
 /// Removals and questions to the store that run at once.
 const AT_ONCE: usize = 16;
 
 /// How often an upload is begun again that ended meanwhile; each time this takes a millisecond longer.
 const ENDED: u64 = 40;
-/// How long a process has to remove the bytes of blobs that it took out of the index, until another does.
-const LEFT: Duration = Duration::from_secs(3600);
 
 /// What sets stores apart.
 #[derive(Debug)]
@@ -50,8 +49,10 @@ pub(super) struct Inner {
     pub(super) staging: Box<dyn Staging>,
     pub(super) index: Arc<dyn BlobIndex>,
     pub(super) uploads: Uploads,
-    /// Whether the index has every upload of all processes.
-    has_all_uploads: bool,
+    /// Whether all processes have one index: it knows every upload and owner.
+    pub(super) has_one_index: bool,
+    /// When the store was last looked through for what the index lacks.
+    scanned: Mutex<Instant>,
     locks: Vec<tokio::sync::Mutex<()>>,
     pub(super) options: BlobOptions,
     pub(super) kind: Kind,
@@ -73,9 +74,20 @@ impl Inner {
         index: Arc<dyn BlobIndex>,
         uploads: Uploads,
     ) -> Self {
-        let has_all_uploads = matches!(kind, Kind::Shared) && Arc::clone(&index).notes().is_some();
+        let has_one_index = matches!(kind, Kind::Shared) && Arc::clone(&index).notes().is_some();
         let locks = (0..LOCKS).map(|_| tokio::sync::Mutex::new(())).collect();
-        Self { objects, staging, index, uploads, has_all_uploads, locks, options, kind, cache: OnceLock::new() }
+        Self {
+            objects,
+            staging,
+            index,
+            uploads,
+            has_one_index,
+            scanned: Mutex::new(Instant::now()),
+            locks,
+            options,
+            kind,
+            cache: OnceLock::new(),
+        }
     }
 
     /// Waits for the lock under which the bytes of a blob are shown and removed.
@@ -186,7 +198,7 @@ impl Inner {
     /// Takes over an upload that another process began. Whether there is one.
     async fn adopt(&self, id: UploadId) -> Result<bool, BlobError> {
         // Looked for first: an upload that was never begun must not count against the quota.
-        if !self.has_all_uploads && self.staging.load(id).await?.is_none() {
+        if !self.has_one_index && self.staging.load(id).await?.is_none() {
             return Ok(false);
         }
         match self.index.adopt(id, self.options.uploads).await {
@@ -324,7 +336,7 @@ impl Inner {
         let removals = stream::iter(victims).map(|victim| self.remove(victim)).buffer_unordered(AT_ONCE);
         removals.collect::<Vec<_>>().await.into_iter().collect::<Result<(), _>>()?;
         // An index that has them all has admitted this one as new.
-        if !self.has_all_uploads
+        if !self.has_one_index
             && let Some(part) = self.staging.load(id).await?
         {
             return Ok(part);
@@ -527,18 +539,32 @@ impl Inner {
                 Err(error) => tracing::warn!(%id, %error, "an upload that nobody continues was not removed"),
             }
         }
-        if self.has_all_uploads {
+        if self.has_one_index {
             self.forget_ended().await?;
+            self.scan().await?;
         }
-        // A process that went down left them.
-        let mut left = self.index.left(LEFT).await?;
-        left.extend(self.index.orphans(LEFT).await?);
+        // A process that went down left them, or one that lost its job.
+        let mut left = self.index.left(self.options.keep_unneeded).await?;
+        left.extend(self.index.orphans(self.options.keep_unneeded).await?);
         for blob in left {
             if let Err(error) = self.remove(blob).await {
                 tracing::warn!(digest = %blob.digest, %error, "the bytes of a blob that nobody has were not removed");
             }
         }
         Ok(swept)
+    }
+
+    /// Enters objects that the index lacks, now and then: those that no owner has go as orphans. Removes what is left of uploads.
+    async fn scan(&self) -> Result<(), BlobError> {
+        {
+            let mut scanned = lock(&self.scanned);
+            if scanned.elapsed() < self.options.scan_period {
+                return Ok(());
+            }
+            *scanned = Instant::now();
+        }
+        self.staging.sweep().await?;
+        self.index.enter(stored(&*self.objects).await?).await.map(drop)
     }
 
     /// Lets go of what this process holds of uploads that another process has ended.
@@ -567,6 +593,15 @@ impl Inner {
             }
         });
         guarded.boxed()
+    }
+
+    /// Another program removed the bytes of a blob, unless they came back meanwhile.
+    pub(super) async fn lose(&self, digest: Digest) -> Result<(), BlobError> {
+        let _turn = self.lock_bytes(&digest).await;
+        if found("look for a blob", self.objects.head(&path_of(&digest)).await)?.is_none() {
+            self.index.forget(digest).await?;
+        }
+        Ok(())
     }
 
     /// Removes a blob whose bytes are wrong, pinned or not.

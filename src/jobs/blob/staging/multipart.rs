@@ -9,6 +9,7 @@
 //! Multipart uploads whose note was never written cost room until the store removes them: give the bucket a rule that
 //! aborts incomplete multipart uploads after some days.
 
+use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::SystemTime;
 
@@ -116,6 +117,26 @@ impl Staging for Multipart {
         let mut part = self.part(id, note, tally.ok_or_else(damaged)?);
         part.load_chunks().await?;
         Ok(Some(Box::new(part)))
+    }
+
+    async fn sweep(&self) -> Result<(), BlobError> {
+        let mut left: BTreeMap<UploadId, Vec<Path>> = BTreeMap::new();
+        let mut objects = self.objects.list(Some(&self.prefix));
+        while let Some(object) = objects.try_next().await.map_err(object("look for uploads"))? {
+            let name = object.location.prefix_match(&self.prefix).and_then(|mut parts| parts.next());
+            let id = name.and_then(|name| name.as_ref().trim_end_matches(NOTE).parse().ok());
+            if let Some(id) = id {
+                left.entry(id).or_default().push(object.location);
+            }
+        }
+        drop(objects);
+        for (id, paths) in left {
+            // An upload is noted before it has any.
+            if self.notes.note(id).await?.is_none() {
+                self.remove(paths).await?;
+            }
+        }
+        Ok(())
     }
 
     async fn check(&self) -> Result<(), BlobError> {
