@@ -214,8 +214,8 @@ async fn put_upload(
     let mut attempts = 0;
     loop {
         match put_once(store, upload, limit, &bytes, pin).await {
-            // Another writer of the same upload gave up, or the blob was evicted before it could be pinned.
-            Err(BlobError::UploadNotFound { .. }) if attempts < 3 => attempts += 1,
+            // Another writer of the same upload gave up or went ahead, or the blob was evicted before it could be pinned.
+            Err(BlobError::UploadNotFound { .. } | BlobError::Incomplete { .. }) if attempts < 3 => attempts += 1,
             Ok(info) => {
                 store.remember(digest, &bytes).await;
                 return Ok(info);

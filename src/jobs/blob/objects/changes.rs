@@ -466,8 +466,12 @@ impl Inner {
             if let Err(error) = part.publish(&path_of(&digest)).await {
                 *slot = Slot::Kept;
                 return Err(match error {
+                    // Another process continues it, or the store has lost parts of it.
+                    BlobError::WrongOffset { expected, .. } if expected < id.size_bytes => {
+                        BlobError::Incomplete { kept_bytes: expected, size_bytes: id.size_bytes }
+                    }
                     BlobError::WrongOffset { .. } => {
-                        BlobError::Unavailable(format!("another process continues the upload of {digest}"))
+                        BlobError::Unavailable(format!("another process ends the upload of {digest}"))
                     }
                     error => error,
                 });

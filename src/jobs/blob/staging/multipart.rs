@@ -290,29 +290,45 @@ impl Parted {
         }
     }
 
+    /// Changes the note, if no other process has.
+    async fn advance(&mut self, to: Note) -> Result<(), BlobError> {
+        match self.staging.notes.advance(self.id, &self.note, &to).await? {
+            true => self.note = to,
+            false => return Err(self.overtaken().await),
+        }
+        Ok(())
+    }
+
     /// Stores the tail as the next part, and notes it.
     async fn put_part(&mut self) -> Result<(), BlobError> {
-        let (staging, path) = (self.staging.clone(), path_of(&self.id.digest));
-        let is_first = self.note.multipart.is_empty();
-        let mut to = self.note.clone();
-        if is_first {
-            to.multipart = staging.parts.create_multipart(&path).await.map_err(object("begin an upload"))?;
+        let (parts, path) = (Arc::clone(&self.staging.parts), path_of(&self.id.digest));
+        if self.note.multipart.is_empty() {
+            let multipart = parts.create_multipart(&path).await.map_err(object("begin an upload"))?;
+            // Before the part, so that a crash leaves none that no note names.
+            let to = Note { multipart: multipart.clone(), ..self.note.clone() };
+            if let Err(overtaken) = self.advance(to).await {
+                // After another error the note may name it.
+                if matches!(overtaken, BlobError::WrongOffset { .. } | BlobError::UploadNotFound { .. })
+                    && let Err(error) = parts.abort_multipart(&path, &multipart).await
+                {
+                    tracing::warn!(id = %self.id, %error, "a multipart upload was not aborted");
+                }
+                return Err(overtaken);
+            }
         } else if !self.has_note().await? {
             // A part under the same number would take the place of the other process's.
             return Err(self.overtaken().await);
         }
-        let bytes = self.tail.clone().freeze();
-        let part = staging.parts.put_part(&path, &to.multipart, to.parts.len(), bytes.into()).await;
-        to.parts.push(part.map_err(object("store a part"))?.content_id);
-        (to.bytes, to.hash) = (self.tally.bytes(), self.tally.save());
-        if !staging.notes.advance(self.id, &self.note, &to).await? {
-            if is_first && let Err(error) = staging.parts.abort_multipart(&path, &to.multipart).await {
-                tracing::warn!(id = %self.id, %error, "a multipart upload was not aborted");
-            }
-            return Err(self.overtaken().await);
+        let (bytes, mut to) = (self.tail.clone().freeze(), self.note.clone());
+        let part = parts.put_part(&path, &to.multipart, to.parts.len(), bytes.into()).await;
+        match known("store a part", part)? {
+            Some(part) => to.parts.push(part.content_id),
+            // A rule of the bucket has aborted it, for example.
+            None => return Err(self.begin_anew().await?),
         }
-        self.saved_bytes = to.bytes;
-        self.note = to;
+        (to.bytes, to.hash) = (self.tally.bytes(), self.tally.save());
+        self.advance(to).await?;
+        self.saved_bytes = self.note.bytes;
         self.tail.clear();
         self.remove_chunks().await;
         Ok(())
@@ -325,7 +341,7 @@ impl Parted {
         if emptied {
             self.staging.clear(self.id, &self.note).await?;
         }
-        Ok(BlobError::Incomplete { kept_bytes: 0, size_bytes: self.id.size_bytes })
+        Ok(BlobError::WrongOffset { expected: 0, got: self.tally.bytes() })
     }
 
     /// Makes the parts an object. Afterwards the bytes there are those that were noted.
