@@ -21,7 +21,6 @@ mod staging;
 mod store;
 mod upload;
 
-pub use cache::CacheUse;
 #[cfg(feature = "postgres")]
 pub(crate) use chunk::NO_OWNER;
 pub use chunk::{Chunk, MAX_CHUNK_BYTES, UploadId, UploadStatus};
@@ -32,4 +31,4 @@ pub use objects::ObjectBlobs;
 #[cfg(feature = "postgres")]
 pub(crate) use owners::MOST as MOST_OWNERS;
 pub use owners::Owner;
-pub use store::{BlobInfo, BlobOptions, BlobRead, BlobStore, ByteStream, READ_BYTES, Usage, put, put_of};
+pub use store::{BlobInfo, BlobOptions, BlobRead, BlobStore, ByteStream, CacheUse, READ_BYTES, Usage, put, put_of};

@@ -20,15 +20,8 @@ use tokio::task::spawn_blocking;
 
 use super::digest::Tally;
 use super::reader::bytes_of_file;
-use super::{BlobInfo, ByteStream, Digest, READ_BYTES};
+use super::{BlobInfo, ByteStream, CacheUse, Digest, READ_BYTES};
 use crate::lock;
-
-/// Reads of whole blobs since the start, by whether the local disk had them.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct CacheUse {
-    pub hits: u64,
-    pub misses: u64,
-}
 
 #[derive(Clone, Debug)]
 pub(super) struct Cache(Arc<Shared>);

@@ -25,14 +25,14 @@ use object_store::path::Path;
 use object_store::{GetOptions, ObjectStore};
 use tokio::task::spawn_blocking;
 
-use super::cache::{Cache, CacheUse};
+use super::cache::Cache;
 use super::chunk::{Chunk, UploadId, UploadStatus};
 use super::digest::{BLOBS, path_of};
 use super::error::{found, io, join, object};
 use super::index::{BlobIndex, LocalIndex, Stored};
 use super::reader::bytes_of;
 use super::staging::{Folder, Memory, Multipart, Staging};
-use super::store::{BlobInfo, BlobOptions, BlobRead, BlobStore, Usage};
+use super::store::{BlobInfo, BlobOptions, BlobRead, BlobStore, CacheUse, Usage};
 use super::upload::Uploads;
 use super::{BlobError, Digest, Owner};
 use changes::{Inner, Kind};

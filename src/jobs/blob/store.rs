@@ -12,7 +12,6 @@ use async_trait::async_trait;
 use bytes::Bytes;
 use futures_util::stream::BoxStream;
 
-use super::cache::CacheUse;
 use super::chunk::{CHUNK_BYTES, Chunk, UploadId, UploadStatus};
 use super::{BlobError, Digest, Owner};
 
@@ -75,6 +74,13 @@ pub struct Usage {
     /// Their promised bytes.
     pub uploading_bytes: u64,
     pub limit_bytes: u64,
+}
+
+/// Reads of whole blobs since the start, by whether the local disk had them.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct CacheUse {
+    pub hits: u64,
+    pub misses: u64,
 }
 
 pub struct BlobRead {

@@ -90,7 +90,7 @@ pub struct ServeArgs {
     #[arg(long, value_name = "URL", env = "TESSERA_BLOBS")]
     pub blobs: Option<String>,
     /// Keep jobs in a PostgreSQL database that several servers share: postgres://USER@HOST/DATABASE (docs/cluster.md). Needs
-    /// --blobs. The data folder then holds keys alone.
+    /// --blobs. The data folder then holds keys and copies of blobs.
     #[arg(long, value_name = "URL", env = "TESSERA_STORE", hide_env_values = true)]
     pub store: Option<String>,
     /// File that holds the password of the database. If not given, the password comes from the URL, or from the file that the
