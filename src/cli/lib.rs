@@ -11,6 +11,8 @@ mod say;
 pub(crate) mod backends;
 mod bench;
 mod blobs;
+#[cfg(feature = "postgres")]
+mod cluster;
 mod completions;
 mod config;
 mod exit;
@@ -83,6 +85,12 @@ enum Command {
     Blobs(blobs::BlobsArgs),
     /// Say what a server's journal of jobs holds, and mend a damaged one; the server does not run meanwhile.
     Journal(journal::JournalArgs),
+    /// List and drain the servers that share a database, and try again jobs that failed for crashes.
+    #[cfg(feature = "postgres")]
+    Cluster(cluster::ClusterArgs),
+    /// Bring the schema of the database that servers share up to date, and check what is kept.
+    #[cfg(feature = "postgres")]
+    Store(cluster::StoreArgs),
     /// Make, list and revoke the keys of a server, in its folder.
     Keys(keys::KeysArgs),
     /// Say whether a server takes calls; exit code 69 if it does not.
@@ -140,6 +148,10 @@ fn execute() -> anyhow::Result<()> {
         Command::Jobs(args) => jobs::run(args),
         Command::Blobs(args) => blobs::run(args),
         Command::Journal(args) => journal::run(args),
+        #[cfg(feature = "postgres")]
+        Command::Cluster(args) => cluster::cluster(args),
+        #[cfg(feature = "postgres")]
+        Command::Store(args) => cluster::store(args),
         Command::Keys(args) => keys::run(args),
         Command::Health(args) => health::run(args),
         Command::Info(args) => info::run(args),

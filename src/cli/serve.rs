@@ -21,11 +21,13 @@ use geometry::remesh::{RemeshOptions, Seeds, remesh};
 use geometry::rvd::BackendChoice;
 use geometry::token::Token;
 use jobs::blob::BlobOptions;
-use jobs::executor::api::JobApiError;
+use jobs::executor::api::{JobApi, JobApiError};
+use jobs::executor::{NodeOptions, host_name};
 use jobs::memory;
 use jobs::store::StoreError;
 use jobs::{Backends, Ceilings, Engine, EngineOptions, Executor, ExecutorOptions, JobError, LossPolicy, Stores};
 use server::admin::{self, Admin};
+use server::config::BackendArg;
 pub(crate) use server::config::{OnLoss, SecurityArgs, ServeArgs, ServeConfig};
 use server::hosts::Hosts;
 use server::http;
@@ -45,7 +47,9 @@ async fn stores(config: &ServeConfig) -> Result<Stores> {
     let cannot = |error| Unavailable(format!("cannot make {}: {error}; give another --data-dir", folder.display()));
     std::fs::create_dir_all(folder).map_err(cannot)?;
     let stores = match (&config.database, &config.bucket) {
-        (Some((url, password)), Some(bucket)) => Stores::in_database(url, password.clone(), bucket, room).await,
+        (Some((url, password)), Some(bucket)) => {
+            Stores::in_database(&config.node, url, password.clone(), bucket, room).await
+        }
         (_, None) => Stores::in_folder(folder.clone(), room).await,
         (None, Some(url)) => Stores::in_bucket(folder.clone(), url, room).await,
     };
@@ -133,7 +137,11 @@ async fn serve(args: &ServeArgs, config: ServeConfig, tls: Option<Arc<Tls>>, met
     let certificates = tls.clone();
     let look = move || certificates.iter().for_each(|tls| tls.look());
     interrupt::on_hangup(look).context("cannot listen for signals")?;
+    let role = config.role;
     let mut options = args.backend.clone();
+    if !role.works() {
+        options.backend = BackendArg::Serial;
+    }
     options.gpu_timeout = Some(config.device.timeout);
     let factory = move || {
         let backends = backends::all(&options)?;
@@ -170,29 +178,44 @@ async fn serve(args: &ServeArgs, config: ServeConfig, tls: Option<Arc<Tls>>, met
         keep_results: config.keep.0,
         keep_records: config.keep.1,
         max_crashes: config.max_crashes,
+        node: NodeOptions { name: config.node.clone(), role, version: env!("CARGO_PKG_VERSION").to_owned() },
         ..ExecutorOptions::new(config.limits.bounds())
     };
     let blobs = Arc::clone(&stores.blobs);
     let executor = life.step(Step::Jobs, Executor::start(engine.clone(), stores, options)).await.map_err(late)?;
     let executor = executor.map_err(|error| unusable(&config, &error))?;
-    let listener = life.step(Step::Port, TcpListener::bind(config.listen.as_slice()));
-    let listener = listener
-        .await
-        .map_err(late)?
-        .map_err(|e| Unavailable(format!("cannot listen on {}: {e}; choose another --listen", args.listen)))?;
+    let calls = |addresses| if role.takes_calls() { addresses } else { &[][..] };
+    let listener = life.step(Step::Port, bind("--listen", calls(&config.listen))).await.map_err(late)??;
     // All ports, before anybody hears of one.
-    let http = bind("--http-listen", &config.http).await?;
+    let http = bind("--http-listen", calls(&config.http)).await?;
     let operators = bind("--admin-listen", &config.admin).await?;
-    let address = listener.local_addr().context("asking for the port")?;
+    let address = listener.as_ref().map(TcpListener::local_addr).transpose().context("asking for the port")?;
+    if let Some(address) = address {
+        executor.advertise(config.advertise.clone().unwrap_or_else(|| advertised(address, tls.is_some())));
+    }
+    let executor: Arc<dyn JobApi> = Arc::new(executor);
     tracing::info!(
-        %address, backend = by.kind.name(), adapter = by.adapter, threads = by.threads,
-        queue_jobs = config.queue_jobs, tls = tls.is_some(), keys = config.requires_keys, "serving"
+        address = address.map(tracing::field::display),
+        backend = by.kind.name(),
+        adapter = by.adapter,
+        threads = by.threads,
+        queue_jobs = config.queue_jobs,
+        tls = tls.is_some(),
+        keys = config.requires_keys,
+        "serving"
     );
-    outln!("tessera listens on {address}")?;
+    match address {
+        Some(address) => outln!("tessera listens on {address}")?,
+        None => outln!("tessera works as {}", config.node)?,
+    }
+    if config.database.is_some() {
+        metrics.node(&config.node, &role.to_string());
+    }
     let readiness = Readiness::new();
     readiness.set(Reason::Starting, true);
     // Ends with this, after the server: its state is visible while it drains.
-    let _admin = operators.map(|port| open_admin(port, hosts(args), &engine, &metrics, &readiness)).transpose()?;
+    let _admin =
+        operators.map(|port| open_admin(port, hosts(args), (&engine, &executor), &metrics, &readiness)).transpose()?;
     let door = http.map(|port| open_door(&config, port)).transpose()?;
     let about = About {
         machine_bytes: memory::machine_memory_bytes(),
@@ -201,7 +224,7 @@ async fn serve(args: &ServeArgs, config: ServeConfig, tls: Option<Arc<Tls>>, met
         jobs_at_once,
         ..About::default()
     };
-    let jobs = Some(Jobs { blobs, api: Arc::new(executor) });
+    let jobs = Some(Jobs { blobs, api: executor });
     let limits = config.limits;
     let parts = Parts { engine, worker, limits, jobs, tls, access, metrics, readiness, about, door };
     let shutdown = async {
@@ -217,6 +240,15 @@ async fn serve(args: &ServeArgs, config: ServeConfig, tls: Option<Arc<Tls>>, met
         other => anyhow::Error::new(other),
     });
     served.context("serving")
+}
+
+/// Where others can tell clients to go.
+fn advertised(address: SocketAddr, has_tls: bool) -> String {
+    let scheme = if has_tls { "https" } else { "http" };
+    match address.ip().is_unspecified() {
+        true => format!("{scheme}://{}:{}", host_name(), address.port()),
+        false => format!("{scheme}://{address}"),
+    }
 }
 
 /// Binds one of these addresses, if there are any.
@@ -243,7 +275,7 @@ fn open_door(config: &ServeConfig, listener: TcpListener) -> Result<Door> {
 fn open_admin(
     listener: TcpListener,
     hosts: Hosts,
-    engine: &Engine,
+    (engine, api): (&Engine, &Arc<dyn JobApi>),
     metrics: &Metrics,
     readiness: &Readiness,
 ) -> Result<JoinSet<Infallible>> {
@@ -256,7 +288,12 @@ fn open_admin(
         counted.device_used(engine.device_facts().and_then(|facts| facts.allocated_bytes));
     });
     let (metrics, readiness, revision) = (metrics.clone(), readiness.clone(), About::REVISION);
-    serving.spawn(admin::serve(listener, Admin { metrics, readiness, revision, hosts, look }));
+    let api = Arc::clone(api);
+    let scale = Arc::new(move || -> admin::Scale {
+        let api = Arc::clone(&api);
+        Box::pin(async move { server::cluster::scale(&*api).await })
+    });
+    serving.spawn(admin::serve(listener, Admin { metrics, readiness, revision, hosts, look, scale }));
     Ok(serving)
 }
 

@@ -123,6 +123,11 @@ impl Engine {
         self.shared.slots.memory
     }
 
+    /// Jobs that are at work at once.
+    pub fn places(&self) -> usize {
+        self.shared.slots.regular
+    }
+
     /// Memory that the jobs at work are planned to need.
     pub fn planned(&self) -> Bytes {
         self.shared.queue.planned()

@@ -20,14 +20,14 @@ pub mod streams;
 
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, Mutex, Weak};
+use std::sync::{Arc, Mutex, OnceLock, Weak};
 use std::time::{Duration, Instant};
 
 use async_trait::async_trait;
 use tokio::runtime::Handle;
 use tokio::sync::{mpsc, watch};
 
-use crate::admission::estimate::Counts;
+use crate::admission::estimate::{Counts, Need};
 use crate::admission::forecast::{Forecast, must_fit};
 use crate::blob::{BlobError, BlobOptions, BlobStore, ObjectBlobs, Owner};
 use crate::engine::{AdmissionRequest, Engine};
@@ -36,19 +36,24 @@ use crate::observe::preview::{PreviewReceiver, Previews};
 use crate::places::may_take;
 use crate::record::Bytes;
 use crate::record::event::{Events, Progress};
+use crate::record::state::State;
 use crate::record::{Change, FailureKind, Job, JobId, Spec};
+use crate::store::shared::{Overview, Unschedulable};
 use crate::store::{
-    Created, JobStore, MAX_CRASHES, MemoryStore, NewJob, Orphans, Page, Query, RedbOptions, RedbStore, Retention,
+    Cost, Created, JobStore, MAX_CRASHES, MemoryStore, NewJob, Orphans, Page, Query, RedbOptions, RedbStore, Retention,
     StoreError,
 };
 use crate::{JobError, admission, lock};
 use geometry::token::Token;
 use sharing::{Leases, Numbers};
+pub use sharing::{NodeOptions, host_name};
 use storage::Storage;
 use wire::counts::Bounds;
 
 /// How often jobs that are over are looked for.
 const SWEEP: Duration = Duration::from_secs(1);
+/// How often a process of a shared store says that it is alive, in sweeps.
+const BEAT: u32 = 4;
 /// How often a storage that is well is checked, in sweeps.
 const STORAGE_CHECK: u32 = 5;
 /// Sweeps between two looks for abandoned uploads.
@@ -76,6 +81,7 @@ pub struct ExecutorOptions {
     /// In a store that several processes share, the lease of work that has not checked its token for so long is not renewed.
     /// Longer than one submission to the device may take.
     pub silence: Duration,
+    pub node: NodeOptions,
     pub bounds: Bounds,
 }
 
@@ -88,6 +94,7 @@ impl ExecutorOptions {
             max_crashes: MAX_CRASHES,
             lease: Duration::from_secs(60),
             silence: Duration::from_secs(120),
+            node: NodeOptions::default(),
             bounds,
         }
     }
@@ -125,8 +132,9 @@ impl Stores {
     }
 
     /// Jobs in a PostgreSQL database that several servers share; blobs in a bucket, as in [`Self::in_bucket`]. `password` is a
-    /// file, if the URL has none. Errors: why database or bucket cannot be used.
+    /// file, if the URL has none; `node` is this server's name among them. Errors: why database or bucket cannot be used.
     pub async fn in_database(
+        node: &str,
         database: &str,
         password: Option<PathBuf>,
         bucket: &str,
@@ -135,15 +143,17 @@ impl Stores {
         #[cfg(all(feature = "postgres", feature = "s3"))]
         {
             use crate::postgres::{PostgresOptions, PostgresStore};
-            let options =
-                PostgresOptions { password_file: password, ..PostgresOptions::new(database, sharing::unique_name()?) };
+            let options = PostgresOptions {
+                password_file: password,
+                ..PostgresOptions::new(database, sharing::unique_name(node)?)
+            };
             let jobs = PostgresStore::open(options).await?;
             let blobs = ObjectBlobs::s3(jobs.index(), bucket, [], blobs).await?;
             Ok(Self { jobs: Arc::new(jobs), blobs: Arc::new(blobs) })
         }
         #[cfg(not(all(feature = "postgres", feature = "s3")))]
         {
-            let _ = (database, password, bucket, blobs);
+            let _ = (node, database, password, bucket, blobs);
             let cause = "this program was built without the feature postgres or s3".to_owned();
             Err(StoreError::Unusable { cause }.into())
         }
@@ -182,6 +192,11 @@ struct Inner {
     /// Held while a job is claimed.
     claiming: tokio::sync::Mutex<()>,
     numbers: tokio::sync::Mutex<Numbers>,
+    overview: tokio::sync::Mutex<Option<(Instant, Arc<Overview>)>>,
+    /// Whether an operator wants this process to take no more work of a shared store.
+    drained: watch::Sender<bool>,
+    /// Where this process takes calls.
+    address: OnceLock<String>,
     storage: Storage,
     progress: mpsc::Sender<ProgressCommand>,
     previews: Previews,
@@ -227,6 +242,9 @@ impl Executor {
             leases: Leases::default(),
             claiming: tokio::sync::Mutex::default(),
             numbers: tokio::sync::Mutex::default(),
+            overview: tokio::sync::Mutex::default(),
+            drained: watch::Sender::new(false),
+            address: OnceLock::new(),
             storage: Storage::default(),
             progress,
             previews: Previews::default(),
@@ -266,7 +284,7 @@ async fn record_progress(
 
 /// Lets go of what is over, again and again.
 async fn sweep(inner: Weak<Inner>) {
-    let (mut sweeps, mut recovered) = (0u32, Instant::now());
+    let (mut sweeps, mut recovered, mut is_away) = (0u32, Instant::now(), false);
     loop {
         tokio::time::sleep(SWEEP).await;
         let Some(inner) = inner.upgrade() else { return };
@@ -274,8 +292,25 @@ async fn sweep(inner: Weak<Inner>) {
         if sweeps.is_multiple_of(STORAGE_CHECK) || inner.storage.is_down() {
             inner.storage.check(inner.stores.blobs.as_ref()).await;
         }
-        match inner.expire().await {
-            Ok(()) => {}
+        if sweeps.is_multiple_of(SWEEP_UPLOADS)
+            && let Err(error) = inner.stores.blobs.sweep().await
+        {
+            tracing::error!(%error, "uploads that nobody continues could not be let go of");
+        }
+        let beats = sweeps % BEAT == 1;
+        let swept = match inner.sweeps(beats).await {
+            Ok(true) => inner.expire().await,
+            Ok(false) => continue,
+            Err(error) => Err(error),
+        };
+        match swept {
+            Ok(()) => is_away = false,
+            Err(error @ StoreError::Unavailable { .. }) => {
+                if !std::mem::replace(&mut is_away, true) {
+                    tracing::error!(%error, "jobs that are over cannot be let go of; trying again");
+                }
+                continue;
+            }
             Err(error @ (StoreError::Broken { .. } | StoreError::Closed)) => {
                 tracing::error!(%error, "nothing more can be kept");
                 inner.broken.send_replace(true);
@@ -288,11 +323,6 @@ async fn sweep(inner: Weak<Inner>) {
             if let Err(error) = inner.recover_lost().await {
                 tracing::warn!(%error, "leases that are over could not be looked for");
             }
-        }
-        if sweeps.is_multiple_of(SWEEP_UPLOADS)
-            && let Err(error) = inner.stores.blobs.sweep().await
-        {
-            tracing::error!(%error, "uploads that nobody continues could not be let go of");
         }
     }
 }
@@ -478,14 +508,38 @@ impl Inner {
     }
 
     /// Checks all that can be checked before a job is kept; gives the memory that it needs.
-    async fn admit(&self, spec: &Spec) -> Result<Bytes, JobApiError> {
+    async fn admit(&self, spec: &Spec) -> Result<Need, JobApiError> {
         self.has_place(&spec.tenant).await?;
-        self.engine.backend(spec.task().backend)?;
+        let is_shared = self.shared().is_some();
+        if !is_shared {
+            self.engine.backend(spec.task().backend)?;
+        }
         let counts = self.forecast.counts(spec, None).await?;
         self.within_bounds(&counts)?;
         let need = self.forecast.need(&counts);
-        must_fit(&need, self.engine.memory())?;
-        Ok(need.memory)
+        match self.able(&need, spec).await? {
+            None if is_shared => {}
+            None => must_fit(&need, self.engine.memory())?,
+            // One that does may come: the job is told of it as long as it waits.
+            Some(Unschedulable::NoServer | Unschedulable::NoGpu) => {}
+            Some(Unschedulable::TooLarge { .. }) => must_fit(&need, self.largest().await?)?,
+        }
+        Ok(need)
+    }
+
+    async fn able(&self, need: &Need, spec: &Spec) -> Result<Option<Unschedulable>, JobApiError> {
+        Ok(self.unschedulable(need.memory, spec.task().needs_gpu()).await?)
+    }
+
+    /// The memory of the largest server that does work: what jobs may need.
+    async fn largest(&self) -> Result<Bytes, JobApiError> {
+        let Some(overview) = self.overview().await else { return Ok(self.engine.memory()) };
+        let overview = overview?;
+        let of_workers = overview.members.iter().filter(|member| member.node.role.works());
+        Ok(of_workers
+            .map(|member| member.node.memory)
+            .max_by_key(|memory| (memory.host, memory.device))
+            .unwrap_or_else(|| self.engine.memory()))
     }
 }
 
@@ -504,8 +558,10 @@ impl JobApi for Executor {
             return Ok(Created { job, existed: true });
         }
         this.check_input(&spec).await?;
-        let needs = this.admit(&spec).await?;
-        let created = this.stores.jobs.create(NewJob { random: getrandom_u128()?, spec, needs }).await?;
+        let need = this.admit(&spec).await?;
+        let cost = Cost { seconds: need.seconds, weight: this.engine.weights().of(&spec.tenant) };
+        let new = NewJob { random: getrandom_u128()?, spec, needs: need.memory, cost };
+        let created = this.stores.jobs.create(new).await?;
         if this.shared().is_some() {
             if !created.existed {
                 this.count_waiting(&created.job.spec.tenant).await;
@@ -566,11 +622,15 @@ impl JobApi for Executor {
     }
 
     async fn estimate(&self, spec: Spec, vertices: Option<u64>, facets: Option<u64>) -> Result<Estimate, JobApiError> {
-        self.inner.engine.backend(spec.task().backend)?;
+        let is_shared = self.inner.shared().is_some();
+        if !is_shared {
+            self.inner.engine.backend(spec.task().backend)?;
+        }
         let given = vertices.zip(facets);
         let counts = self.inner.forecast.counts_by_surface(&spec, given).await?;
         let need = self.inner.forecast.need(&counts);
-        let limits = self.inner.engine.memory();
+        let limits = self.inner.largest().await?;
+        let unschedulable = self.inner.able(&need, &spec).await?;
         let in_bounds = self.inner.within_bounds(&counts).is_ok();
         Ok(Estimate {
             host_bytes: need.memory.host,
@@ -578,8 +638,45 @@ impl JobApi for Executor {
             device_bytes: need.memory.device,
             device_limit_bytes: if limits.device == u64::MAX { 0 } else { limits.device },
             seconds: need.seconds,
-            fits: in_bounds && need.memory.fits(limits),
+            fits: in_bounds && unschedulable.is_none() && (is_shared || need.memory.fits(limits)),
+            unschedulable: unschedulable.map(|unschedulable| unschedulable.to_string()),
         })
+    }
+
+    async fn unschedulable(&self, job: &Job) -> Result<Option<String>, JobApiError> {
+        match self.inner.shared() {
+            Some(shared) if job.status.state == State::Queued => {
+                Ok(shared.unschedulable(job.id).await?.map(|unschedulable| unschedulable.to_string()))
+            }
+            _ => Ok(None),
+        }
+    }
+
+    async fn overview(&self) -> Option<Result<Arc<Overview>, JobApiError>> {
+        self.inner.overview().await.map(|overview| overview.map_err(JobApiError::from))
+    }
+
+    async fn streams_elsewhere(&self) -> Option<Option<String>> {
+        let inner = &self.inner;
+        if inner.options.node.role.works() && !*inner.drained.borrow() {
+            return None;
+        }
+        let overview = inner.overview().await.and_then(Result::ok);
+        let found = overview.iter().flat_map(|overview| &overview.members);
+        Some(
+            found
+                .filter(|member| member.works() && !member.node.address.is_empty())
+                .map(|member| member.node.address.clone())
+                .next(),
+        )
+    }
+
+    fn advertise(&self, address: String) {
+        drop(self.inner.address.set(address));
+    }
+
+    fn drained(&self) -> watch::Receiver<bool> {
+        self.inner.drained.subscribe()
     }
 
     async fn failed(&self) {
@@ -604,6 +701,11 @@ impl JobApi for Executor {
         }
         while self.inner.engine.kept(None) > 0 || !self.inner.leases.is_empty() {
             tokio::time::sleep(Duration::from_millis(10)).await;
+        }
+        if let Some(shared) = self.inner.shared()
+            && let Err(error) = shared.leave().await
+        {
+            tracing::debug!(%error, "the others take this server for away in a moment");
         }
     }
 }

@@ -6,10 +6,12 @@
 //! until the job is read again, and a request with a number can be repeated. Only the database's clock decides. Progress is
 //! kept at once, and may be lost only with its day. Must not know: messages, how jobs are done.
 
+mod cluster;
 mod index;
 mod jobs;
 mod listen;
 mod migrations;
+mod operator;
 mod pool;
 mod rows;
 mod upkeep;
@@ -21,6 +23,7 @@ use std::time::{Duration, Instant};
 use tokio::sync::watch;
 use tokio::task::JoinHandle;
 
+pub use operator::{Checked, Operator};
 pub use pool::PostgresOptions;
 
 use crate::beside::Beside;
@@ -28,6 +31,7 @@ use crate::blob::index::BlobIndex;
 use crate::lock;
 use crate::record::event::{Events, Progress};
 use crate::record::{Change, Job, JobId, Spec};
+use crate::store::shared::{Node, Overview, Unschedulable};
 use crate::store::{
     Answer, Created, JobStore, NewJob, Offer, Orphans, Page, Query, Recovered, Retention, SharedStore, StoreError,
     Swept, Waiters,
@@ -99,7 +103,7 @@ macro_rules! transaction {
         Box::pin($store.database.$run(async move {
             let mut $work = Work::begin(&$store.database).await?;
             let done = $operation.await;
-            $work.end(done, &$store.voice).await
+            $work.end(done, Some(&$store.voice)).await
         }))
     };
 }
@@ -204,6 +208,26 @@ impl SharedStore for PostgresStore {
 
     fn waiting(&self) -> Answer<'_, HashMap<String, usize>> {
         connection!(self, |connection| jobs::waiting(connection))
+    }
+
+    fn beat(&self, node: Node) -> Answer<'_, bool> {
+        connection!(self, |connection| cluster::beat(connection, &self.holder, &node))
+    }
+
+    fn sweeps(&self) -> Answer<'_, bool> {
+        connection!(self, |connection| cluster::sweeps(connection))
+    }
+
+    fn leave(&self) -> Answer<'_, ()> {
+        connection!(self, |connection| cluster::leave(connection, &self.holder))
+    }
+
+    fn overview(&self) -> Answer<'_, Overview> {
+        connection!(self, |connection| cluster::overview(connection))
+    }
+
+    fn unschedulable(&self, id: JobId) -> Answer<'_, Option<Unschedulable>> {
+        connection!(self, |connection| cluster::unschedulable(connection, id))
     }
 }
 

@@ -106,6 +106,9 @@ impl Job {
     }
 }
 
+/// Names of executors that went away with a job, as far as they are kept.
+const KEPT_CRASHES: usize = 8;
+
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Status {
@@ -119,6 +122,9 @@ pub struct Status {
     pub attempts: u32,
     /// Times its executor went away without a word.
     pub crashes: u32,
+    /// Which executors these were, the last few.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub crashed_on: Vec<String>,
     /// When it expires unless its state changes before.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub due: Option<Time>,
@@ -219,6 +225,7 @@ impl Status {
             started: None,
             attempts: 0,
             crashes: 0,
+            crashed_on: Vec::new(),
             due: deadlines.queue.map(|limit| now.after(limit)),
             holder: None,
             outcome: None,
@@ -239,6 +246,9 @@ impl Status {
             Change::Release => next.due = deadlines.queue.map(|limit| now.after(limit)),
             Change::Orphan => {
                 next.crashes += 1;
+                next.crashed_on.extend(self.holder.as_ref().map(|holder| holder.name.clone()));
+                let surplus = next.crashed_on.len().saturating_sub(KEPT_CRASHES);
+                next.crashed_on.drain(..surplus);
                 next.due = deadlines.queue.map(|limit| now.after(limit));
             }
             Change::Succeed(result) => next.outcome = Some(Outcome::Succeeded(result)),

@@ -14,16 +14,15 @@ mod operations;
 pub(crate) mod pins;
 mod redb;
 pub(crate) mod rules;
+pub mod shared;
 mod tables;
 
-use std::collections::{BTreeMap, HashMap};
+use std::collections::BTreeMap;
 use std::fmt;
 use std::path::PathBuf;
 use std::pin::Pin;
 use std::sync::Arc;
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
-
-use tokio::sync::watch;
 
 use crate::beside::Beside;
 use crate::blob::index::BlobIndex;
@@ -36,6 +35,7 @@ pub use self::redb::repair::{Findings, check, repair};
 pub use self::redb::{RedbOptions, RedbStore};
 pub use container::MemoryStore;
 pub use pins::result_pin;
+pub use shared::SharedStore;
 #[cfg(feature = "postgres")]
 pub(crate) use tables::Waiters;
 
@@ -63,8 +63,9 @@ pub trait JobStore: Send + Sync {
     /// Jobs, the newest first.
     fn list(&self, query: Query) -> Answer<'_, Page>;
 
-    /// Takes a queued job, counts an attempt and begins a lease. Of the jobs that fit the offer the first has the highest
-    /// priority, then the greatest age. `None` if none fits.
+    /// Takes a queued job, counts an attempt and begins a lease. Of the jobs of a tenant that fit the offer the first has the
+    /// highest priority, then the greatest age; of tenants a shared store takes the one that has had least, any other store the
+    /// one with that job. `None` if none fits.
     fn claim_next(&self, offer: Offer) -> Answer<'_, Option<Job>>;
 
     /// Extends the lease of a claim; it ends `lease` from now. `at` is the version that [`Self::claim_next`] gave. A lease
@@ -111,18 +112,6 @@ pub trait JobStore: Send + Sync {
     }
 }
 
-/// A store of jobs that several processes use at the same time. Each claims what it has room for, and queues nothing.
-pub trait SharedStore: Send + Sync {
-    /// The name of this process, which no other has: the holder of its leases.
-    fn holder(&self) -> &str;
-
-    /// Changes when jobs may have come to wait. A change may be missed.
-    fn work(&self) -> watch::Receiver<()>;
-
-    /// Jobs that wait, by tenant.
-    fn waiting(&self) -> Answer<'_, HashMap<String, usize>>;
-}
-
 /// Times that a job may be at work when the process goes down: the second time it fails, if it was at work alone.
 pub const MAX_CRASHES: u32 = 2;
 
@@ -133,6 +122,22 @@ pub struct NewJob {
     pub random: u128,
     pub spec: Spec,
     pub needs: Bytes,
+    pub cost: Cost,
+}
+
+/// What a job takes of its tenant's share.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Cost {
+    /// Predicted seconds of work.
+    pub seconds: f64,
+    /// The tenant's share beside others: 1 if nothing else is said.
+    pub weight: f64,
+}
+
+impl Default for Cost {
+    fn default() -> Self {
+        Self { seconds: 1.0, weight: 1.0 }
+    }
 }
 
 /// What a process can do now.
@@ -141,7 +146,12 @@ pub struct Offer {
     pub holder: String,
     /// The time until others may take the job for orphaned.
     pub lease: Duration,
+    /// Memory that is free now.
     pub room: Bytes,
+    /// Memory that is there when nothing is at work.
+    pub whole: Bytes,
+    /// Whether jobs that need a GPU can be done. A store of one process has all its jobs done by it.
+    pub has_gpu: bool,
     /// This job alone: for a process that has all waiting jobs in a queue of its own.
     pub job: Option<JobId>,
 }
@@ -149,7 +159,7 @@ pub struct Offer {
 impl Offer {
     /// An offer with this much memory for any job.
     pub fn new(holder: impl Into<String>, lease: Duration, room: Bytes) -> Self {
-        Self { holder: holder.into(), lease, room, job: None }
+        Self { holder: holder.into(), lease, room, whole: room, has_gpu: true, job: None }
     }
 
     /// An offer for one job, whatever it needs.
@@ -257,7 +267,7 @@ pub struct Recovered {
     pub requeued: Vec<JobId>,
     /// Orphaned jobs that failed, since they had crashed often enough.
     pub failed: Vec<JobId>,
-    /// All jobs that wait now, those included, the oldest first.
+    /// With [`Orphans::All`], all jobs that wait now, those included, the oldest first.
     pub queued: Vec<JobId>,
     /// Blobs that were to be pinned again, each list with the tenant of its job.
     pub pinned: Vec<(Owner, Vec<Digest>)>,

@@ -1,11 +1,12 @@
 //! The port for operators: metrics, health and readiness over HTTP.
 //!
-//! Purpose: [`serve`] answers `/metrics`, `/healthz`, `/readyz` and `/version` until it is dropped.
+//! Purpose: [`serve`] answers `/metrics`, `/healthz`, `/readyz` and `/version` and `/scale` until it is dropped.
 //! Invariant: whatever is sent to it, it holds few connections, each for a short time, and takes nothing but a request's
 //! head. It answers while the server drains, and no page of another site. Must not know: gRPC, jobs, how faults are found.
 
 use std::collections::VecDeque;
 use std::convert::Infallible;
+use std::pin::Pin;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -51,7 +52,11 @@ pub struct Admin {
     pub hosts: Hosts,
     /// Updates gauges that are read on demand, before each scrape.
     pub look: Arc<dyn Fn() + Send + Sync>,
+    /// What an autoscaler wants to know; none if this server is alone.
+    pub scale: Arc<dyn Fn() -> Scale + Send + Sync>,
 }
+
+pub type Scale = Pin<Box<dyn Future<Output = Option<serde_json::Value>> + Send>>;
 
 pub async fn serve(listener: TcpListener, admin: Admin) -> Infallible {
     let reach = hosts::reach(&listener, Reach::Near);
@@ -100,6 +105,7 @@ fn routes(admin: Admin, reach: Reach) -> Router {
         .route("/healthz", get(|| async { "ok\n" }))
         .route("/readyz", get(readiness))
         .route("/version", get(version))
+        .route("/scale", get(scale))
         .layer(guard)
         .with_state(admin)
 }
@@ -134,6 +140,15 @@ async fn readiness(State(admin): State<Admin>) -> Response {
     answer(status, &condition.describe())
 }
 
+async fn scale(State(admin): State<Admin>) -> Response {
+    match (admin.scale)().await {
+        Some(value) => answer(StatusCode::OK, &value),
+        None => (StatusCode::NOT_FOUND, ALONE).into_response(),
+    }
+}
+
+const ALONE: &str = "No other server shares this one's jobs (--store), or the database does not answer.\n";
+
 async fn version(State(admin): State<Admin>) -> Response {
     answer(StatusCode::OK, &json!({ "version": env!("CARGO_PKG_VERSION"), "revision": admin.revision }))
 }
@@ -160,6 +175,7 @@ mod tests {
             revision: Some("abc"),
             hosts: Hosts::default(),
             look: Arc::new(|| {}),
+            scale: Arc::new(|| Box::pin(async { None })),
         };
         let mut serving = JoinSet::new();
         serving.spawn(serve(listener, admin));

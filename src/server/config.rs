@@ -11,7 +11,7 @@ mod limits;
 mod options;
 mod security;
 mod values;
-pub use args::{BackendArg, BackendArgs, OnLoss, ServeArgs};
+pub use args::{BackendArg, BackendArgs, OnLoss, RoleArg, ServeArgs};
 pub use check::{ServeConfig, data_dir};
 pub use file::{ConfigFile, FileError, sources};
 pub use limits::Limits;

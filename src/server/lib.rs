@@ -20,6 +20,7 @@
 #![allow(missing_docs)]
 
 pub mod admin;
+pub mod cluster;
 pub mod config;
 pub mod hosts;
 pub mod http;

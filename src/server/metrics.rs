@@ -29,6 +29,7 @@ use crate::readiness::{Condition, Reason};
 use geometry::rvd::BackendKind;
 use jobs::admission::estimate::Kind;
 use jobs::observe::activity::{JobOutcome, Observer, Origin, Phase};
+use jobs::store::shared::Overview;
 use transport::{Counters, Histograms, Labels};
 
 /// Upper bounds for calls, seconds: those that OpenTelemetry advises, and more for work that takes minutes.
@@ -67,6 +68,12 @@ struct Inner {
     degraded: Family<Labels<1>, Gauge>,
     probes: Family<Labels<1>, Counter>,
     steps: Family<Labels<1>, Gauge<f64, AtomicU64>>,
+    node: Family<[(&'static str, String); 2], Gauge>,
+    cluster_nodes: Family<Labels<1>, Gauge>,
+    cluster_jobs: Family<Labels<1>, Gauge>,
+    // Without labels; as families they are told only in a cluster.
+    cluster_oldest: Family<Labels<0>, Gauge<f64, AtomicU64>>,
+    cluster_capacity: Family<Labels<0>, Gauge>,
     process: Process,
 }
 
@@ -139,6 +146,17 @@ impl Metrics {
             degraded: plain(r, "tessera_degraded", "1 for each reason why the server is slower than it should be"),
             probes: plain(r, "tessera_probes", "Probes of the backend, by how they came out"),
             steps: add(r, "tessera_step", s(), "How long the steps of start and shutdown took", Family::default()),
+            node: plain(r, "tessera_node_info", "This server among those that share its store"),
+            cluster_nodes: plain(r, "tessera_cluster_nodes", "Servers that share the store and are alive"),
+            cluster_jobs: plain(r, "tessera_cluster_jobs", "Jobs of all servers that share the store"),
+            cluster_oldest: add(
+                r,
+                "tessera_cluster_oldest_queued",
+                s(),
+                "How long the oldest queued job waits",
+                Family::default(),
+            ),
+            cluster_capacity: plain(r, "tessera_cluster_capacity", "Jobs that all servers have at work at once"),
             process,
             registry,
         };
@@ -215,6 +233,28 @@ impl Metrics {
     /// What is allocated on the device now, if it is known.
     pub fn device_used(&self, bytes: Option<u64>) {
         self.0.device_bytes.get_or_create(&[("kind", "used")]).set(signed(bytes.unwrap_or(0)));
+    }
+
+    /// This server's name among those that share its store, and its role.
+    pub fn node(&self, node: &str, role: &str) {
+        let labels = [("node", node.to_owned()), ("role", role.to_owned())];
+        self.0.node.get_or_create(&labels).set(1);
+    }
+
+    /// All servers that share the store, and all work.
+    pub fn cluster(&self, overview: &Overview) {
+        let whole = |count: u64| i64::try_from(count).unwrap_or(i64::MAX);
+        let alive = overview.members.iter().filter(|member| member.is_alive);
+        let (drained, working): (Vec<_>, Vec<_>) = alive.partition(|member| member.drains);
+        for (state, members) in [("alive", working), ("draining", drained)] {
+            self.0.cluster_nodes.get_or_create(&[("state", state)]).set(members.len() as i64);
+        }
+        for (state, jobs) in [("queued", overview.queued()), ("running", overview.running())] {
+            self.0.cluster_jobs.get_or_create(&[("state", state)]).set(whole(jobs));
+        }
+        let none: Labels<0> = [];
+        self.0.cluster_oldest.get_or_create(&none).set(overview.oldest_ms() as f64 / 1000.0);
+        self.0.cluster_capacity.get_or_create(&none).set(whole(overview.capacity().1));
     }
 
     /// Why the server is not ready, or not as good as it should be.

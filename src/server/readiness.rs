@@ -18,6 +18,8 @@ pub enum Reason {
     /// The first probe has not passed yet.
     Starting,
     Draining,
+    /// An operator wants it to take no more work.
+    Drained,
     /// The device was lost and is not back.
     DeviceLost,
     /// A diagram whose answer is known came out wrong, or not at all.

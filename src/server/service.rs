@@ -128,6 +128,11 @@ pub enum RequestError {
     ClientGone,
     #[error("{}", Rejection::Draining)]
     Draining,
+    #[error(
+        "this server does no streams: {}",
+        address.as_ref().map_or("create a job instead".to_owned(), |at| format!("ask {at}, or create a job"))
+    )]
+    Elsewhere { address: Option<String> },
     #[error("the server's storage did not answer within {} s", .0.as_secs_f64())]
     Slow(Duration),
     #[error(transparent)]
@@ -167,8 +172,9 @@ pub fn replay(recording: &[u8], limits: &Limits) -> Result<Input, String> {
 
 /// Serves on `listener` until `shutdown` is ready; then refuses new streams, lets open ones end within the grace period,
 /// cuts what is left, joins the engine and returns.
+/// Without a listener nothing but work of the store is done.
 pub async fn run(
-    listener: TcpListener,
+    listener: impl Into<Option<TcpListener>>,
     parts: Parts,
     shutdown: impl Future<Output = ()> + Send,
 ) -> Result<(), ServeError> {
@@ -181,7 +187,8 @@ pub async fn run(
     let budget = Budget::told(limits.memory_bytes, engine.memory_outside_jobs());
     metrics.memory(engine.memory_outside_jobs(), limits.memory_bytes);
     let gate = Gate::new(limits, phase.subscribe(), metrics.clone());
-    let handlers = handlers::Handlers::new(engine.clone(), limits, budget.clone(), gate.clone());
+    let api = jobs.as_ref().map(|jobs| Arc::clone(&jobs.api));
+    let handlers = handlers::Handlers::new((engine.clone(), api.clone()), limits, budget.clone(), gate.clone());
     let info = Info { engine: engine.clone(), limits, readiness: readiness.clone(), about };
     let (health, health_service) = tonic_health::server::health_reporter();
     let names = names(jobs.is_some());
@@ -210,8 +217,11 @@ pub async fn run(
     if let Some(jobs) = &jobs {
         let storage = jobs.api.storage();
         tasks.spawn(health::follow_blobs(Arc::clone(&jobs.blobs), storage, readiness.clone(), metrics.clone()));
+        let cluster = crate::cluster::follow(Arc::clone(&jobs.api), metrics.clone(), readiness.clone());
+        tasks.spawn(async move {
+            let _ = cluster.await;
+        });
     }
-    let api = jobs.as_ref().map(|jobs| Arc::clone(&jobs.api));
     // By TLS a name that resolves to this address has no certificate.
     let wide = if tls.is_some() { Reach::Anywhere } else { Reach::Near };
     let door = door.zip(jobs.as_ref()).map(|(door, Jobs { api, blobs })| {
@@ -223,22 +233,34 @@ pub async fn run(
         routes = with_jobs(routes, jobs, limits, &budget, &gate);
     }
     // Browsers speak no HTTP/2 without TLS.
-    let guarded = Guarded::new(access.of(&listener, Reach::Anywhere), routes.prepare());
+    let listener = listener.into();
+    let guard = listener.as_ref().map(|listener| access.of(listener, Reach::Anywhere));
+    let guarded = guard.map(|guard| Guarded::new(guard, routes.prepare()));
     let closing = watch::Sender::new(CUT_TIME);
     let shared = Shared::new(connections(&limits), budget, metrics.connections(), tls);
-    let grpc = Protocol::Grpc(Arc::new(Grpc {
-        routes: Box::new(move |request| Box::pin(guarded.clone().call(request))),
-        calls: Calls::new(metrics.connections(), access::served()),
-        uploads: UPLOADS,
-        status: |rejection| RequestError::from(rejection).into(),
-    }));
+    let grpc = guarded.map(|guarded| {
+        Protocol::Grpc(Arc::new(Grpc {
+            routes: Box::new(move |request| Box::pin(guarded.clone().call(request))),
+            calls: Calls::new(metrics.connections(), access::served()),
+            uploads: UPLOADS,
+            status: |rejection| RequestError::from(rejection).into(),
+        }))
+    });
     let beside = async {
         if let Some((listener, router)) = door {
             let web = Protocol::Web(router);
             transport::serve(listener, web, shared.clone(), phase.subscribe(), closing.subscribe()).await;
         }
     };
-    let serving = transport::serve(listener, grpc, shared.clone(), phase.subscribe(), closing.subscribe());
+    let mut phases = phase.subscribe();
+    let serving = async {
+        match listener.zip(grpc) {
+            Some((listener, grpc)) => {
+                transport::serve(listener, grpc, shared.clone(), phase.subscribe(), closing.subscribe()).await;
+            }
+            None => drop(phases.wait_for(|phase| *phase == Phase::Closing).await),
+        }
+    };
     let serving = async { tokio::join!(serving, beside) };
     tokio::pin!(serving);
 

@@ -47,7 +47,7 @@ impl JobApi for Idle {
             self.blobs.stat(blob).await?;
         }
         let random = self.names.fetch_add(1, Ordering::SeqCst).into();
-        Ok(self.store.create(NewJob { random, spec, needs: Bytes::default() }).await?)
+        Ok(self.store.create(NewJob { random, spec, needs: Bytes::default(), cost: Cost::default() }).await?)
     }
 
     async fn get(&self, tenant: &str, id: JobId) -> Result<Job, JobApiError> {

@@ -22,7 +22,13 @@ fn create_all(store: &Arc<dyn JobStore>) -> f64 {
             scope.spawn(move || {
                 for number in (thread..JOBS).step_by(THREADS as usize) {
                     let spec = spec(&format!("r{number}"), number);
-                    wait(store.create(NewJob { random: number.into(), spec, needs: Bytes::default() })).unwrap();
+                    wait(store.create(NewJob {
+                        random: number.into(),
+                        spec,
+                        needs: Bytes::default(),
+                        cost: Cost::default(),
+                    }))
+                    .unwrap();
                 }
             });
         }

@@ -30,7 +30,7 @@ fn result() -> ResultSet {
 }
 
 fn new(number: u128) -> NewJob {
-    NewJob { random: number, spec: spec(&format!("r{number}"), 1), needs: Bytes::default() }
+    NewJob { random: number, spec: spec(&format!("r{number}"), 1), needs: Bytes::default(), cost: Cost::default() }
 }
 
 /// Stores a blob as an upload of a tenant.

@@ -18,7 +18,7 @@ fn open(path: &Path) -> Result<RedbStore, StoreError> {
 }
 
 fn new(number: u128) -> NewJob {
-    NewJob { random: number, spec: spec(&format!("r{number}"), 1), needs: Bytes::default() }
+    NewJob { random: number, spec: spec(&format!("r{number}"), 1), needs: Bytes::default(), cost: Cost::default() }
 }
 
 #[test]

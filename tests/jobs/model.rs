@@ -272,9 +272,10 @@ impl Model {
         let ids: Vec<JobId> = self.jobs.keys().copied().collect();
         let is_orphaned = |job: &Known| job.state == State::Running && (orphans == Orphans::All || job.until <= now);
         let orphaned: Vec<JobId> = ids.iter().filter(|id| is_orphaned(&self.jobs[*id])).copied().collect();
+        let running = self.jobs.values().filter(|job| job.state == State::Running).count();
         for id in &orphaned {
-            // Of several any one may be the cause.
-            if self.jobs[id].crashes == 0 || orphaned.len() > 1 {
+            // Of several of one holder any one may be the cause.
+            if self.jobs[id].crashes == 0 || running > 1 {
                 self.change(*id, None, &Change::Orphan, now);
                 requeued.push(*id);
             } else {
@@ -283,7 +284,8 @@ impl Model {
                 failed.push(*id);
             }
         }
-        let queued = ids.into_iter().filter(|id| self.jobs[id].state == State::Queued).collect();
+        let is_queued = |id: &JobId| orphans == Orphans::All && self.jobs[id].state == State::Queued;
+        let queued = ids.into_iter().filter(is_queued).collect();
         Gives::Recovered(requeued, failed, queued)
     }
 }
@@ -299,7 +301,7 @@ pub async fn on_store(store: &dyn JobStore, step: Step) -> Option<(Gives, Option
     let result = match step {
         Step::Create { random, request, body: number } => {
             let spec = body(&request, number);
-            let created = store.create(NewJob { random, spec, needs: needs(number) }).await;
+            let created = store.create(NewJob { random, spec, needs: needs(number), cost: Cost::default() }).await;
             created.map(|created| Gives::Created(created.job.id, created.existed))
         }
         Step::Claim { job, room, lease } => {

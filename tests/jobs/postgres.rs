@@ -156,7 +156,7 @@ fn clients<T: Send>(database: &Database, run: impl Fn(usize, &PostgresStore) -> 
 }
 
 fn new(random: u128, request: &str) -> NewJob {
-    NewJob { random, spec: spec(request, 1), needs: Bytes::default() }
+    NewJob { random, spec: spec(request, 1), needs: Bytes::default(), cost: Cost::default() }
 }
 
 fn stage() -> Progress {
@@ -399,7 +399,9 @@ fn texts_of_callers_are_data() {
     let mut sent = message(1);
     sent.labels.insert("evil".to_owned(), evil.to_owned());
     let spec = Spec::new(sent, "te'nant\"".to_owned(), "r';--".to_owned()).unwrap();
-    let created = wait(store.create(NewJob { random: 1, spec: spec.clone(), needs: Bytes::default() })).unwrap();
+    let created =
+        wait(store.create(NewJob { random: 1, spec: spec.clone(), needs: Bytes::default(), cost: Cost::default() }))
+            .unwrap();
     assert_eq!(wait(store.requested(spec)).unwrap(), Some(created.job.clone()));
     let listed = |labels: &[(&str, &str)], tenant: &str| {
         let labels = labels.iter().map(|(key, value)| ((*key).to_owned(), (*value).to_owned())).collect();

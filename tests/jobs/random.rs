@@ -480,7 +480,9 @@ fn what_was_acknowledged_outlives_the_crash_of_the_database() {
         stop.join().unwrap();
         let start = std::time::Instant::now();
         let spec = super::model::body("away", 0);
-        let away = wait(trial.store().create(NewJob { random: 0, spec, needs: Bytes::default() })).unwrap_err();
+        let away =
+            wait(trial.store().create(NewJob { random: 0, spec, needs: Bytes::default(), cost: Cost::default() }))
+                .unwrap_err();
         assert!(matches!(away, StoreError::Unavailable { .. }), "{away}");
         // A caller hears within 2 s; a busy machine adds to it.
         assert!(start.elapsed() < Duration::from_secs(3), "{:?}", start.elapsed());

@@ -103,6 +103,7 @@ pub(super) fn json_of(job: &Job) -> Value {
         "failure": job.failure.as_ref().map(|why| json!({ "kind": failure(why.kind), "message": why.message })),
         "expired_by": Some(&job.expired_by).filter(|by| !by.is_empty()),
         "results": results,
+        "unschedulable": Some(&job.unschedulable).filter(|why| !why.is_empty()),
         "request_id": Some(&job.request_id).filter(|id| !id.is_empty()),
         "labels": labels,
         "input": input,
@@ -137,6 +138,9 @@ pub(super) fn why(job: &Job) -> Option<String> {
 pub(super) fn lines(job: &Job) -> Vec<String> {
     let mut lines = vec![format!("id        {}", job.id), format!("kind      {}", kind(job))];
     lines.push(format!("state     {}", why(job).unwrap_or_else(|| state(job.state))));
+    if !job.unschedulable.is_empty() {
+        lines.push(format!("waits     {}", plain(&job.unschedulable)));
+    }
     for (name, at) in [("created", &job.created), ("started", &job.started), ("changed", &job.changed)] {
         lines.extend(moment(at.as_ref()).map(|at| format!("{name:9} {at}")));
     }
@@ -212,6 +216,7 @@ pub(super) fn line_of_event(event: &JobEvent) -> String {
 pub(super) fn json_of_estimate(estimate: &EstimateJobResponse) -> Value {
     json!({
         "fits": estimate.fits,
+        "unschedulable": Some(&estimate.unschedulable).filter(|why| !why.is_empty()),
         "seconds": estimate.seconds,
         "host_bytes": estimate.host_bytes,
         "host_limit_bytes": estimate.host_limit_bytes,
@@ -223,7 +228,11 @@ pub(super) fn json_of_estimate(estimate: &EstimateJobResponse) -> Value {
 pub(super) fn lines_of_estimate(estimate: &EstimateJobResponse) -> Vec<String> {
     let mib = |bytes: u64| bytes.div_ceil(1 << 20);
     let of = |limit: u64| if limit > 0 { format!(" of {} MiB", mib(limit)) } else { String::new() };
-    let fits = if estimate.fits { "yes" } else { "no: the server would refuse it" };
+    let fits = match (estimate.fits, estimate.unschedulable.as_str()) {
+        (true, _) => "yes".to_owned(),
+        (false, "") => "no: the server would refuse it".to_owned(),
+        (false, why) => format!("no: {}", plain(why)),
+    };
     let mut lines = vec![
         format!("fits      {fits}"),
         format!("time      {:.1} s, if nothing else is at work", estimate.seconds),

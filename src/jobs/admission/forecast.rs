@@ -136,7 +136,12 @@ impl Forecast {
             (MeshSource::File { .. }, Some(given)) => (given, bytes(given, (12, 13))),
             (MeshSource::File { blob, format, .. }, None) => self.of_file(owner, *blob, *format).await?,
         };
-        let backend = self.engine.backend(task.backend).map_or(BackendKind::Parallel, |by| by.kind);
+        // Another server may have the backend that this one lacks.
+        let elsewhere = match task.backend {
+            BackendChoice::Only(kind) => kind,
+            BackendChoice::Auto => BackendKind::Parallel,
+        };
+        let backend = self.engine.backend(task.backend).map_or(elsewhere, |by| by.kind);
         let points = match (points, task.operation.seeds()) {
             (Some(points), _) => points,
             // By the vertices, of which as many may be there as corners.

@@ -4,6 +4,8 @@
 //! Invariant: a job of another tenant does not exist for a caller. An answer that is not an error says what is kept.
 //! Must not know: streams, how work is done, where jobs are kept.
 
+use std::sync::Arc;
+
 use async_trait::async_trait;
 use tokio::sync::watch;
 
@@ -12,6 +14,7 @@ use crate::blob::BlobError;
 pub use crate::observe::preview::{Preview, PreviewReceiver};
 use crate::record::event::Events;
 use crate::record::{Job, JobId, Spec};
+use crate::store::shared::Overview;
 use crate::store::{Created, Page, Query};
 
 /// See the module's head. A call of [`create`](Self::create), [`cancel`](Self::cancel) or [`delete`](Self::delete) must
@@ -48,6 +51,21 @@ pub trait JobApi: Send + Sync {
     /// `Packed`; `Blob` if counts are not given and the input is not stored.
     async fn estimate(&self, spec: Spec, vertices: Option<u64>, facets: Option<u64>) -> Result<Estimate, JobApiError>;
 
+    /// Why no server that is alive does a queued job; `None` if one can.
+    async fn unschedulable(&self, job: &Job) -> Result<Option<String>, JobApiError>;
+
+    /// All servers and all work, if several servers share the store. A moment old.
+    async fn overview(&self) -> Option<Result<Arc<Overview>, JobApiError>>;
+
+    /// If this server does no streams, since it does no work or is to take no more: where one that does takes calls, if any is known.
+    async fn streams_elsewhere(&self) -> Option<Option<String>>;
+
+    /// This server takes calls at this address.
+    fn advertise(&self, address: String);
+
+    /// Whether an operator wants this server to take no more work.
+    fn drained(&self) -> watch::Receiver<bool>;
+
     /// Ends if nothing can be kept any more: only a new process can go on.
     async fn failed(&self);
 
@@ -58,7 +76,7 @@ pub trait JobApi: Send + Sync {
     async fn drain(&self);
 }
 
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct Estimate {
     /// Predicted peak memory of the process, bytes.
     pub host_bytes: u64,
@@ -71,4 +89,6 @@ pub struct Estimate {
     /// Seconds of work, if nothing else is at work.
     pub seconds: f64,
     pub fits: bool,
+    /// Why no server that is alive does it; `None` if one can, or if this one alone does jobs.
+    pub unschedulable: Option<String>,
 }

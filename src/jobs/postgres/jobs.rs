@@ -10,6 +10,7 @@ use std::collections::HashMap;
 use sqlx::postgres::PgRow;
 use sqlx::{FromRow, PgConnection, PgExecutor, PgTransaction, Postgres, QueryBuilder, Row};
 
+use super::cluster::GPU;
 use super::index;
 use super::listen::Voice;
 use super::pool::Database;
@@ -17,7 +18,7 @@ use super::rows::{JobRow, Locked, LockedRow, count, from_json, id_of, number, pr
 use crate::blob::{BlobError, Digest, Owner};
 use crate::record::event::{Events, Log, Progress, What};
 use crate::record::state::State;
-use crate::record::{Change, Holder, Job, JobId, Spec, Time};
+use crate::record::{Change, Holder, Job, JobId, Spec, Status, Time};
 use crate::store::codec::encode;
 use crate::store::pins::{input_pin, over};
 use crate::store::{Created, NewJob, Offer, Page, Query, StoreError, rules};
@@ -40,15 +41,17 @@ impl Work {
         Ok(Self { transaction: database.begin().await?, touched: Vec::new(), queued: false })
     }
 
-    /// Commits what was done and says so, or undoes it.
-    pub(super) async fn end<T>(self, done: StoreResult<T>, voice: &Voice) -> StoreResult<T> {
+    /// Commits what was done and says so, or undoes it. Without a voice the servers find it when they look next.
+    pub(super) async fn end<T>(self, done: StoreResult<T>, voice: Option<&Voice>) -> StoreResult<T> {
         if done.is_err() {
             // Unless the connection is lost, and the transaction with it.
             drop(self.transaction.rollback().await);
             return done;
         }
         self.transaction.commit().await?;
-        voice.say(self.touched, self.queued);
+        if let Some(voice) = voice {
+            voice.say(self.touched, self.queued);
+        }
         done
     }
 
@@ -62,7 +65,7 @@ impl Work {
     }
 
     pub(super) async fn create(&mut self, new: NewJob) -> StoreResult<Created> {
-        let NewJob { random, spec, needs } = new;
+        let NewJob { random, spec, needs, cost } = new;
         if let Some(job) = requested(self.connection(), &spec).await? {
             return Ok(Created { job, existed: true });
         }
@@ -88,8 +91,9 @@ impl Work {
         let labels: std::collections::BTreeMap<_, _> = spec.message().labels.iter().collect();
         let kept = sqlx::query(
             "insert into tessera.jobs (id, tenant, request_id, state, version, priority, host_bytes, device_bytes, created, \
-             changed, due, labels, spec, status, log) \
-             values ($1, $2, $3, $4, $5, $6, $7, $8, $9, $9, $10, $11::text::jsonb, $12, $13, $14) on conflict (id) do nothing",
+             changed, due, labels, spec, status, log, class, cost, weight) \
+             values ($1, $2, $3, $4, $5, $6, $7, $8, $9, $9, $10, $11::text::jsonb, $12, $13, $14, $15, $16, $17) \
+             on conflict (id) do nothing",
         )
         .bind(id.0.as_slice())
         .bind(&spec.tenant)
@@ -105,6 +109,9 @@ impl Work {
         .bind(encode("spec", &spec)?)
         .bind(to_json("the status", &status)?)
         .bind(to_json("the log", &log)?)
+        .bind(if spec.task().needs_gpu() { GPU } else { 0 })
+        .bind((cost.seconds.max(0.0) * 1000.0) as i64)
+        .bind(if cost.weight > 0.0 && cost.weight.is_finite() { cost.weight } else { 1.0 })
         .execute(self.connection())
         .await?;
         if kept.rows_affected() == 0 {
@@ -166,6 +173,7 @@ impl Work {
         {
             log = log.extended(&recent(self.connection(), id, token).await?);
             event = next.max(event);
+            self.charge(id, &before, now).await?;
         }
         log.push(rules::state_event(&status, event, now));
         sqlx::query(
@@ -197,6 +205,20 @@ impl Work {
         Ok(Job { id, spec, status })
     }
 
+    /// Charges the tenant what an attempt took beyond what it was charged at its beginning, or gives back what it did not take.
+    async fn charge(&mut self, id: JobId, before: &Status, now: Time) -> StoreResult<()> {
+        let took_ms = now.0.saturating_sub(before.started.unwrap_or(now).0);
+        sqlx::query(
+            "insert into tessera.charges (class, tenant, seconds) \
+             select class, tenant, ($2 - cost) / 1000.0 / weight from tessera.jobs where id = $1 and cost > 0",
+        )
+        .bind(id.0.as_slice())
+        .bind(number(took_ms))
+        .execute(self.connection())
+        .await?;
+        Ok(())
+    }
+
     /// The token of the lease, and the number of the next event.
     async fn end_lease(&mut self, id: JobId) -> StoreResult<Option<(i64, u64)>> {
         let ended: Option<(i64, i64)> =
@@ -208,28 +230,50 @@ impl Work {
     }
 
     pub(super) async fn claim_next(&mut self, offer: Offer) -> StoreResult<Option<Job>> {
-        let Offer { holder, lease, room, job } = offer;
-        let found: Option<LockedRow> = match job {
+        let Offer { holder, lease, room, whole, has_gpu, job } = offer;
+        let id = match job {
             Some(id) => {
-                let query = sqlx::query_as(
-                    "select id, spec, status, log, tessera.now_ms() as now from tessera.jobs where id = $1 and state = 0 \
-                     for update",
+                let charge = sqlx::query(
+                    "insert into tessera.charges (class, tenant, seconds) \
+                     select class, tenant, cost / 1000.0 / weight from tessera.jobs where id = $1 and state = 0",
                 );
-                query.bind(id.0.to_vec()).fetch_optional(self.connection()).await?
+                charge.bind(id.0.as_slice()).execute(self.connection()).await?;
+                Some(id.0.to_vec())
             }
-            // Shares of tenants will choose the tenant first.
             None => {
-                let query = sqlx::query_as(
-                    "select id, spec, status, log, tessera.now_ms() as now from tessera.jobs where state = 0 \
-                     and host_bytes <= $1 and device_bytes <= $2 order by priority desc, id limit 1 for update skip locked",
-                );
-                query.bind(number(room.host)).bind(number(room.device)).fetch_optional(self.connection()).await?
+                let next = sqlx::query_scalar("select tessera.next_job($1, $2, $3, $4, $5, $6)")
+                    .bind(text(&holder))
+                    .bind(number(room.host))
+                    .bind(number(room.device))
+                    .bind(number(whole.host))
+                    .bind(number(whole.device))
+                    .bind(if has_gpu { GPU } else { 0 });
+                next.fetch_one(self.connection()).await?
             }
         };
+        let Some(id) = id else { return Ok(None) };
+        let found: Option<LockedRow> = sqlx::query_as(
+            "select id, spec, status, log, tessera.now_ms() as now from tessera.jobs where id = $1 and state = 0 for update",
+        )
+        .bind(id)
+        .fetch_optional(self.connection())
+        .await?;
         let Some(row) = found else { return Ok(None) };
         let job = row.locked()?;
         let holder = Holder { name: holder, until: job.now.after(lease) };
         self.apply(job, Change::Claim(holder)).await.map(Some)
+    }
+
+    /// The events of a locked job, with those of the claim that is at work.
+    pub(super) async fn with_progress(&mut self, job: &Locked) -> StoreResult<Log> {
+        let token: Option<i64> = sqlx::query_scalar("select token from tessera.leases where job = $1")
+            .bind(job.id.0.as_slice())
+            .fetch_optional(self.connection())
+            .await?;
+        Ok(match token {
+            Some(token) => job.log.clone().extended(&recent(self.connection(), job.id, token).await?),
+            None => job.log.clone(),
+        })
     }
 
     pub(super) async fn cancel(&mut self, id: JobId) -> StoreResult<Job> {

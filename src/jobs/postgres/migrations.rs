@@ -10,16 +10,32 @@ use sqlx::{PgConnection, SqlSafeStr};
 
 use crate::store::StoreError;
 
-const STEPS: [(&str, &str); 2] =
-    [("jobs", include_str!("migrations/0001_jobs.sql")), ("blobs", include_str!("migrations/0002_blobs.sql"))];
+const STEPS: [(&str, &str); 3] = [
+    ("jobs", include_str!("migrations/0001_jobs.sql")),
+    ("blobs", include_str!("migrations/0002_blobs.sql")),
+    ("cluster", include_str!("migrations/0003_cluster.sql")),
+];
 
 /// Does the steps that the database lacks. The caller closes the connection. Errors: `UnknownVersion` if its schema needs a later program; `Unavailable`; `Unusable`.
 pub(super) async fn migrate(connection: &mut PgConnection) -> Result<(), StoreError> {
-    if done(connection).await? < STEPS.len() as i64 {
+    if done(connection).await? < known() {
         run(connection).await?;
     }
+    check(connection).await
+}
+
+/// Steps that this program knows.
+pub(super) fn known() -> i64 {
+    STEPS.len() as i64
+}
+
+/// Whether this program knows enough for the schema, if there is one. Errors: `UnknownVersion`; `Unavailable`; `Unusable`.
+pub(super) async fn check(connection: &mut PgConnection) -> Result<(), StoreError> {
+    if done(connection).await? == 0 {
+        return Ok(());
+    }
     let needs: i64 = sqlx::query_scalar("select needs from tessera.layout").fetch_one(connection).await?;
-    if needs > STEPS.len() as i64 {
+    if needs > known() {
         return Err(StoreError::UnknownVersion {
             what: "the database's schema".to_owned(),
             found: u32::try_from(needs).unwrap_or(u32::MAX),
@@ -30,7 +46,7 @@ pub(super) async fn migrate(connection: &mut PgConnection) -> Result<(), StoreEr
 }
 
 /// Steps that were done. A program that lacks none may work without the right to make tables.
-async fn done(connection: &mut PgConnection) -> Result<i64, StoreError> {
+pub(super) async fn done(connection: &mut PgConnection) -> Result<i64, StoreError> {
     let is_there = sqlx::query_scalar("select to_regclass('tessera.migrations') is not null");
     if !is_there.fetch_one(&mut *connection).await? {
         return Ok(0);

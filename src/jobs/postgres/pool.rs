@@ -12,7 +12,7 @@ use std::time::Duration;
 use sqlx::postgres::{PgConnectOptions, PgPoolOptions};
 use sqlx::{Connection, PgConnection, PgPool, PgTransaction};
 
-use super::migrations::migrate;
+use super::migrations;
 use crate::blob::BlobError;
 use crate::store::StoreError;
 
@@ -94,17 +94,24 @@ pub(super) struct Database {
 impl Database {
     /// Connects, and brings the schema up to date. Errors: `Unusable`, `Unavailable`, `UnknownVersion`.
     pub(super) async fn open(options: &PostgresOptions) -> Result<Self, StoreError> {
-        let connecting = options.connecting()?;
-        // The pool would only say that it took too long.
-        let first = async {
-            let mut connection = PgConnection::connect_with(&connecting).await?;
-            check(&mut connection, options.may_lose).await?;
-            let migrated = migrate(&mut connection).await;
-            connection.close().await?;
-            migrated
-        };
-        within(LONG_OPERATION, first).await?;
-        Ok(Self { pool: pool(options, connecting, options.connections) })
+        first(options, async |connection| migrations::migrate(connection).await).await?;
+        Ok(Self { pool: pool(options, options.connecting()?, options.connections) })
+    }
+
+    /// Connects, and leaves the schema as it is. Errors: as [`Self::open`].
+    pub(super) async fn connect(options: &PostgresOptions) -> Result<Self, StoreError> {
+        first(options, async |connection| migrations::check(connection).await).await?;
+        Ok(Self { pool: pool(options, options.connecting()?, options.connections) })
+    }
+
+    /// Brings the schema up to date. Gives how many steps there were, and how many there are.
+    pub(super) async fn migrate(options: &PostgresOptions) -> Result<(i64, i64), StoreError> {
+        first(options, async |connection| {
+            let before = migrations::done(connection).await?;
+            migrations::migrate(connection).await?;
+            Ok((before, migrations::done(connection).await?))
+        })
+        .await
     }
 
     /// A connection of its own, for what must hear while others work.
@@ -129,6 +136,22 @@ impl Database {
     pub(super) async fn run_long<T>(&self, work: impl Future<Output = Result<T, StoreError>>) -> Result<T, StoreError> {
         within(LONG_OPERATION, work).await
     }
+}
+
+/// Does what comes first, on a connection of its own: of a pool's it would only be said that it took too long.
+async fn first<T>(
+    options: &PostgresOptions,
+    work: impl AsyncFnOnce(&mut PgConnection) -> Result<T, StoreError>,
+) -> Result<T, StoreError> {
+    let connecting = options.connecting()?;
+    within(LONG_OPERATION, async {
+        let mut connection = PgConnection::connect_with(&connecting).await?;
+        check(&mut connection, options.may_lose).await?;
+        let done = work(&mut connection).await;
+        connection.close().await?;
+        done
+    })
+    .await
 }
 
 async fn within<T>(time: Duration, work: impl Future<Output = Result<T, StoreError>>) -> Result<T, StoreError> {

@@ -9,7 +9,7 @@ use std::time::Duration;
 
 use super::jobs::{Work, ids};
 use super::pool::Database;
-use super::rows::{number, text};
+use super::rows::{id_of, number, text};
 use crate::record::state::State;
 use crate::record::{Cause, Change, JobId};
 use crate::store::{Orphans, Recovered, Retention, StoreError, Swept, rules};
@@ -95,30 +95,34 @@ impl Work {
     ) -> Result<Recovered, StoreError> {
         let own = (orphans == Orphans::All).then(|| text(own));
         let now = self.now().await?;
-        let orphaned: Vec<Vec<u8>> = sqlx::query_scalar(
-            "select job from tessera.leases where (until <= $1 and length <= $1 - $3) or holder = $2 order by job",
+        // Of several pieces of work of a process any one may be the cause: each job is tried once more, alone.
+        let orphaned: Vec<(Vec<u8>, bool)> = sqlx::query_as(
+            "select job, is_alone from (select *, count(*) over (partition by holder) = 1 as is_alone from tessera.leases) l \
+             where (until <= $1 and length <= $1 - $3) or holder = $2 order by job",
         )
         .bind(number(now.0))
         .bind(&own)
         .bind(since)
         .fetch_all(self.connection())
         .await?;
-        let orphaned = ids(orphaned)?;
-        // Of several pieces of work any one may be the cause: each job is tried once more, alone.
-        let is_sure = orphaned.len() == 1;
         let mut recovered = Recovered::default();
-        for id in orphaned {
+        for (id, is_alone) in orphaned {
+            let id = id_of(&id)?;
             let Some(job) = self.lock_free(id).await? else { continue };
             if !self.is_orphaned(id, number(now.0), own.as_deref()).await? {
                 continue;
             }
-            let change = rules::orphaned(&job.status, is_sure, max_crashes);
+            let log = self.with_progress(&job).await?;
+            let change = rules::orphaned(&job.status, &log, is_alone, max_crashes);
             let names = if change == Change::Orphan { &mut recovered.requeued } else { &mut recovered.failed };
             names.push(id);
             self.apply(job, change).await?;
         }
-        let queued = sqlx::query_scalar("select id from tessera.jobs where state = 0 order by id");
-        recovered.queued = ids(queued.fetch_all(self.connection()).await?)?;
+        // Each process claims what it has room for: what waits is of interest at a start alone.
+        if orphans == Orphans::All {
+            let queued = sqlx::query_scalar("select id from tessera.jobs where state = 0 order by id");
+            recovered.queued = ids(queued.fetch_all(self.connection()).await?)?;
+        }
         Ok(recovered)
     }
 

@@ -95,6 +95,16 @@ impl Log {
         }
     }
 
+    /// The last stage that was begun since the job was.
+    pub fn last_stage(&self) -> Option<&str> {
+        self.0.iter().rev().take_while(|event| !matches!(event.what, What::State { .. })).find_map(|event| match &event
+            .what
+        {
+            What::Progress(Progress::Stage { name, .. }) => Some(name.as_str()),
+            _ => None,
+        })
+    }
+
     /// With what `later` has beyond this.
     pub fn extended(mut self, later: &Self) -> Self {
         let last = self.last();

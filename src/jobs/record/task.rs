@@ -12,7 +12,7 @@ use crate::blob::{Digest, DigestError};
 use geometry::cvt::{SeedEdit, StepKind};
 use geometry::mesh::io::Format;
 use geometry::remesh::{RemeshOptions, Seeds};
-use geometry::rvd::BackendChoice;
+use geometry::rvd::{BackendChoice, BackendKind};
 use wire::attributes::AttributeCounts;
 use wire::counts::{Bounds, MeshCounts};
 use wire::options::{self, Beside, Diagram, Session, choice, within};
@@ -160,6 +160,11 @@ pub enum ResultFormat {
 }
 
 impl Task {
+    /// Whether no other backend will do.
+    pub fn needs_gpu(&self) -> bool {
+        self.backend == BackendChoice::Only(BackendKind::Gpu)
+    }
+
     pub fn of(message: &proto::JobSpec) -> Read<Self> {
         let proto::JobSpec { mesh, work, backend, result, priority, queue_deadline, run_deadline, labels, arrays } =
             message;

@@ -118,7 +118,7 @@ fn unindex(tables: &mut dyn TablesMut, id: JobId, status: &Status) -> StoreResul
 }
 
 pub(crate) fn create(tables: &mut dyn TablesMut, live: &mut Live, new: NewJob, now: Time) -> StoreResult<Created> {
-    let NewJob { random, spec: wanted, needs } = new;
+    let NewJob { random, spec: wanted, needs, cost: _ } = new;
     let id = JobId::new(now, random);
     if let Some(job) = requested(tables, &wanted)? {
         return Ok(Created { job, existed: true });

@@ -50,12 +50,19 @@ pub(crate) fn due_cause(state: State) -> Cause {
     }
 }
 
-/// What becomes of a job that lost its executor. `is_sure`: nothing else can have been the cause.
-pub(crate) fn orphaned(status: &Status, is_sure: bool, max_crashes: u32) -> Change {
+/// What becomes of a job that lost its executor. `is_alone`: nothing else of the executor can have been the cause.
+pub(crate) fn orphaned(status: &Status, log: &Log, is_alone: bool, max_crashes: u32) -> Change {
     let times = status.crashes + 1;
-    if times < max_crashes || !is_sure {
+    if times < max_crashes || !is_alone {
         return Change::Orphan;
     }
-    let message = format!("the server went down {times} times with this job, the last time with nothing else at work");
+    let stage = log.last_stage().map_or_else(String::new, |stage| format!(" (at its stage \"{stage}\")"));
+    let mut message =
+        format!("the server went down {times} times with this job, the last time with nothing else at work{stage}");
+    let last = status.holder.as_ref().map(|holder| &holder.name);
+    let names: Vec<&str> = status.crashed_on.iter().chain(last).map(String::as_str).collect();
+    if !names.is_empty() {
+        message.push_str(&format!("; it was at work at: {}", names.join(", ")));
+    }
     Change::Fail(Failure { kind: FailureKind::Crashed, message })
 }

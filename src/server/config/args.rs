@@ -97,6 +97,17 @@ pub struct ServeArgs {
     /// variable PGPASSFILE names.
     #[arg(long, value_name = "FILE", env = "TESSERA_STORE_PASSWORD_FILE")]
     pub store_password_file: Option<PathBuf>,
+    /// What this server does, of those that share a database: a gateway takes calls and does no work, a worker does work and
+    /// takes no calls.
+    #[arg(long, value_enum, default_value_t, env = "TESSERA_ROLE")]
+    pub role: RoleArg,
+    /// This server's name among those that share a database, for `tessera cluster`. The host's name and the process's number if
+    /// not given.
+    #[arg(long, value_name = "NAME", env = "TESSERA_NODE")]
+    pub node: Option<String>,
+    /// Where clients reach this server, for answers of others that do no streams: http://HOST:PORT. The address listened on if not given.
+    #[arg(long, value_name = "URL", env = "TESSERA_ADVERTISE")]
+    pub advertise: Option<String>,
     /// MiB of the disk that uploads and results leave free, so that the journal of jobs always has room.
     #[arg(long, value_name = "MIB", default_value_t = 64, value_parser = whole::<u64>, env = "TESSERA_DISK_RESERVE_MIB")]
     pub disk_reserve_mib: u64,
@@ -239,6 +250,17 @@ impl Sources {
         let key = option.trim_start_matches("--").replace('-', "_");
         self.0.get(&key).filter(|source| matches!(source, Source::File { .. } | Source::Environment(_)))
     }
+}
+
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
+pub enum RoleArg {
+    /// Takes calls and does work.
+    #[default]
+    All,
+    /// Takes calls alone, and needs no GPU.
+    Gateway,
+    /// Does work alone: of its ports it opens the admin port.
+    Worker,
 }
 
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]

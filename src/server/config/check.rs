@@ -8,9 +8,11 @@ use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::time::Duration;
 
-use super::args::{BackendArgs, DeviceRules, ServeArgs, Source};
+use super::args::{BackendArgs, DeviceRules, RoleArg, ServeArgs, Source};
 use super::limits::Limits;
 use jobs::Ceilings;
+use jobs::executor::host_name;
+use jobs::store::shared::Role;
 use transport::{ConnectionLimits, TlsFiles};
 
 use super::values::{ConfigError, addresses, mebibytes, seconds, within, without_password};
@@ -38,6 +40,10 @@ pub struct ServeConfig {
     pub bucket: Option<String>,
     /// The database of the jobs, and a file with its password; without one the jobs are in the data folder.
     pub database: Option<(String, Option<PathBuf>)>,
+    pub role: Role,
+    /// This server's name among those that share its database.
+    pub node: String,
+    pub advertise: Option<String>,
     pub disk_reserve_bytes: u64,
     pub keep: (Duration, Duration),
     pub blob_bytes: u64,
@@ -98,6 +104,9 @@ impl ServeArgs {
             admin: self.watching.admin(self.security.insecure)?,
             bucket: self.bucket(is_ephemeral)?,
             database: self.database(is_ephemeral)?,
+            role: self.role()?,
+            node: self.node_name()?,
+            advertise: self.advertise.clone(),
             disk_reserve_bytes: within("--disk-reserve-mib", self.disk_reserve_mib, 0..=1 << 24)? << 20,
             requires_keys: self.security.require_keys,
             data_dir: if is_ephemeral { None } else { Some(data_dir(self.data_dir.as_ref())?) },
@@ -154,6 +163,27 @@ impl ServeArgs {
         match rank("--ephemeral").cmp(&rank("--data-dir")) {
             Ordering::Equal => Err(ConfigError::new("--ephemeral", "given beside --data-dir", "one of the two")),
             order => Ok(order == Ordering::Greater),
+        }
+    }
+
+    fn role(&self) -> Result<Role, ConfigError> {
+        match self.role {
+            RoleArg::All => Ok(Role::All),
+            _ if self.store.is_none() => {
+                Err(ConfigError::new("--role", "gateway or worker without --store", "all: a server alone does all"))
+            }
+            RoleArg::Gateway => Ok(Role::Gateway),
+            RoleArg::Worker => Ok(Role::Worker),
+        }
+    }
+
+    fn node_name(&self) -> Result<String, ConfigError> {
+        let Some(name) = &self.node else { return Ok(format!("{}-{}", host_name(), std::process::id())) };
+        match (1..=128).contains(&name.len()) && name.bytes().all(|byte| byte.is_ascii_graphic()) {
+            true => Ok(name.clone()),
+            false => {
+                Err(ConfigError::new("--node", format!("{name:?}"), "1 to 128 printable characters without spaces"))
+            }
         }
     }
 

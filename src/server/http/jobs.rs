@@ -68,6 +68,7 @@ pub(super) struct JobBody<'a> {
     #[schemars(schema_with = "word_or_null::<Cause>")]
     expired_by: Option<Cause>,
     request_id: &'a str,
+    unschedulable: Option<String>,
 }
 
 #[derive(Serialize, JsonSchema)]
@@ -138,6 +139,7 @@ impl<'a> JobBody<'a> {
             results,
             expired_by,
             request_id: &job.spec.request_id,
+            unschedulable: None,
         }
     }
 }
@@ -208,7 +210,9 @@ pub(super) async fn list(State(desk): State<Desk>, Extension(client): Whose, req
 }
 
 pub(super) async fn one(State(desk): State<Desk>, Extension(client): Whose, Path(id): Path<String>) -> Answered {
-    Ok(answer(StatusCode::OK, &JobBody::of(&desk.api.get(&client.tenant, job_id(&id)?).await?)))
+    let job = desk.api.get(&client.tenant, job_id(&id)?).await?;
+    let unschedulable = desk.api.unschedulable(&job).await?;
+    Ok(answer(StatusCode::OK, &JobBody { unschedulable, ..JobBody::of(&job) }))
 }
 
 pub(super) async fn cancel(State(desk): State<Desk>, Extension(client): Whose, Path(id): Path<String>) -> Answered {

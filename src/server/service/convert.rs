@@ -71,8 +71,19 @@ fn timestamp(Time(ms): Time) -> prost_types::Timestamp {
 const PAGE_BYTES: usize = 3 << 20;
 
 pub(super) fn message(job: &Job) -> proto::Job {
-    let Status { state, version: _, created, changed, started, attempts, crashes, due: _, holder: _, outcome } =
-        &job.status;
+    let Status {
+        state,
+        version: _,
+        created,
+        changed,
+        started,
+        attempts,
+        crashes,
+        crashed_on: _,
+        due: _,
+        holder: _,
+        outcome,
+    } = &job.status;
     let (mut failure, mut results, mut expired_by) = (None, Vec::new(), String::new());
     match outcome {
         None => {}
@@ -101,6 +112,7 @@ pub(super) fn message(job: &Job) -> proto::Job {
         results,
         expired_by,
         request_id: job.spec.request_id.clone(),
+        unschedulable: String::new(),
     }
 }
 
@@ -172,6 +184,16 @@ pub(super) fn page(page: &Page) -> proto::ListJobsResponse {
 
 /// What a job would need.
 pub(super) fn estimate(estimate: Estimate) -> proto::EstimateJobResponse {
-    let Estimate { host_bytes, host_limit_bytes, device_bytes, device_limit_bytes, seconds, fits } = estimate;
-    proto::EstimateJobResponse { host_bytes, host_limit_bytes, device_bytes, device_limit_bytes, seconds, fits }
+    let Estimate { host_bytes, host_limit_bytes, device_bytes, device_limit_bytes, seconds, fits, unschedulable } =
+        estimate;
+    let unschedulable = unschedulable.unwrap_or_default();
+    proto::EstimateJobResponse {
+        host_bytes,
+        host_limit_bytes,
+        device_bytes,
+        device_limit_bytes,
+        seconds,
+        fits,
+        unschedulable,
+    }
 }

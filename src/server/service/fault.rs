@@ -113,6 +113,7 @@ fn of(error: RequestError) -> Fault {
         RequestError::Stalled(_) => Fault::new(Kind::Aborted, text),
         RequestError::ClientGone => Fault::new(Kind::Cancelled, text),
         RequestError::Draining => draining(text),
+        RequestError::Elsewhere { .. } => retry(Kind::Unavailable, text, Duration::from_secs(1)),
         RequestError::Slow(_) => {
             tracing::error!(error = %text, "the storage is slow");
             retry(Kind::Unavailable, text, Duration::from_secs(5))

@@ -33,6 +33,7 @@ use super::stream::{Answers, Gate, Inbox, Kind, Outbox, respond};
 use crate::config::Limits;
 use ::jobs::admission::estimate::{self, Counts, need};
 use ::jobs::admission::forecast::{must_end, must_fit};
+use ::jobs::executor::api::JobApi;
 use ::jobs::executor::prepared::Input;
 use ::jobs::executor::streams::Place;
 use ::jobs::observe::activity::Origin;
@@ -63,6 +64,7 @@ pub(super) struct Handlers {
 
 struct Shared {
     engine: Engine,
+    api: Option<Arc<dyn JobApi>>,
     limits: Limits,
     budget: Budget,
     gate: Gate,
@@ -71,11 +73,16 @@ struct Shared {
 }
 
 impl Handlers {
-    pub(super) fn new(engine: Engine, limits: Limits, budget: Budget, gate: Gate) -> Self {
+    pub(super) fn new(
+        (engine, api): (Engine, Option<Arc<dyn JobApi>>),
+        limits: Limits,
+        budget: Budget,
+        gate: Gate,
+    ) -> Self {
         let cores = std::thread::available_parallelism().map_or(1, usize::from);
         // One tenant leaves a place.
         let preparing = Places::new(cores.max(2));
-        Self { shared: Arc::new(Shared { engine, limits, budget, gate, preparing }) }
+        Self { shared: Arc::new(Shared { engine, api, limits, budget, gate, preparing }) }
     }
 
     /// Runs a stream in the name of its tenant.
@@ -115,6 +122,18 @@ impl proto::remesh_service_server::RemeshService for Handlers {
     }
 }
 
+impl Shared {
+    /// Errors: `Elsewhere` if another server is to do streams.
+    async fn does_streams(&self) -> Result<(), RequestError> {
+        match &self.api {
+            Some(api) => {
+                api.streams_elsewhere().await.map_or(Ok(()), |address| Err(RequestError::Elsewhere { address }))
+            }
+            None => Ok(()),
+        }
+    }
+}
+
 struct Received {
     arrays: Uploaded,
     /// Its memory. Held until the job is done.
@@ -150,6 +169,7 @@ async fn upload<M: Into<Incoming<H>>, H: Needs>(
         let place = match (kept.take(), upload.header()) {
             (Some(place), _) => place,
             (None, header) => {
+                shared.does_streams().await?;
                 // Nothing can come before the header.
                 let request = header.map(|header| admission_request::<H>(shared, tenant, header)).transpose()?;
                 Place { request: request.unwrap_or_default(), reservation: shared.engine.reserve(tenant)? }

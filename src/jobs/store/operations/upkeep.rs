@@ -8,8 +8,9 @@ use std::time::Duration;
 
 use super::{StoreResult, change, delete, head, id_of, line_key, spec, state_key, time_key};
 use crate::blob::{Digest, Owner};
+use crate::record::event::Log;
 use crate::record::state::State;
-use crate::record::{Cause, Change, JobId, Outcome, Time};
+use crate::record::{Cause, Change, JobId, Outcome, Status, Time};
 use crate::store::tables::{Live, Order, Table, TablesMut};
 use crate::store::{Orphans, Recovered, Retention, Swept, rules};
 
@@ -83,31 +84,34 @@ pub(crate) fn recover(
     (max_crashes, had_others): (u32, bool),
 ) -> StoreResult<Recovered> {
     let mut recovered = Recovered::default();
-    let mut orphaned = Vec::new();
+    let (mut orphaned, mut holders) = (Vec::new(), Vec::new());
+    let holder_of = |status: &Status| status.holder.as_ref().map(|holder| holder.name.clone());
     for id in in_state(tables, State::Running)? {
         let status = head(tables, id)?.status;
+        holders.push(holder_of(&status));
         if orphans == Orphans::All || status.holder.as_ref().is_none_or(|holder| holder.until <= now) {
             orphaned.push((id, status));
         }
     }
-    // Of several pieces of work any one may be the cause: each job is tried once more, alone.
-    let is_sure = orphaned.len() == 1 && !had_others;
     for (id, status) in orphaned {
-        let orphaned = rules::orphaned(&status, is_sure, max_crashes);
+        // Of several pieces of work any one may be the cause: each job is tried once more, alone.
+        let is_alone = !had_others && holders.iter().filter(|name| **name == holder_of(&status)).count() == 1;
+        let log = live.jobs.get(&id).map_or_else(Log::default, |entry| entry.log.clone());
+        let orphaned = rules::orphaned(&status, &log, is_alone, max_crashes);
         let ids = if orphaned == Change::Orphan { &mut recovered.requeued } else { &mut recovered.failed };
         ids.push(id);
         change(tables, live, (id, None), orphaned, now)?;
     }
-    recovered.queued = in_state(tables, State::Queued)?;
-    // Journals of earlier releases have no line.
-    for id in &recovered.queued {
-        let spec = spec(tables, *id)?;
-        let key = line_key(&spec, *id);
-        if tables.get(Table::Line, &key)?.is_none() {
-            tables.put(Table::Line, &key, &[])?;
-        }
-    }
     if orphans == Orphans::All {
+        recovered.queued = in_state(tables, State::Queued)?;
+        // Journals of earlier releases have no line.
+        for id in &recovered.queued {
+            let spec = spec(tables, *id)?;
+            let key = line_key(&spec, *id);
+            if tables.get(Table::Line, &key)?.is_none() {
+                tables.put(Table::Line, &key, &[])?;
+            }
+        }
         recovered.pinned = pin_again(tables, live, &recovered.queued)?;
     }
     Ok(recovered)

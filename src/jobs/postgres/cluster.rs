@@ -1,0 +1,160 @@
+//! Servers that share the database.
+//!
+//! Purpose: [`beat`] keeps the row of this process; [`overview`] and [`unschedulable`] read those of all. Invariant: each is one
+//! statement or two, and locks no job. Only the database's clock says which server is alive. Must not know: how jobs are claimed.
+
+use sqlx::postgres::PgRow;
+use sqlx::{FromRow, PgConnection, PgExecutor, Row};
+
+use super::rows::{count, id_of, number, text};
+use crate::record::{Bytes, JobId};
+use crate::store::StoreError;
+use crate::store::shared::{AWAY, Lease, Line, Member, Node, Overview, Role, Unschedulable};
+
+type StoreResult<T> = Result<T, StoreError>;
+
+/// Between two sweeps of any process.
+const BETWEEN_SWEEPS_MS: i64 = 900;
+/// A server that is away is listed for so long.
+const REMEMBERED_MS: i64 = 24 * 3_600_000;
+/// Leases that are listed.
+const LEASES: i64 = 1000;
+
+/// The class of jobs that need a GPU, as in `jobs.class`.
+pub(super) const GPU: i16 = 1;
+
+fn whole(value: u32) -> i32 {
+    i32::try_from(value).unwrap_or(i32::MAX)
+}
+
+pub(super) async fn beat(connection: impl PgExecutor<'_>, holder: &str, node: &Node) -> StoreResult<bool> {
+    let drain = sqlx::query_scalar(
+        "insert into tessera.nodes as n (holder, name, role, version, address, class, places, host_bytes, device_bytes, \
+         at_work, host_planned, device_planned, started, seen) \
+         values ($1, $2, $3, $4, $5, $6, $7, $8, $9, $10, $11, $12, tessera.now_ms(), tessera.now_ms()) \
+         on conflict (holder) do update set class = excluded.class, places = excluded.places, \
+         host_bytes = excluded.host_bytes, device_bytes = excluded.device_bytes, at_work = excluded.at_work, \
+         host_planned = excluded.host_planned, device_planned = excluded.device_planned, seen = excluded.seen \
+         returning n.drain",
+    )
+    .bind(text(holder))
+    .bind(text(&node.name))
+    .bind(node.role as i16)
+    .bind(text(&node.version))
+    .bind(text(&node.address))
+    .bind(if node.has_gpu { GPU } else { 0 })
+    .bind(whole(node.places))
+    .bind(number(node.memory.host))
+    .bind(number(node.memory.device))
+    .bind(whole(node.at_work))
+    .bind(number(node.planned.host))
+    .bind(number(node.planned.device))
+    .fetch_one(connection)
+    .await?;
+    Ok(drain)
+}
+
+/// Whether this process is the one that sweeps now; it has settled the shares of tenants then.
+pub(super) async fn sweeps(connection: &mut PgConnection) -> StoreResult<bool> {
+    let swept = sqlx::query(
+        "update tessera.pulse set swept = n.now from (select tessera.now_ms() as now) n where n.now - swept >= $1",
+    );
+    let sweeps = swept.bind(BETWEEN_SWEEPS_MS).execute(&mut *connection).await?.rows_affected() > 0;
+    if sweeps {
+        sqlx::query("select tessera.settle()").execute(&mut *connection).await?;
+        let gone = sqlx::query("delete from tessera.nodes where seen < tessera.now_ms() - $1");
+        gone.bind(REMEMBERED_MS).execute(connection).await?;
+    }
+    Ok(sweeps)
+}
+
+pub(super) async fn leave(connection: impl PgExecutor<'_>, holder: &str) -> StoreResult<()> {
+    let gone = sqlx::query("delete from tessera.nodes where holder = $1").bind(text(holder));
+    Ok(gone.execute(connection).await.map(drop)?)
+}
+
+/// Gives or takes back the wish that servers of this name take no more work. Gives how many there are.
+pub(super) async fn drain(connection: impl PgExecutor<'_>, name: &str, drain: bool) -> StoreResult<u64> {
+    let update = sqlx::query("update tessera.nodes set drain = $2 where name = $1 and seen > tessera.now_ms() - $3");
+    let done = update.bind(text(name)).bind(drain).bind(away_ms()).execute(connection).await?;
+    Ok(done.rows_affected())
+}
+
+fn away_ms() -> i64 {
+    i64::try_from(AWAY.as_millis()).unwrap_or(i64::MAX)
+}
+
+pub(super) async fn overview(connection: &mut PgConnection) -> StoreResult<Overview> {
+    let members = members(&mut *connection).await?;
+    let lines: Vec<(String, i64, i64, i64)> = sqlx::query_as(
+        "select tenant, count(*) filter (where state = 0), count(*) filter (where state = 1), \
+         coalesce(tessera.now_ms() - min(changed) filter (where state = 0), 0) \
+         from tessera.jobs where state in (0, 1) group by tenant order by tenant",
+    )
+    .fetch_all(&mut *connection)
+    .await?;
+    let line = |(tenant, queued, running, oldest)| {
+        let [queued, running, oldest_ms] = [queued, running, oldest].map(count);
+        Line { tenant, queued, running, oldest_ms }
+    };
+    let leases: Vec<(Vec<u8>, String, i64)> =
+        sqlx::query_as("select job, holder, until - tessera.now_ms() from tessera.leases order by until limit $1")
+            .bind(LEASES)
+            .fetch_all(connection)
+            .await?;
+    let lease = |(job, holder, left_ms): (Vec<u8>, String, i64)| Ok(Lease { job: id_of(&job)?, holder, left_ms });
+    let leases = leases.into_iter().map(lease).collect::<StoreResult<_>>()?;
+    Ok(Overview { members, lines: lines.into_iter().map(line).collect(), leases })
+}
+
+async fn members(connection: impl PgExecutor<'_>) -> StoreResult<Vec<Member>> {
+    let rows: Vec<MemberRow> =
+        sqlx::query_as("select *, tessera.now_ms() as now from tessera.nodes order by name, started, holder")
+            .fetch_all(connection)
+            .await?;
+    Ok(rows.into_iter().map(|row| row.0).collect())
+}
+
+pub(super) async fn unschedulable(connection: &mut PgConnection, id: JobId) -> StoreResult<Option<Unschedulable>> {
+    let job: Option<(i16, i64, i64)> =
+        sqlx::query_as("select class, host_bytes, device_bytes from tessera.jobs where id = $1 and state = 0")
+            .bind(id.0.as_slice())
+            .fetch_optional(&mut *connection)
+            .await?;
+    let Some((class, host, device)) = job else { return Ok(None) };
+    let needs = Bytes { host: count(host), device: count(device) };
+    Ok(Unschedulable::of(&members(connection).await?, needs, class >= GPU))
+}
+
+struct MemberRow(Member);
+
+impl FromRow<'_, PgRow> for MemberRow {
+    fn from_row(row: &PgRow) -> sqlx::Result<Self> {
+        let bytes = |host, device| -> sqlx::Result<Bytes> {
+            Ok(Bytes { host: count(row.try_get(host)?), device: count(row.try_get(device)?) })
+        };
+        let numbers = |column| -> sqlx::Result<u32> { Ok(u32::try_from(row.try_get::<i32, _>(column)?).unwrap_or(0)) };
+        let node = Node {
+            name: row.try_get("name")?,
+            // A later program may know more: what it does is not known here.
+            role: Role::from_repr(row.try_get("role")?).unwrap_or(Role::Gateway),
+            version: row.try_get("version")?,
+            address: row.try_get("address")?,
+            has_gpu: row.try_get::<i16, _>("class")? >= GPU,
+            places: numbers("places")?,
+            memory: bytes("host_bytes", "device_bytes")?,
+            at_work: numbers("at_work")?,
+            planned: bytes("host_planned", "device_planned")?,
+        };
+        let (now, seen, started): (i64, i64, i64) =
+            (row.try_get("now")?, row.try_get("seen")?, row.try_get("started")?);
+        Ok(Self(Member {
+            node,
+            holder: row.try_get("holder")?,
+            is_alive: now - seen < away_ms(),
+            drains: row.try_get("drain")?,
+            seen_ms: count(now - seen),
+            up_ms: count(now - started),
+        }))
+    }
+}
