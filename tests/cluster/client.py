@@ -14,7 +14,7 @@ import random
 import threading
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 from urllib.parse import urlencode
@@ -155,7 +155,7 @@ class Work:
         self.given.append(given)
         return given
 
-    def submit_all(self, jobs: list[tuple[dict[str, Any], str | None]], pause: float = 0, threads: int = 2) -> threading.Thread:
+    def submit_all(self, jobs: Sequence[tuple[dict[str, Any], str | None]], pause: float = 0, threads: int = 2) -> threading.Thread:
         """Submits jobs in the background, in order. Join what it gives."""
         waiting: Iterator[tuple[dict[str, Any], str | None]] = iter(jobs)
         lock = threading.Lock()
