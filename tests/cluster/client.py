@@ -89,7 +89,11 @@ def session_of(steps: int) -> dict[str, Any]:
 #: Jobs of all kinds, each of them small.
 MIXED: list[dict[str, Any]] = [
     {"remesh": {"points": 40 + 20 * size, "seed": seed}} for size in range(3) for seed in (1, 2)
-] + [{"rvd": {"points": 50, "seed": 5, "outputs": ["RVD_OUTPUT_CENTROIDS", "RVD_OUTPUT_SUMS"]}}, {"rvd": {"points": 80, "seed": 6, "outputs": ["RVD_OUTPUT_CELLS"]}}]
+]
+MIXED += [
+    {"rvd": {"points": 50, "seed": 5, "outputs": ["RVD_OUTPUT_CENTROIDS", "RVD_OUTPUT_SUMS"]}},
+    {"rvd": {"points": 80, "seed": 6, "outputs": ["RVD_OUTPUT_CELLS"]}},
+]
 MIXED += [session_of(20), session_of(60)]
 
 

@@ -293,7 +293,8 @@ class Bucket:
         names += ["filer.port", "filer.port.grpc", "s3.port", "s3.port.grpc"]
         self.process = self.folder.start(
             [
-                self.program, "server", f"-dir={self.data}", "-ip=127.0.0.1", "-ip.bind=127.0.0.1", "-filer", "-s3", f"-s3.config={self.keys}",
+                self.program, "server", f"-dir={self.data}", "-ip=127.0.0.1", "-ip.bind=127.0.0.1", "-filer", "-s3",
+                f"-s3.config={self.keys}",
                 *(f"-{name}={port}" for name, port in zip(names, self.ports)), "-s3.port.iceberg=0", "-s3.port.lance=0",
                 "-master.electionTimeout=1s", "-master.volumeSizeLimitMB=64", "-volume.max=20", "-volume.preStopSeconds=0",
             ],

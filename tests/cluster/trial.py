@@ -41,6 +41,8 @@ RECOVERY_S = 5
 REFUSAL_S = (4.0, 2.5)
 
 
+#: The longest that a transaction may take, and some time for a busy machine.
+OPERATION_S = 8 + 2
 #: Steps of sessions: less than a second, and more; longer than what is away in a short trial, and in a long one.
 BRIEF, LONG, LONGER = 3_000, 12_000, (30_000, 600_000)
 
@@ -294,18 +296,23 @@ def away(trial: Trial) -> dict[str, Any]:
 
 
 def away_once(
-    trial: Trial, name: str, stop: Callable[[], None], start: Callable[[], None], seconds: float
+    trial: Trial, name: str, stop: Callable[[], None], start: Callable[[], None], seconds: float, soon: float | None = None
 ) -> dict[str, Any]:
+    """New jobs are refused `soon`, work goes on, and nothing is half-created."""
+    soon = soon or REFUSAL_S[trial.is_long]
     work = trial.work("away-" + name.replace(" ", "-"))
     long = work.submit(trial.longer)
     trial.at_work(long)
     before = len(work.jobs())
     stop()
     others: dict[str, str] = {}
-    probes = [threading.Thread(target=probe, args=(trial, others, *what)) for what in [
-        ("list", "GET", "/v1/jobs?page_size=1", None), ("get", "GET", f"/v1/jobs/{long.id}", None),
-        ("read", "GET", f"/v1/blobs/{work.digest}", None), ("upload", "POST", "/v1/blobs", work.name.encode()),
-    ]]  # fmt: skip
+    calls: list[tuple[str, str, str, bytes | None]] = [
+        ("list", "GET", "/v1/jobs?page_size=1", None),
+        ("get", "GET", f"/v1/jobs/{long.id}", None),
+        ("read", "GET", f"/v1/blobs/{work.digest}", None),
+        ("upload", "POST", "/v1/blobs", work.name.encode()),
+    ]
+    probes = [threading.Thread(target=probe, args=(trial, others, *what)) for what in calls]
     for thread in probes:
         thread.start()
     refused, accepted, repeated = [], [], []
@@ -333,7 +340,7 @@ def away_once(
     for thread in probes:
         thread.join()
     longest = max(refused, default=0.0)
-    trial.check(longest <= REFUSAL_S[trial.is_long], f"{name} away: a refusal took {longest:.1f} s")
+    trial.check(longest <= soon, f"{name} away: a refusal took {longest:.1f} s")
     for number, answer in accepted:
         work.given.append(Given(answer.json()["id"], "trial", f"{work.name}-{number}", json.dumps(kind), 0))
     # What was refused may have been kept all the same: the same request gives the same job.
@@ -381,9 +388,23 @@ def standby(trial: Trial) -> dict[str, Any]:
         second = next_standby(trial)
         delays.append(time.monotonic() - begin)
     jobs = trial.finish(work, submitting)
+
+    def stop() -> None:
+        second.stop_immediate()
+
+    def start() -> None:
+        second.start()
+        trial.database.wait_for_standby()
+
+    # Nothing can be acknowledged without it: a commit waits, for as long as an operation may take.
+    alone = away_once(trial, "standby", stop, start, 60 if trial.is_long else 2.5, OPERATION_S)
+    trial.check(not alone["accepted"], "jobs were acknowledged without a standby")
     trial.database.forget_standby()
     second.stop_immediate()
-    return {"jobs": len(jobs), "promotions": times, "longest_delay_s": round(max(delays), 1), "refusals": dict(work.refusals)}
+    return {
+        "jobs": len(jobs), "promotions": times, "longest_delay_s": round(max(delays), 1), "refusals": dict(work.refusals),
+        "without_a_standby": alone,
+    }  # fmt: skip
 
 
 def next_standby(trial: Trial) -> Postgres:
@@ -539,7 +560,8 @@ def fill(file: Any) -> None:
 def rolling(trial: Trial) -> dict[str, Any]:
     """Servers that are replaced one after another under load fail no job."""
     rounds = 3 if trial.is_long else 1
-    work, submitting = trial.run_of_mixed("rolling", 300 if trial.is_long else 22, [session_of(3 * LONG), *MIXED, session_of(BRIEF)], 0.2)
+    kinds = [session_of(3 * LONG), *MIXED, session_of(BRIEF)]
+    work, submitting = trial.run_of_mixed("rolling", 300 if trial.is_long else 22, kinds, 0.2)
     slowest = 0.0
     for server in trial.servers * rounds:
         time.sleep(0.3)
@@ -765,7 +787,7 @@ def main() -> int:
         if asked.json:
             asked.json.write_text(json.dumps(results, indent=1) + "\n")
     failed = [result["case"] for result in results if result["passed"] is False]
-    print(f"{len(results) - len(failed)} of {len(results)} in {time.monotonic() - begin:.0f} s" + f"; failed: {failed}" * bool(failed))
+    print(f"{len(results) - len(failed)} of {len(results)} in {time.monotonic() - begin:.0f} s, failed: {failed}")
     return 1 if failed else 0
 
 
