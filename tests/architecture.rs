@@ -98,7 +98,8 @@ const HOUSES: &[House] = &[
             ("lifecycle", &["metrics"]),
             // Knows nothing of gRPC, nor what finds faults.
             ("admin", &["hosts", "metrics", "readiness"]),
-            ("service", &["hosts", "keys", "lifecycle", "config", "metrics", "readiness"]),
+            ("cluster", &["metrics", "readiness"]),
+            ("service", &["cluster", "hosts", "keys", "lifecycle", "config", "metrics", "readiness"]),
             // Sees what `service` has for every interface, and nothing of gRPC.
             ("http", &["service", "keys", "metrics"]),
             ("lib", &[]),

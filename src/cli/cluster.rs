@@ -24,9 +24,6 @@ pub(crate) struct DatabaseArgs {
     /// File that holds the password of the database.
     #[arg(long, value_name = "FILE", global = true, env = "TESSERA_STORE_PASSWORD_FILE")]
     store_password_file: Option<PathBuf>,
-    /// Print the answer as JSON.
-    #[arg(long, global = true)]
-    json: bool,
 }
 
 #[derive(Args, Debug)]
@@ -35,6 +32,9 @@ pub(crate) struct ClusterArgs {
     command: ClusterCommand,
     #[command(flatten)]
     at: DatabaseArgs,
+    /// Print the answer as JSON.
+    #[arg(long, global = true)]
+    json: bool,
 }
 
 #[derive(Debug, Subcommand)]
@@ -77,6 +77,9 @@ pub(crate) struct StoreArgs {
     command: StoreCommand,
     #[command(flatten)]
     at: DatabaseArgs,
+    /// Print the answer as JSON.
+    #[arg(long, global = true)]
+    json: bool,
 }
 
 #[derive(Debug, Subcommand)]
@@ -88,7 +91,11 @@ enum StoreCommand {
 }
 
 impl DatabaseArgs {
-    fn options(&self) -> Result<PostgresOptions> {
+    pub(crate) fn is_given(&self) -> bool {
+        self.store.is_some()
+    }
+
+    pub(crate) fn options(&self) -> Result<PostgresOptions> {
         const NONE: &str = "which database? Give --store postgres://USER@HOST/DATABASE or set TESSERA_STORE";
         let url = self.store.as_ref().ok_or_else(|| Usage(NONE.to_owned()))?;
         let password_file = self.store_password_file.clone();
@@ -97,8 +104,13 @@ impl DatabaseArgs {
 }
 
 fn block_on<T>(work: impl Future<Output = Result<T, StoreError>>) -> Result<T> {
+    run(work)?.map_err(told)
+}
+
+/// Runs what asks the database.
+pub(crate) fn run<T>(work: impl Future<Output = T>) -> Result<T> {
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build();
-    runtime.context("cannot start the runtime")?.block_on(work).map_err(told)
+    Ok(runtime.context("cannot start the runtime")?.block_on(work))
 }
 
 /// With the exit code of its kind.
@@ -113,7 +125,7 @@ fn told(error: StoreError) -> anyhow::Error {
 }
 
 pub(crate) fn cluster(args: &ClusterArgs) -> Result<()> {
-    let (options, json) = (args.at.options()?, args.at.json);
+    let (options, json) = (args.at.options()?, args.json);
     match &args.command {
         ClusterCommand::Status => {
             let overview = block_on(async { Operator::connect(&options).await?.overview().await })?;
@@ -150,7 +162,7 @@ pub(crate) fn cluster(args: &ClusterArgs) -> Result<()> {
 }
 
 pub(crate) fn store(args: &StoreArgs) -> Result<()> {
-    let (options, json) = (args.at.options()?, args.at.json);
+    let (options, json) = (args.at.options()?, args.json);
     match args.command {
         StoreCommand::Migrate => {
             let (before, now) = block_on(Operator::migrate(&options))?;

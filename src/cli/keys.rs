@@ -1,6 +1,6 @@
 //! `tessera keys`.
 //!
-//! Purpose: makes, lists and revokes the keys of a server, in its folder. Invariant: a key is printed once, on the standard
+//! Purpose: makes, lists and revokes the keys of a server, in its folder, or of servers that share a database, there. Invariant: a key is printed once, on the standard
 //! output, when it is made; nothing else prints it. It works while the server runs, which sees the change within a few seconds.
 //! Must not know: servers, how keys are kept.
 
@@ -12,11 +12,17 @@ use clap::{Args, Subcommand};
 use prost_types::Timestamp;
 use serde_json::{Value, json};
 
-use super::exit::{Absent, BadInput, NotWritten, Usage};
+#[cfg(feature = "postgres")]
+use super::cluster::DatabaseArgs;
+use super::exit::{Absent, BadInput, NotWritten, Unavailable, Usage};
 use super::say;
 use super::server::number;
+#[cfg(feature = "postgres")]
+use jobs::postgres::{Operator, PostgresOptions};
 pub(crate) use server::config::{data_dir, period, whole};
-use server::keys::{Key, KeyFile, KeyLimits, KeysError, NewKey, Role, now};
+use server::keys::{Key, KeyFile, KeyLimits, KeySet, KeysError, NewKey, Role, now};
+#[cfg(feature = "postgres")]
+use server::keys::{change_shared, read_shared};
 
 #[derive(Args, Debug)]
 pub(crate) struct KeysArgs {
@@ -25,6 +31,9 @@ pub(crate) struct KeysArgs {
     /// The server's folder, as `tessera serve` has it: the user's state directory if not given.
     #[arg(long, value_name = "DIR", global = true, env = "TESSERA_DATA_DIR")]
     data_dir: Option<PathBuf>,
+    #[cfg(feature = "postgres")]
+    #[command(flatten)]
+    database: DatabaseArgs,
     /// Print the answer as JSON.
     #[arg(long, global = true)]
     json: bool,
@@ -80,14 +89,56 @@ fn weight(text: &str) -> Result<f64, String> {
     number(text, 0.01..=100.0, "a number from 0.01 to 100 is needed")
 }
 
+/// Where the keys are.
+enum Place {
+    File(KeyFile),
+    #[cfg(feature = "postgres")]
+    Database(PostgresOptions),
+}
+
+impl Place {
+    fn of(args: &KeysArgs) -> Result<Self> {
+        #[cfg(feature = "postgres")]
+        if args.database.is_given() {
+            return Ok(Self::Database(args.database.options()?));
+        }
+        Ok(Self::File(KeyFile::in_folder(data_dir(args.data_dir.as_ref())?)))
+    }
+
+    fn read(&self) -> Result<KeySet> {
+        match self {
+            Self::File(file) => file.read(),
+            #[cfg(feature = "postgres")]
+            Self::Database(options) => super::cluster::run(async { read_shared(&operator(options).await?).await })?,
+        }
+        .map_err(told)
+    }
+
+    fn change<R>(&self, mut change: impl FnMut(&mut KeySet) -> Result<R, KeysError>) -> Result<R> {
+        match self {
+            Self::File(file) => file.change(change),
+            #[cfg(feature = "postgres")]
+            Self::Database(options) => {
+                super::cluster::run(async { change_shared(&operator(options).await?, &mut change).await })?
+            }
+        }
+        .map_err(told)
+    }
+}
+
+#[cfg(feature = "postgres")]
+async fn operator(options: &PostgresOptions) -> Result<Operator, KeysError> {
+    Operator::connect(options).await.map_err(|error| KeysError::Shared(error.to_string()))
+}
+
 pub(crate) fn run(args: &KeysArgs) -> Result<()> {
-    let file = KeyFile::in_folder(data_dir(args.data_dir.as_ref())?);
+    let place = Place::of(args)?;
     match &args.command {
         KeysCommand::Add(add) => {
             let &AddArgs { role, expires: lasts, rate, in_flight, bytes, weight, rotate: is_second, .. } = add;
             let limits = KeyLimits { rate, in_flight, bytes, weight };
             let new = NewKey { name: add.name.clone(), role, lasts, limits, is_second };
-            let (key, secret) = file.change(|keys| keys.add(new)).map_err(told)?;
+            let (key, secret) = place.change(|keys| keys.add(new.clone()))?;
             let shown = match args.json {
                 true => {
                     let mut told = json_of(&key);
@@ -98,7 +149,7 @@ pub(crate) fn run(args: &KeysArgs) -> Result<()> {
             };
             // It was not printed, and cannot be shown again.
             if !matches!(shown, Ok(true)) {
-                file.change(|keys| keys.revoke(&key.id)).map_err(told)?;
+                place.change(|keys| keys.revoke(&key.id))?;
                 shown?;
                 return Err(NotWritten("the key could not be printed; it was not made".to_owned()).into());
             }
@@ -108,8 +159,8 @@ pub(crate) fn run(args: &KeysArgs) -> Result<()> {
             }
             Ok(())
         }
-        KeysCommand::List => show(args, file.read().map_err(told)?.keys()),
-        KeysCommand::Revoke { name } => show(args, &file.change(|keys| keys.revoke(name)).map_err(told)?),
+        KeysCommand::List => show(args, place.read()?.keys()),
+        KeysCommand::Revoke { name } => show(args, &place.change(|keys| keys.revoke(name))?),
     }
 }
 
@@ -126,6 +177,7 @@ fn told(error: KeysError) -> anyhow::Error {
     let text = error.to_string();
     match error {
         KeysError::Damaged { .. } => BadInput(text).into(),
+        KeysError::Shared(_) => Unavailable(text).into(),
         KeysError::Io { .. } | KeysError::Random(_) => NotWritten(text).into(),
         KeysError::Absent { .. } => Absent(text).into(),
         KeysError::Exists { .. } | KeysError::Name { .. } | KeysError::Limits | KeysError::TooMany => {

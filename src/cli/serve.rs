@@ -69,11 +69,15 @@ fn hosts(args: &ServeArgs) -> Hosts {
     Hosts { names: public_host.iter().cloned().chain(names).collect(), origins }
 }
 
-fn access(args: &ServeArgs, config: &ServeConfig) -> Result<Access> {
+async fn access(args: &ServeArgs, config: &ServeConfig, stores: &Stores) -> Result<Access> {
     let SecurityArgs { require_keys, reflection, health_needs_key, .. } = args.security;
     let hosts = hosts(args);
     let options = AccessOptions { require_keys, reflection, health_needs_key, hosts };
     match &config.data_dir {
+        _ if config.database.is_some() => {
+            let access = Access::in_store(Arc::clone(&stores.jobs), options).await;
+            Ok(access.map_err(|error| Unavailable(error.to_string()))?)
+        }
         Some(folder) => Ok(Access::in_folder(folder, options).map_err(|error| Unavailable(error.to_string()))?),
         None => Ok(Access::open().with(options)),
     }
@@ -163,9 +167,9 @@ async fn serve(args: &ServeArgs, config: ServeConfig, tls: Option<Arc<Tls>>, met
     let nice = config.nice;
     let engine_options =
         EngineOptions { queue_jobs, ceilings, jobs_at_once, device_memory_bytes, loss, loss_patience, nice, ..usual };
-    let access = access(args, &config)?;
     // Before the backends take their time: another server may have the folder.
     let stores = life.step(Step::Storage, stores(&config)).await.map_err(late)??;
+    let access = access(args, &config, &stores).await?;
     let counts = Arc::new(metrics.clone());
     let starting = tokio::task::spawn_blocking(move || Engine::start_observed(factory, engine_options, counts));
     let (engine, worker) = tokio::select! {

@@ -18,6 +18,7 @@ mod sharing;
 mod storage;
 pub mod streams;
 
+use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, OnceLock, Weak};
@@ -496,13 +497,20 @@ impl Inner {
         if may_take(own, waiting, self.options.waiting_jobs) { Ok(()) } else { Err(full.into()) }
     }
 
-    /// What must be known before the input is looked at: the job, if its request came before. Errors: as [`Self::has_place`].
+    /// What must be known before the input is looked at: the job, if its request came before. Errors: as [`Self::has_place`]; in a
+    /// shared store `Blob` if blobs cannot be stored now.
     async fn begin_create(&self, spec: &Spec) -> Result<Option<Job>, JobApiError> {
         // Its input may be gone by now, and is not needed.
         if !spec.request_id.is_empty()
             && let Some(job) = self.stores.jobs.requested(spec.clone()).await?
         {
             return Ok(Some(job));
+        }
+        // Servers that share a bucket know within seconds that it is away.
+        if self.shared().is_some()
+            && let Some(error) = self.storage.trouble()
+        {
+            return Err(error.into());
         }
         self.has_place(&spec.tenant).await.map(|()| None)
     }
@@ -669,6 +677,13 @@ impl JobApi for Executor {
                 .map(|member| member.node.address.clone())
                 .next(),
         )
+    }
+
+    async fn share_calls(&self, open: BTreeMap<String, u32>) -> BTreeMap<String, u32> {
+        match self.inner.shared() {
+            Some(shared) => shared.share_calls(open).await.unwrap_or_default(),
+            None => BTreeMap::new(),
+        }
     }
 
     fn advertise(&self, address: String) {

@@ -16,7 +16,7 @@ mod pool;
 mod rows;
 mod upkeep;
 
-use std::collections::HashMap;
+use std::collections::{BTreeMap, HashMap};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
@@ -31,7 +31,7 @@ use crate::blob::index::BlobIndex;
 use crate::lock;
 use crate::record::event::{Events, Progress};
 use crate::record::{Change, Job, JobId, Spec};
-use crate::store::shared::{Node, Overview, Unschedulable};
+use crate::store::shared::{Document, Node, Overview, Unschedulable};
 use crate::store::{
     Answer, Created, JobStore, NewJob, Offer, Orphans, Page, Query, Recovered, Retention, SharedStore, StoreError,
     Swept, Waiters,
@@ -216,6 +216,14 @@ impl SharedStore for PostgresStore {
 
     fn sweeps(&self) -> Answer<'_, bool> {
         connection!(self, |connection| cluster::sweeps(connection))
+    }
+
+    fn share_calls(&self, open: BTreeMap<String, u32>) -> Answer<'_, BTreeMap<String, u32>> {
+        connection!(self, |connection| cluster::share_calls(connection, &self.holder, open))
+    }
+
+    fn document(&self, name: &'static str) -> Answer<'_, Option<Document>> {
+        connection!(self, |connection| cluster::document(connection, name))
     }
 
     fn leave(&self) -> Answer<'_, ()> {

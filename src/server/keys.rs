@@ -6,6 +6,7 @@
 
 mod file;
 mod secret;
+mod shared;
 
 use std::collections::HashSet;
 use std::time::{Duration, SystemTime};
@@ -18,6 +19,10 @@ pub(crate) use secret::Hash;
 pub use secret::Secret;
 #[cfg(test)]
 pub(crate) use secret::work;
+pub use shared::DOCUMENT;
+pub(crate) use shared::of_document;
+#[cfg(feature = "postgres")]
+pub use shared::{change_shared, read_shared};
 
 /// Keys of one server.
 const MOST: usize = 10_000;
@@ -162,6 +167,8 @@ pub enum KeysError {
     Limits,
     #[error("there are {MOST} keys, as many as may be; revoke unused ones")]
     TooMany,
+    #[error("the keys in the database cannot be used: {0}")]
+    Shared(String),
     #[error("the operating system gives no random numbers: {0}")]
     Random(String),
 }

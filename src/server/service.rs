@@ -182,12 +182,12 @@ pub async fn run(
     let message_bytes = limits.connections.message_bytes;
     // Ended with the server, wherever it is.
     let mut tasks = JoinSet::new();
-    access.follow(engine.weights().clone(), &mut tasks);
     let phase = watch::Sender::new(Phase::Serving);
     let budget = Budget::told(limits.memory_bytes, engine.memory_outside_jobs());
     metrics.memory(engine.memory_outside_jobs(), limits.memory_bytes);
     let gate = Gate::new(limits, phase.subscribe(), metrics.clone());
     let api = jobs.as_ref().map(|jobs| Arc::clone(&jobs.api));
+    access.follow(engine.weights().clone(), api.clone(), &mut tasks);
     let handlers = handlers::Handlers::new((engine.clone(), api.clone()), limits, budget.clone(), gate.clone());
     let info = Info { engine: engine.clone(), limits, readiness: readiness.clone(), about };
     let (health, health_service) = tonic_health::server::health_reporter();

@@ -17,6 +17,8 @@ mod process;
 
 #[cfg(all(unix, feature = "postgres"))]
 mod clients;
+#[cfg(all(unix, feature = "postgres"))]
+mod cluster;
 mod disk;
 mod figures;
 mod index;

@@ -27,20 +27,20 @@ use crate::postgres_server::{self as server, Database};
 
 const TENANT: &str = "t";
 /// For anything that a test waits for.
-const PATIENCE: Duration = Duration::from_secs(120);
+pub const PATIENCE: Duration = Duration::from_secs(120);
 const LEASE: Duration = Duration::from_secs(1);
 /// A job of a few seconds.
 const LONG: (usize, u32) = (40_000, 20_000);
 
 /// A server without its ports.
-struct Node {
-    executor: Executor,
+pub struct Node {
+    pub executor: Executor,
     engine: Engine,
     stores: Stores,
     _thread: JoinHandle<()>,
 }
 
-fn options() -> ExecutorOptions {
+pub fn options() -> ExecutorOptions {
     ExecutorOptions { lease: LEASE, ..ExecutorOptions::new(Bounds::of_library()) }
 }
 
@@ -52,7 +52,7 @@ impl Node {
         Self { executor, engine, stores, _thread: thread }
     }
 
-    async fn shared(name: &str, database: &Database, bucket: &Arc<InMemory>, options: ExecutorOptions) -> Self {
+    pub async fn shared(name: &str, database: &Database, bucket: &Arc<InMemory>, options: ExecutorOptions) -> Self {
         let store = PostgresStore::open(database.options(name)).await.unwrap();
         let blobs = ObjectBlobs::shared_with(store.index(), Arc::clone(bucket), BlobOptions::default());
         let blobs = Arc::new(blobs.await.unwrap());
@@ -69,7 +69,7 @@ impl Node {
         self.engine.submit(request, Retry::Never, endless).unwrap()
     }
 
-    async fn create(&self, size: (usize, u32)) -> JobId {
+    pub async fn create(&self, size: (usize, u32)) -> JobId {
         let mesh = io::encode(Format::Ply, &Shape::Torus.build(size.0)).unwrap();
         let digest = put_of(&*self.stores.blobs, TENANT, None, mesh.into()).await.unwrap().digest.to_string();
         let file = MeshFile { digest, format: MeshFormat::Ply.into(), attributes: None };
@@ -82,11 +82,11 @@ impl Node {
         self.executor.create(spec).await.unwrap().job.id
     }
 
-    async fn get(&self, id: JobId) -> Job {
+    pub async fn get(&self, id: JobId) -> Job {
         self.executor.get(TENANT, id).await.unwrap()
     }
 
-    async fn until(&self, id: JobId, is_so: impl Fn(&Job) -> bool) -> Job {
+    pub async fn until(&self, id: JobId, is_so: impl Fn(&Job) -> bool) -> Job {
         let end = Instant::now() + PATIENCE;
         loop {
             let job = self.get(id).await;
@@ -98,11 +98,11 @@ impl Node {
         }
     }
 
-    async fn ended(&self, id: JobId) -> Job {
+    pub async fn ended(&self, id: JobId) -> Job {
         self.until(id, |job| job.status.state.is_ended()).await
     }
 
-    async fn at_work(&self, id: JobId, at: &str) -> Job {
+    pub async fn at_work(&self, id: JobId, at: &str) -> Job {
         self.until(id, |job| job.status.holder.as_ref().is_some_and(|holder| holder.name == at)).await
     }
 
@@ -122,7 +122,7 @@ fn surface(job: &Job) -> Digest {
     *result.blobs.iter().find(|(name, _)| name.starts_with("mesh")).unwrap().1
 }
 
-fn runtime() -> Runtime {
+pub fn runtime() -> Runtime {
     tokio::runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build().unwrap()
 }
 

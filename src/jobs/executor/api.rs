@@ -4,6 +4,7 @@
 //! Invariant: a job of another tenant does not exist for a caller. An answer that is not an error says what is kept.
 //! Must not know: streams, how work is done, where jobs are kept.
 
+use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use async_trait::async_trait;
@@ -62,6 +63,10 @@ pub trait JobApi: Send + Sync {
 
     /// This server takes calls at this address.
     fn advertise(&self, address: String);
+
+    /// Tells how many calls are open here by key, and gives how many are at other servers that share the store; nothing if none
+    /// does, or if it does not answer.
+    async fn share_calls(&self, open: BTreeMap<String, u32>) -> BTreeMap<String, u32>;
 
     /// Whether an operator wants this server to take no more work.
     fn drained(&self) -> watch::Receiver<bool>;

@@ -241,36 +241,39 @@ impl AtWork {
     }
 
     fn keep(&self, parts: Parts) -> Result<ResultSet, WorkError> {
-        let (inner, pin) = (&*self.inner, result_pin(self.job.id));
-        let mut result = ResultSet::default();
+        let inner = &*self.inner;
         let (bytes, limit) =
             (parts.iter().map(|part| part.1.len() as u64).sum::<u64>(), inner.stores.blobs.limit_bytes());
         if bytes > limit {
             let text = format!("the result has {bytes} bytes, and this server keeps {limit} in all; ask for less");
             return Err(failure(FailureKind::TooLarge, text));
         }
+        // A fault in between, of the index or of the bucket, is waited for as well. What is stored already is not stored again.
+        let store = || inner.runtime.block_on(self.store(&parts));
+        inner.storage.patiently(&self.token, store).map_err(|unstored| match unstored {
+            StorageError::Stopped(reason) => WorkError::from(reason),
+            StorageError::Blob(error) => {
+                let kind = match error {
+                    BlobError::TooLarge { .. } => FailureKind::TooLarge,
+                    _ => FailureKind::Unavailable,
+                };
+                failure(kind, format!("the result cannot be kept: {error}"))
+            }
+        })
+    }
+
+    async fn store(&self, parts: &Parts) -> Result<ResultSet, BlobError> {
+        let (blobs, pin) = (self.inner.stores.blobs.as_ref(), result_pin(self.job.id));
+        let mut result = ResultSet::default();
         for (name, bytes) in parts {
-            let store = || inner.runtime.block_on(put(inner.stores.blobs.as_ref(), bytes.clone(), Some(&pin)));
-            let info = inner.storage.patiently(&self.token, store).map_err(|unstored| match unstored {
-                StorageError::Stopped(reason) => WorkError::from(reason),
-                StorageError::Blob(error) => {
-                    let kind = match error {
-                        BlobError::TooLarge { .. } => FailureKind::TooLarge,
-                        _ => FailureKind::Unavailable,
-                    };
-                    failure(kind, format!("the result cannot be kept: {error}"))
-                }
-            })?;
-            result.blobs.insert(name, info.digest);
+            let info = put(blobs, bytes.clone(), Some(&pin)).await?;
+            result.blobs.insert(name.clone(), info.digest);
         }
         // Before the job names it: a tenant sees only its own blobs.
         let (owner, digests): (_, Vec<_>) =
             (Owner::of(&self.job.spec.tenant), result.blobs.values().copied().collect());
-        let given = inner.runtime.block_on(async {
-            inner.stores.blobs.pin_for(owner, &pin, &digests).await?;
-            inner.stores.blobs.claim(owner, &digests).await
-        });
-        given.map_err(|error| failure(FailureKind::Unavailable, format!("the result cannot be kept: {error}")))?;
+        blobs.pin_for(owner, &pin, &digests).await?;
+        blobs.claim(owner, &digests).await?;
         Ok(result)
     }
 

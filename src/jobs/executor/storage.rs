@@ -35,7 +35,12 @@ impl Storage {
     }
 
     pub(super) fn is_down(&self) -> bool {
-        self.outage.borrow().is_some()
+        self.trouble().is_some()
+    }
+
+    /// Why blobs cannot be stored now.
+    pub(super) fn trouble(&self) -> Option<BlobError> {
+        self.outage.borrow().clone()
     }
 
     /// Notes how it is, and says so in the log when that changes.
@@ -65,8 +70,13 @@ impl Storage {
     ) -> Result<T, StorageError> {
         loop {
             match call() {
-                Err(error @ (BlobError::StorageFull | BlobError::Unavailable(_))) => {
-                    self.note(Some(error));
+                // An upload that another process ended, or that was lost with a crash of its index, is begun again.
+                Err(
+                    error @ (BlobError::StorageFull | BlobError::Unavailable(_) | BlobError::UploadNotFound { .. }),
+                ) => {
+                    if !matches!(error, BlobError::UploadNotFound { .. }) {
+                        self.note(Some(error));
+                    }
                     let next = Instant::now() + RETRY_PERIOD;
                     while Instant::now() < next {
                         token.check().map_err(StorageError::Stopped)?;

@@ -3,13 +3,15 @@
 //! Purpose: [`beat`] keeps the row of this process; [`overview`] and [`unschedulable`] read those of all. Invariant: each is one
 //! statement or two, and locks no job. Only the database's clock says which server is alive. Must not know: how jobs are claimed.
 
+use std::collections::BTreeMap;
+
 use sqlx::postgres::PgRow;
 use sqlx::{FromRow, PgConnection, PgExecutor, Row};
 
-use super::rows::{count, id_of, number, text};
+use super::rows::{count, id_of, number, text, to_json};
 use crate::record::{Bytes, JobId};
 use crate::store::StoreError;
-use crate::store::shared::{AWAY, Lease, Line, Member, Node, Overview, Role, Unschedulable};
+use crate::store::shared::{AWAY, Document, Lease, Line, Member, Node, Overview, Role, Unschedulable};
 
 type StoreResult<T> = Result<T, StoreError>;
 
@@ -78,6 +80,49 @@ pub(super) async fn drain(connection: impl PgExecutor<'_>, name: &str, drain: bo
     let update = sqlx::query("update tessera.nodes set drain = $2 where name = $1 and seen > tessera.now_ms() - $3");
     let done = update.bind(text(name)).bind(drain).bind(away_ms()).execute(connection).await?;
     Ok(done.rows_affected())
+}
+
+pub(super) async fn share_calls(
+    connection: &mut PgConnection,
+    holder: &str,
+    open: BTreeMap<String, u32>,
+) -> StoreResult<BTreeMap<String, u32>> {
+    let told = sqlx::query("update tessera.nodes set open_calls = $2::text::jsonb where holder = $1");
+    told.bind(text(holder)).bind(to_json("open calls", &open)?).execute(&mut *connection).await?;
+    let rows: Vec<(String, i64)> = sqlx::query_as(
+        "select c.key, sum(c.value::bigint)::bigint from tessera.nodes n, jsonb_each_text(n.open_calls) c \
+         where n.holder <> $1 and n.seen > tessera.now_ms() - $2 group by c.key",
+    )
+    .bind(text(holder))
+    .bind(away_ms())
+    .fetch_all(connection)
+    .await?;
+    Ok(rows.into_iter().map(|(key, open)| (key, u32::try_from(open).unwrap_or(u32::MAX))).collect())
+}
+
+pub(super) async fn document(connection: impl PgExecutor<'_>, name: &str) -> StoreResult<Option<Document>> {
+    let row: Option<(i64, String)> = sqlx::query_as("select version, content from tessera.documents where name = $1")
+        .bind(name)
+        .fetch_optional(connection)
+        .await?;
+    Ok(row.map(|(version, content)| Document { version, content }))
+}
+
+/// Whether the document was at version `seen`, and now is this.
+pub(super) async fn replace(
+    connection: impl PgExecutor<'_>,
+    (name, seen): (&str, Option<i64>),
+    content: &str,
+) -> StoreResult<bool> {
+    let change = match seen {
+        Some(_) => "update tessera.documents set version = version + 1, content = $2 where name = $1 and version = $3",
+        None => {
+            "insert into tessera.documents (name, content, version) select $1, $2, 1 where $3::bigint is null \
+             on conflict do nothing"
+        }
+    };
+    let done = sqlx::query(change).bind(name).bind(text(content)).bind(seen).execute(connection).await?;
+    Ok(done.rows_affected() > 0)
 }
 
 fn away_ms() -> i64 {

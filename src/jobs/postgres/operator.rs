@@ -15,7 +15,7 @@ use super::pool::{Database, PostgresOptions};
 use super::rows::{JobRow, count};
 use crate::record::state::State;
 use crate::record::{Bytes, Job, JobId};
-use crate::store::shared::Overview;
+use crate::store::shared::{Document, Overview};
 use crate::store::{Cost, NewJob, StoreError};
 
 /// Jobs that failed for crashes, as many as are listed.
@@ -92,6 +92,16 @@ impl Operator {
         let done = work.create(NewJob { random, spec, needs, cost }).await;
         let created = work.end(done, None).await?;
         Ok(created.job)
+    }
+
+    /// A text that all servers read.
+    pub async fn document(&self, name: &str) -> Result<Option<Document>, StoreError> {
+        cluster::document(self.database.pool(), name).await
+    }
+
+    /// Changes a text from the version that was seen; none if there was none. `false` if it has another one now.
+    pub async fn replace(&self, name: &str, seen: Option<i64>, content: &str) -> Result<bool, StoreError> {
+        cluster::replace(self.database.pool(), (name, seen), content).await
     }
 
     /// Looks whether what is kept agrees. Changes nothing.

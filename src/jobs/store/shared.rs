@@ -3,7 +3,7 @@
 //! Purpose: [`SharedStore`], and what servers say of themselves and see of each other. Invariant: only the store's clock says which
 //! server is alive. Must not know: SQL, how jobs are done.
 
-use std::collections::HashMap;
+use std::collections::{BTreeMap, HashMap};
 use std::time::Duration;
 
 use serde::Serialize;
@@ -32,6 +32,12 @@ pub trait SharedStore: Send + Sync {
     /// Whether this process is the one that sweeps now.
     fn sweeps(&self) -> Answer<'_, bool>;
 
+    /// Tells how many calls are open here by key, and gives how many are at the servers that are alive beside this one.
+    fn share_calls(&self, open: BTreeMap<String, u32>) -> Answer<'_, BTreeMap<String, u32>>;
+
+    /// A text that all servers read and operators change, with its version; none if there is none.
+    fn document(&self, name: &'static str) -> Answer<'_, Option<Document>>;
+
     /// This process is about to end.
     fn leave(&self) -> Answer<'_, ()>;
 
@@ -40,6 +46,14 @@ pub trait SharedStore: Send + Sync {
 
     /// Why a queued job is done by no server that is alive; `None` if one can do it, or if it does not wait.
     fn unschedulable(&self, id: JobId) -> Answer<'_, Option<Unschedulable>>;
+}
+
+/// See [`SharedStore::document`].
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Document {
+    /// Rises with every change.
+    pub version: i64,
+    pub content: String,
 }
 
 /// What a server does.

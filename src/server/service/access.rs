@@ -29,8 +29,10 @@ pub(crate) use self::table::Pass;
 use self::table::Table;
 use super::RequestError;
 use crate::hosts::{self, Foreign, Hosts, Reach};
-use crate::keys::{KeyFile, KeysError, Role, Secret, Stamp, now};
+use crate::keys::{DOCUMENT, KeyFile, KeySet, KeysError, Role, Secret, Stamp, now, of_document};
 use jobs::Weights;
+use jobs::executor::api::JobApi;
+use jobs::store::JobStore;
 use telemetry::Seldom;
 
 /// The metadata that names the tenant.
@@ -64,7 +66,7 @@ pub struct Access {
 
 struct Shared {
     options: AccessOptions,
-    file: Option<KeyFile>,
+    home: Option<Home>,
     table: RwLock<Table>,
     log: Seldom,
 }
@@ -72,6 +74,46 @@ struct Shared {
 impl fmt::Debug for Access {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.debug_struct("Access").field("options", &self.shared.options).finish_non_exhaustive()
+    }
+}
+
+/// Where the keys are.
+#[derive(Clone)]
+enum Home {
+    File(KeyFile),
+    /// A store that several servers share.
+    Store(Arc<dyn JobStore>),
+}
+
+/// By which a change of the keys is seen.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Seen {
+    File(Stamp),
+    /// The document's version; none if it is not there.
+    Version(Option<i64>),
+}
+
+impl Home {
+    /// The keys, if they have changed since. What changes meanwhile is seen at the next look.
+    async fn look(&self, before: Option<Seen>) -> Option<(Option<Seen>, Result<KeySet, KeysError>)> {
+        match self {
+            Self::File(file) => {
+                let file = file.clone();
+                let looked = tokio::task::spawn_blocking(move || {
+                    // The stamp first.
+                    let stamp = Seen::File(file.stamp());
+                    (before != Some(stamp)).then(|| (Some(stamp), file.read()))
+                });
+                looked.await.unwrap_or_else(|error| Some((None, Err(KeysError::Shared(error.to_string())))))
+            }
+            Self::Store(store) => match store.shared()?.document(DOCUMENT).await {
+                Ok(document) => {
+                    let version = Seen::Version(document.as_ref().map(|document| document.version));
+                    (before != Some(version)).then(|| (Some(version), of_document(document.as_ref())))
+                }
+                Err(error) => Some((before, Err(KeysError::Shared(error.to_string())))),
+            },
+        }
     }
 }
 
@@ -147,6 +189,17 @@ impl Access {
     pub fn in_folder(folder: &Path, options: AccessOptions) -> Result<Self, KeysError> {
         let file = KeyFile::in_folder(folder);
         let set = file.read()?;
+        Ok(Self::with_keys(Home::File(file), options, &set))
+    }
+
+    /// By the keys of a store that several servers share, now and as they change. Errors: `Shared`.
+    pub async fn in_store(store: Arc<dyn JobStore>, options: AccessOptions) -> Result<Self, KeysError> {
+        let home = Home::Store(store);
+        let set = home.look(None).await.map_or_else(|| Ok(KeySet::default()), |(_, set)| set)?;
+        Ok(Self::with_keys(home, options, &set))
+    }
+
+    fn with_keys(home: Home, options: AccessOptions, set: &KeySet) -> Self {
         let count = set.keys().len();
         match (options.require_keys, count) {
             (false, 0) => {}
@@ -157,12 +210,12 @@ impl Access {
             (true, 0) => tracing::warn!("no key is there yet: every call is refused; make one with `tessera keys add`"),
             (true, _) => tracing::info!(keys = count, "calls need a key"),
         }
-        let table = Table::default().next(&set);
-        Ok(Self::new(Some(file), options, table))
+        let table = Table::default().next(set);
+        Self::new(Some(home), options, table)
     }
 
-    fn new(file: Option<KeyFile>, options: AccessOptions, table: Table) -> Self {
-        let shared = Shared { options, file, table: RwLock::new(table), log: Seldom::default() };
+    fn new(home: Option<Home>, options: AccessOptions, table: Table) -> Self {
+        let shared = Shared { options, home, table: RwLock::new(table), log: Seldom::default() };
         Self { shared: Arc::new(shared), reach: Reach::Anywhere }
     }
 
@@ -179,17 +232,22 @@ impl Access {
         self.shared.table.read().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Follows the file of the keys in a task of `tasks`. Weights of tenants go to `weights`.
-    pub fn follow(&self, weights: Weights, tasks: &mut JoinSet<()>) {
+    /// Follows the keys in a task of `tasks`. Weights of tenants go to `weights`. Calls that are open at other servers come from
+    /// `api`, and those here go there.
+    pub fn follow(&self, weights: Weights, api: Option<Arc<dyn JobApi>>, tasks: &mut JoinSet<()>) {
         weights.set(self.table().weights());
-        let Some(file) = self.shared.file.clone() else { return };
+        let Some(home) = self.shared.home.clone() else { return };
+        let api = api.filter(|_| matches!(home, Home::Store(_)));
         let access = self.clone();
         tasks.spawn(async move {
             let mut hangups = Hangups::new();
             // Read once more: it may have changed since the start.
             let (mut seen, mut complaint) = (None, None);
             loop {
-                access.look(&file, &mut seen, &mut complaint, &weights).await;
+                access.look(&home, &mut seen, &mut complaint, &weights).await;
+                if let Some(api) = &api {
+                    access.share_calls(&**api).await;
+                }
                 tokio::select! {
                     () = tokio::time::sleep(LOOK_EVERY) => {}
                     () = hangups.next() => seen = None,
@@ -198,17 +256,11 @@ impl Access {
         });
     }
 
-    /// Reads the file if it has changed, and lets go of keys whose time is over.
-    async fn look(&self, file: &KeyFile, seen: &mut Option<Stamp>, complaint: &mut Option<String>, weights: &Weights) {
-        let (file, before) = (file.clone(), *seen);
-        let looked = tokio::task::spawn_blocking(move || {
-            // The stamp first: what changes meanwhile is seen at the next look.
-            let stamp = file.stamp();
-            (before != Some(stamp)).then(|| (stamp, file.read()))
-        });
-        match looked.await {
-            Ok(Some((stamp, Ok(set)))) => {
-                *seen = Some(stamp);
+    /// Reads the keys if they have changed, and lets go of keys whose time is over.
+    async fn look(&self, home: &Home, seen: &mut Option<Seen>, complaint: &mut Option<String>, weights: &Weights) {
+        match home.look(*seen).await {
+            Some((stamp, Ok(set))) => {
+                *seen = stamp;
                 *complaint = None;
                 let mut table = self.shared.table.write().unwrap_or_else(PoisonError::into_inner);
                 if table.differs(&set) {
@@ -217,20 +269,26 @@ impl Access {
                 }
                 weights.set(table.weights());
             }
-            Ok(Some((stamp, Err(error)))) => {
+            Some((stamp, Err(error))) => {
                 // A file that cannot be read now may be read soon, with the same stamp: it is looked at again.
                 let is_damaged = matches!(error, KeysError::Damaged { .. });
-                *seen = Some(stamp).filter(|_| is_damaged);
+                *seen = stamp.filter(|_| is_damaged);
                 let text = error.to_string();
                 if complaint.as_ref() != Some(&text) {
                     tracing::error!(%error, "the keys cannot be read; those that were read last stay");
                     *complaint = Some(text);
                 }
             }
-            Ok(None) => {}
-            Err(error) => tracing::error!(%error, "the keys were not looked at"),
+            None => {}
         }
         self.table().end_expired(now());
+    }
+
+    /// Hears how many calls of each key are open at other servers.
+    async fn share_calls(&self, api: &dyn JobApi) {
+        let open = self.table().open_calls();
+        let elsewhere = api.share_calls(open).await;
+        self.table().set_elsewhere(&elsewhere);
     }
 
     /// Checks a request of the HTTP interface that needs `role`; without one, there is no such resource.

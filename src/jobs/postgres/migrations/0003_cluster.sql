@@ -23,9 +23,14 @@ create table tessera.nodes (
     device_planned bigint not null,
     started bigint not null,
     seen bigint not null,
+    -- Open calls by key, of keys that have a limit.
+    open_calls jsonb not null default '{}',
     -- An operator wants it to take no more work.
     drain boolean not null default false
 ) with (fillfactor = 50, autovacuum_vacuum_scale_factor = 0.0, autovacuum_vacuum_threshold = 500);
+
+-- What all servers read and operators change, such as the keys of callers. A change names the version that it has seen.
+create table tessera.documents (name text collate "C" primary key, version bigint not null, content text not null);
 
 -- One process at a time sweeps: when the last one began.
 alter table tessera.pulse add column swept bigint not null default 0;

@@ -4,7 +4,7 @@
 //! its rate and its open calls; one that goes, or whose time is over, ends them. A key that is not there costs as much to look
 //! for as one that is. Must not know: requests, files.
 
-use std::collections::{HashMap, HashSet};
+use std::collections::{BTreeMap, HashMap, HashSet};
 use std::future::Future;
 use std::num::NonZeroU32;
 use std::pin::Pin;
@@ -34,6 +34,8 @@ pub(super) struct Table {
 struct Entry {
     key: Key,
     open: Arc<AtomicU32>,
+    /// Open at other servers, as they said last.
+    elsewhere: Arc<AtomicU32>,
     rate: Option<Arc<DefaultDirectRateLimiter>>,
     ended: Arc<watch::Sender<bool>>,
 }
@@ -51,6 +53,7 @@ impl Table {
             let entry = Entry {
                 key: key.clone(),
                 open: old.map(|old| Arc::clone(&old.open)).unwrap_or_default(),
+                elsewhere: old.map(|old| Arc::clone(&old.elsewhere)).unwrap_or_default(),
                 rate: match old {
                     Some(old) if old.key.limits.rate == key.limits.rate => old.rate.clone(),
                     _ => limiter(),
@@ -85,6 +88,20 @@ impl Table {
         // Of two keys of a name the larger one counts: it is set last.
         weights.sort_by(|a, b| a.1.total_cmp(&b.1));
         weights
+    }
+
+    /// Open calls here of keys that limit them.
+    pub(super) fn open_calls(&self) -> BTreeMap<String, u32> {
+        let limited = self.keys.iter().filter(|(_, entry)| entry.key.limits.in_flight.is_some());
+        let open = limited.map(|(id, entry)| (id.clone(), entry.open.load(Ordering::Acquire)));
+        open.filter(|(_, open)| *open > 0).collect()
+    }
+
+    /// Open calls of these keys at other servers; none of all others.
+    pub(super) fn set_elsewhere(&self, open: &BTreeMap<String, u32>) {
+        for (id, entry) in &self.keys {
+            entry.elsewhere.store(open.get(id).copied().unwrap_or(0), Ordering::Release);
+        }
     }
 
     /// Ends the calls of keys whose time is over.
@@ -127,7 +144,8 @@ impl Pass {
     /// Counts the call as open from now on.
     pub(super) fn open(mut self) -> Result<Self, Refusal> {
         let limit = self.entry.key.limits.in_flight.unwrap_or(u32::MAX);
-        let more = |open: u32| (open < limit).then(|| open + 1);
+        let elsewhere = self.entry.elsewhere.load(Ordering::Acquire);
+        let more = |open: u32| (open.saturating_add(elsewhere) < limit).then(|| open + 1);
         match self.entry.open.fetch_update(Ordering::AcqRel, Ordering::Acquire, more) {
             Ok(_) => {
                 self.is_open = true;
@@ -252,6 +270,13 @@ mod tests {
         assert!(matches!(next.find(&secret, now()).unwrap().take_turn(), Err(Refusal::Rate { .. })));
         drop(open);
         assert!(next.find(&secret, now()).unwrap().open().is_ok());
+        // One call at another server takes the place, until it is heard that it has ended.
+        next.set_elsewhere(&BTreeMap::from([(secret.id().to_owned(), 1)]));
+        assert!(matches!(next.find(&secret, now()).unwrap().open(), Err(Refusal::InFlight { limit: 1 })));
+        next.set_elsewhere(&BTreeMap::new());
+        let open = next.find(&secret, now()).unwrap().open().ok().unwrap();
+        assert_eq!(next.open_calls(), BTreeMap::from([(secret.id().to_owned(), 1)]));
+        drop(open);
         set.revoke(&other.id).unwrap();
         assert!(!next.next(&set).has("b"));
     }

@@ -242,7 +242,7 @@ class ResultBlob(_message.Message):
     def __init__(self, name: _Optional[str] = ..., digest: _Optional[str] = ...) -> None: ...
 
 class Job(_message.Message):
-    __slots__ = ("id", "spec", "state", "created", "started", "changed", "attempts", "crashes", "failure", "results", "expired_by", "request_id")
+    __slots__ = ("id", "spec", "state", "created", "started", "changed", "attempts", "crashes", "failure", "results", "expired_by", "request_id", "unschedulable")
     ID_FIELD_NUMBER: _ClassVar[int]
     SPEC_FIELD_NUMBER: _ClassVar[int]
     STATE_FIELD_NUMBER: _ClassVar[int]
@@ -255,6 +255,7 @@ class Job(_message.Message):
     RESULTS_FIELD_NUMBER: _ClassVar[int]
     EXPIRED_BY_FIELD_NUMBER: _ClassVar[int]
     REQUEST_ID_FIELD_NUMBER: _ClassVar[int]
+    UNSCHEDULABLE_FIELD_NUMBER: _ClassVar[int]
     id: str
     spec: JobSpec
     state: JobState
@@ -267,7 +268,8 @@ class Job(_message.Message):
     results: _containers.RepeatedCompositeFieldContainer[ResultBlob]
     expired_by: str
     request_id: str
-    def __init__(self, id: _Optional[str] = ..., spec: _Optional[_Union[JobSpec, _Mapping]] = ..., state: _Optional[_Union[JobState, str]] = ..., created: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., started: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., changed: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., attempts: _Optional[int] = ..., crashes: _Optional[int] = ..., failure: _Optional[_Union[JobFailure, _Mapping]] = ..., results: _Optional[_Iterable[_Union[ResultBlob, _Mapping]]] = ..., expired_by: _Optional[str] = ..., request_id: _Optional[str] = ...) -> None: ...
+    unschedulable: str
+    def __init__(self, id: _Optional[str] = ..., spec: _Optional[_Union[JobSpec, _Mapping]] = ..., state: _Optional[_Union[JobState, str]] = ..., created: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., started: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., changed: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., attempts: _Optional[int] = ..., crashes: _Optional[int] = ..., failure: _Optional[_Union[JobFailure, _Mapping]] = ..., results: _Optional[_Iterable[_Union[ResultBlob, _Mapping]]] = ..., expired_by: _Optional[str] = ..., request_id: _Optional[str] = ..., unschedulable: _Optional[str] = ...) -> None: ...
 
 class CreateJobRequest(_message.Message):
     __slots__ = ("spec", "request_id")
@@ -425,17 +427,19 @@ class EstimateJobRequest(_message.Message):
     def __init__(self, spec: _Optional[_Union[JobSpec, _Mapping]] = ..., vertices: _Optional[int] = ..., facets: _Optional[int] = ...) -> None: ...
 
 class EstimateJobResponse(_message.Message):
-    __slots__ = ("host_bytes", "host_limit_bytes", "device_bytes", "device_limit_bytes", "seconds", "fits")
+    __slots__ = ("host_bytes", "host_limit_bytes", "device_bytes", "device_limit_bytes", "seconds", "fits", "unschedulable")
     HOST_BYTES_FIELD_NUMBER: _ClassVar[int]
     HOST_LIMIT_BYTES_FIELD_NUMBER: _ClassVar[int]
     DEVICE_BYTES_FIELD_NUMBER: _ClassVar[int]
     DEVICE_LIMIT_BYTES_FIELD_NUMBER: _ClassVar[int]
     SECONDS_FIELD_NUMBER: _ClassVar[int]
     FITS_FIELD_NUMBER: _ClassVar[int]
+    UNSCHEDULABLE_FIELD_NUMBER: _ClassVar[int]
     host_bytes: int
     host_limit_bytes: int
     device_bytes: int
     device_limit_bytes: int
     seconds: float
     fits: bool
-    def __init__(self, host_bytes: _Optional[int] = ..., host_limit_bytes: _Optional[int] = ..., device_bytes: _Optional[int] = ..., device_limit_bytes: _Optional[int] = ..., seconds: _Optional[float] = ..., fits: bool = ...) -> None: ...
+    unschedulable: str
+    def __init__(self, host_bytes: _Optional[int] = ..., host_limit_bytes: _Optional[int] = ..., device_bytes: _Optional[int] = ..., device_limit_bytes: _Optional[int] = ..., seconds: _Optional[float] = ..., fits: bool = ..., unschedulable: _Optional[str] = ...) -> None: ...
