@@ -591,7 +591,7 @@ def hostile(trial: Trial) -> dict[str, Any]:
     work.submit(MIXED[-2])
     trial.finish(work)
     # Tables with a few rows are read as a whole, rightly.
-    crowd = 200_000 if trial.is_long else 20_000
+    crowd = 40_000 if trial.is_long else 20_000
     trial.sql(
         "insert into tessera.jobs (id, tenant, request_id, state, version, priority, host_bytes, device_bytes, created, changed, "
         "labels, spec, status, log) select decode(md5(i::text), 'hex'), 'crowd', i::text, 3, version, priority, host_bytes, "
