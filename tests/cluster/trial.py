@@ -17,6 +17,7 @@ import os
 import random
 import shutil
 import signal
+import subprocess
 import sys
 import threading
 import time
@@ -75,7 +76,9 @@ class Trial:
         # A job of a trial is killed more often than one of a user.
         shared = ["--store", f"postgres://tessera@127.0.0.1:{self.switch.port}/trial", "--blobs", f"s3://{BUCKET}"]
         options = [*common, *shared, "--max-crashes", 1000, "--grace-s", 1]
-        self.servers = [Server(self.folder, name, self.program, options, self.bucket.variables()) for name in "abc"]
+        self.servers = [
+            Server(self.folder, name, self.program, [*options, "--node", name], self.bucket.variables()) for name in "abc"
+        ]
         for server in (self.alone, *self.servers):
             server.await_ready()
         self.mesh = torus(16)
@@ -102,6 +105,14 @@ class Trial:
 
     def number(self, query: str) -> int:
         return int(self.sql(query))
+
+    def operate(self, *words: str) -> None:
+        """A command of operators, which must succeed."""
+        url = f"postgres://tessera@127.0.0.1:{self.switch.port}/trial"
+        done = subprocess.run(
+            [self.program, *words, "--store", url], capture_output=True, text=True, timeout=60, check=False
+        )
+        self.check(done.returncode == 0, f"{' '.join(words)}: {done.returncode} {done.stdout}{done.stderr}")
 
     def work(self, name: str, tenants: list[str] | None = None) -> Work:
         work = Work(name, lambda: [server.http for server in self.servers], self.mesh, tenants or ["trial"])
@@ -149,6 +160,7 @@ class Trial:
         }.items():
             count = self.number(f"select count(*) from {query}")
             self.check(count == 0, f"{count} {what}")
+        self.operate("store", "check")
         indexed = set(self.sql("select encode(digest, 'hex') from tessera.blobs").split())
         stored = self.bucket.objects()
         gone = set(self.sql("select encode(digest, 'hex') from tessera.gone").split())
@@ -373,7 +385,6 @@ def probe(trial: Trial, said: dict[str, str], name: str, method: str, path: str,
 def standby(trial: Trial) -> dict[str, Any]:
     """What was acknowledged is at the synchronous standby that takes over."""
     times = 5 if trial.is_long else 1
-    first = trial.database
     second = next_standby(trial)
     work, submitting = trial.run_of_mixed("standby", 300 if trial.is_long else 22, [*MIXED, session_of(BRIEF)], 0.2)
     delays = []
@@ -558,13 +569,14 @@ def fill(file: Any) -> None:
 
 
 def rolling(trial: Trial) -> dict[str, Any]:
-    """Servers that are replaced one after another under load fail no job."""
+    """Servers that are drained and replaced one after another under load fail no job."""
     rounds = 3 if trial.is_long else 1
     kinds = [session_of(3 * LONG), *MIXED, session_of(BRIEF)]
     work, submitting = trial.run_of_mixed("rolling", 300 if trial.is_long else 22, kinds, 0.2)
     slowest = 0.0
     for server in trial.servers * rounds:
         time.sleep(0.3)
+        trial.operate("cluster", "drain", server.name)
         begin = time.monotonic()
         code = server.stop()
         slowest = max(slowest, time.monotonic() - begin)
