@@ -241,6 +241,14 @@ impl Metrics {
         self.0.node.get_or_create(&labels).set(1);
     }
 
+    /// Nothing is known of the other servers now.
+    pub fn no_cluster(&self) {
+        self.0.cluster_nodes.clear();
+        self.0.cluster_jobs.clear();
+        self.0.cluster_oldest.clear();
+        self.0.cluster_capacity.clear();
+    }
+
     /// All servers that share the store, and all work.
     pub fn cluster(&self, overview: &Overview) {
         let whole = |count: u64| i64::try_from(count).unwrap_or(i64::MAX);

@@ -30,6 +30,8 @@ mod outage;
 mod postgres;
 mod random;
 #[cfg(all(unix, feature = "postgres"))]
+mod scaling;
+#[cfg(all(unix, feature = "postgres"))]
 mod shared;
 mod specs;
 mod states;

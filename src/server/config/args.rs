@@ -97,6 +97,9 @@ pub struct ServeArgs {
     /// variable PGPASSFILE names.
     #[arg(long, value_name = "FILE", env = "TESSERA_STORE_PASSWORD_FILE")]
     pub store_password_file: Option<PathBuf>,
+    /// Use a database whose `synchronous_commit` is `off` or `local`: a crash or a failover then loses jobs that were acknowledged.
+    #[arg(long, env = "TESSERA_STORE_MAY_LOSE")]
+    pub store_may_lose: bool,
     /// What this server does, of those that share a database: a gateway takes calls and does no work, a worker does work and
     /// takes no calls.
     #[arg(long, value_enum, default_value_t, env = "TESSERA_ROLE")]

@@ -40,6 +40,8 @@ pub struct ServeConfig {
     pub bucket: Option<String>,
     /// The database of the jobs, and a file with its password; without one the jobs are in the data folder.
     pub database: Option<(String, Option<PathBuf>)>,
+    /// Whether the database may lose jobs that were acknowledged.
+    pub store_may_lose: bool,
     pub role: Role,
     /// This server's name among those that share its database.
     pub node: String,
@@ -104,6 +106,7 @@ impl ServeArgs {
             admin: self.watching.admin(self.security.insecure)?,
             bucket: self.bucket(is_ephemeral)?,
             database: self.database(is_ephemeral)?,
+            store_may_lose: self.store_may_lose,
             role: self.role()?,
             node: self.node_name()?,
             advertise: self.advertise.clone(),

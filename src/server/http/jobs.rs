@@ -211,7 +211,10 @@ pub(super) async fn list(State(desk): State<Desk>, Extension(client): Whose, req
 
 pub(super) async fn one(State(desk): State<Desk>, Extension(client): Whose, Path(id): Path<String>) -> Answered {
     let job = desk.api.get(&client.tenant, job_id(&id)?).await?;
-    let unschedulable = desk.api.unschedulable(&job).await?;
+    let unschedulable = match desk.api.cluster() {
+        Some(cluster) => cluster.unschedulable(&job).await?,
+        None => None,
+    };
     Ok(answer(StatusCode::OK, &JobBody { unschedulable, ..JobBody::of(&job) }))
 }
 
@@ -402,7 +405,13 @@ pub(super) async fn seeds(
     let mut asked = Asked::of_query(request.uri().query())?;
     let after: u64 = asked.whole("after")?.unwrap_or(0);
     asked.finish()?;
-    let mut receiver = desk.api.preview(&client.tenant, job_id(&id)?).await?;
+    let id = job_id(&id)?;
+    if let Some(cluster) = desk.api.cluster()
+        && let Some(holder) = cluster.at_work_elsewhere(&client.tenant, id).await?
+    {
+        return Err(RequestError::SeedsElsewhere { holder }.into());
+    }
+    let mut receiver = desk.api.preview(&client.tenant, id).await?;
     let newer = receiver.wait_for(|shown| shown.as_ref().is_some_and(|shown| shown.steps > after));
     let found = tokio::select! {
         found = tokio::time::timeout(WAIT, newer) => found,

@@ -113,7 +113,10 @@ fn of(error: RequestError) -> Fault {
         RequestError::Stalled(_) => Fault::new(Kind::Aborted, text),
         RequestError::ClientGone => Fault::new(Kind::Cancelled, text),
         RequestError::Draining => draining(text),
-        RequestError::Elsewhere { .. } => retry(Kind::Unavailable, text, Duration::from_secs(1)),
+        RequestError::Elsewhere { .. } | RequestError::SeedsElsewhere { .. } => {
+            retry(Kind::Unavailable, text, Duration::from_secs(1))
+        }
+        RequestError::SessionEnded { .. } => draining(text),
         RequestError::Slow(_) => {
             tracing::error!(error = %text, "the storage is slow");
             retry(Kind::Unavailable, text, Duration::from_secs(5))
@@ -387,7 +390,10 @@ pub(super) fn refusal(error: &RequestError) -> Option<Refused> {
         RequestError::Transport(Rejection::Memory { .. }) => Some(Refused::Memory),
         RequestError::Transport(Rejection::MessageTooLong { .. }) => Some(Refused::MessageSize),
         RequestError::TooMany { .. } => Some(Refused::Streams),
-        RequestError::Draining | RequestError::Transport(Rejection::Draining) => Some(Refused::Draining),
+        RequestError::Draining
+        | RequestError::Elsewhere { .. }
+        | RequestError::SessionEnded { .. }
+        | RequestError::Transport(Rejection::Draining) => Some(Refused::Draining),
         RequestError::Job(error) | RequestError::JobApi(JobApiError::Job(error)) => refusal_of_job(error),
         RequestError::Blob(error) | RequestError::JobApi(JobApiError::Blob(error)) => refusal_of_blob(error),
         RequestError::JobApi(
