@@ -45,7 +45,7 @@ REFUSAL_S = (4.0, 2.5)
 #: The longest that a transaction may take, and some time for a busy machine.
 OPERATION_S = 8 + 2
 #: Steps of sessions: less than a second, and more; longer than what is away in a short trial, and in a long one.
-BRIEF, LONG, LONGER = 3_000, 12_000, (30_000, 600_000)
+BRIEF, LONG, LONGER = 3_000, 12_000, (20_000, 600_000)
 
 
 class LeftOut(Exception):
@@ -250,7 +250,7 @@ def unfairness(work: Work, jobs: dict[str, dict[str, Any]]) -> tuple[float, floa
 def kill(trial: Trial) -> dict[str, Any]:
     """Servers that are killed and started again lose no job, and their work goes on elsewhere within a lease."""
     kills = 50 if trial.is_long else 3
-    work, submitting = trial.run_of_mixed("kill", 500 if trial.is_long else 24, [*MIXED, session_of(BRIEF), session_of(LONG)])
+    work, submitting = trial.run_of_mixed("kill", 500 if trial.is_long else 18, [session_of(LONG), session_of(BRIEF), *MIXED])
     lost: list[tuple[str, float]] = []
     for _ in range(kills):
         server = trial.random.choice(trial.servers)
@@ -293,8 +293,9 @@ def database(trial: Trial) -> dict[str, Any]:
 
 def away(trial: Trial) -> dict[str, Any]:
     """While the database or the bucket is away, new jobs are refused soon and work goes on."""
-    seconds = 60 if trial.is_long else 2.5
+    seconds = 60 if trial.is_long else 2
     figures: dict[str, Any] = {"seconds": seconds}
+    soon = REFUSAL_S[trial.is_long]
     hung = lambda part: part.signal_all(signal.SIGSTOP)  # noqa: E731
     goes_on = lambda part: part.signal_all(signal.SIGCONT)  # noqa: E731
     for name, part, stop, start in [
@@ -303,15 +304,14 @@ def away(trial: Trial) -> dict[str, Any]:
         ("bucket", trial.bucket, Bucket.stop_immediate, Bucket.start),
         ("bucket that hangs", trial.bucket, hung, goes_on),
     ]:
-        figures[name] = away_once(trial, name, lambda: stop(part), lambda: start(part), seconds)
+        figures[name] = away_once(trial, name, lambda: stop(part), lambda: start(part), seconds, soon, trial.servers)
     return figures
 
 
 def away_once(
-    trial: Trial, name: str, stop: Callable[[], None], start: Callable[[], None], seconds: float, soon: float | None = None
+    trial: Trial, name: str, stop: Callable[[], None], start: Callable[[], None], seconds: float, soon: float, asked: list[Server]
 ) -> dict[str, Any]:
     """New jobs are refused `soon`, work goes on, and nothing is half-created."""
-    soon = soon or REFUSAL_S[trial.is_long]
     work = trial.work("away-" + name.replace(" ", "-"))
     long = work.submit(trial.longer)
     trial.at_work(long)
@@ -333,7 +333,7 @@ def away_once(
     kind = MIXED[-2]
     while time.monotonic() < end:
         time.sleep(seconds / 10)
-        for server in trial.servers:
+        for server in asked:
             number += 1
             body = work.body(kind, f"{work.name}-{number}")
             begin = time.monotonic()
@@ -408,7 +408,7 @@ def standby(trial: Trial) -> dict[str, Any]:
         trial.database.wait_for_standby()
 
     # Nothing can be acknowledged without it: a commit waits, for as long as an operation may take.
-    alone = away_once(trial, "standby", stop, start, 60 if trial.is_long else 2.5, OPERATION_S)
+    alone = away_once(trial, "standby", stop, start, 60 if trial.is_long else 1, OPERATION_S, trial.servers[:1])
     trial.check(not alone["accepted"], "jobs were acknowledged without a standby")
     trial.database.forget_standby()
     second.stop_immediate()
@@ -430,7 +430,7 @@ def frozen(trial: Trial) -> dict[str, Any]:
     work = trial.work("frozen")
     given = work.submit(trial.longer)
     server = trial.at_work(given)
-    time.sleep(1)
+    time.sleep(0.3)
     server.process.send_signal(signal.SIGSTOP)
     trial.age_leases(server)
     seconds = wait_for(
@@ -536,6 +536,7 @@ def disk(trial: Trial) -> dict[str, Any]:
                 except Lost as error:
                     unexpected.append(str(error))
                     continue
+                time.sleep(0.05)
                 if answer.status == 201:
                     work.given.append(Given(answer.json()["id"], "trial", "", json.dumps(session_of(BRIEF)), 0))
                 else:
@@ -598,7 +599,7 @@ HOSTILE = [
 
 def hostile(trial: Trial) -> dict[str, Any]:
     """Strings of any kind are refused or kept as they are, and no query of a tenant reads a whole table."""
-    queries = 10_000 if trial.is_long else 500
+    queries = 10_000 if trial.is_long else 300
     work = trial.work("hostile", ["mallory"])
     work.submit(MIXED[-2])
     trial.finish(work)
