@@ -97,6 +97,19 @@ impl ExecutorOptions {
     }
 }
 
+/// A database that several servers share.
+#[derive(Clone, Debug)]
+pub struct DatabaseOptions<'a> {
+    /// This server's name among them.
+    pub node: &'a str,
+    /// `postgres://USER@HOST/DATABASE`.
+    pub url: &'a str,
+    /// A file with its password, if the URL has none.
+    pub password: Option<PathBuf>,
+    /// Whether a crash or a failover of the database may lose jobs that were acknowledged.
+    pub may_lose: bool,
+}
+
 #[derive(Clone)]
 pub struct Stores {
     pub jobs: Arc<dyn JobStore>,
@@ -128,29 +141,26 @@ impl Stores {
         }
     }
 
-    /// Jobs in a PostgreSQL database that several servers share; blobs in a bucket, as in [`Self::in_bucket`]. `password` is a
-    /// file, if the URL has none; `node` is this server's name among them. Errors: why database or bucket cannot be used.
+    /// Jobs in a PostgreSQL database that several servers share; blobs in a bucket, as in [`Self::in_bucket`]. Errors: why database
+    /// or bucket cannot be used.
     pub async fn in_database(
-        node: &str,
-        database: &str,
-        password: Option<PathBuf>,
+        database: DatabaseOptions<'_>,
         bucket: &str,
         blobs: BlobOptions,
     ) -> Result<Self, JobApiError> {
         #[cfg(all(feature = "postgres", feature = "s3"))]
         {
             use crate::postgres::{PostgresOptions, PostgresStore};
-            let options = PostgresOptions {
-                password_file: password,
-                ..PostgresOptions::new(database, cluster::unique_name(node)?)
-            };
+            let DatabaseOptions { node, url, password: password_file, may_lose } = database;
+            let holder = cluster::unique_name(node)?;
+            let options = PostgresOptions { password_file, may_lose, ..PostgresOptions::new(url, holder) };
             let jobs = PostgresStore::open(options).await?;
             let blobs = ObjectBlobs::s3(jobs.index(), bucket, [], blobs).await?;
             Ok(Self { jobs: Arc::new(jobs), blobs: Arc::new(blobs) })
         }
         #[cfg(not(all(feature = "postgres", feature = "s3")))]
         {
-            let _ = (node, database, password, bucket, blobs);
+            let _ = (database, bucket, blobs);
             let cause = "this program was built without the feature postgres or s3".to_owned();
             Err(StoreError::Unusable { cause }.into())
         }
