@@ -50,7 +50,7 @@ async fn stores(config: &ServeConfig) -> Result<Stores> {
         (Some((url, password)), Some(bucket)) => {
             let (node, may_lose) = (config.node.as_str(), config.store_may_lose);
             let database = DatabaseOptions { node, url, password: password.clone(), may_lose };
-            Stores::in_database(database, bucket, room).await
+            Stores::in_database(database, bucket, room, (folder.join("cache"), config.cache_bytes)).await
         }
         (_, None) => Stores::in_folder(folder.clone(), room).await,
         (None, Some(url)) => Stores::in_bucket(folder.clone(), url, room).await,

@@ -141,12 +141,13 @@ impl Stores {
         }
     }
 
-    /// Jobs in a PostgreSQL database that several servers share; blobs in a bucket, as in [`Self::in_bucket`]. Errors: why database
-    /// or bucket cannot be used.
+    /// Jobs in a PostgreSQL database that several servers share; blobs in a bucket, as in [`Self::in_bucket`]. `copies` is a folder for
+    /// copies of blobs, and how many bytes they may take. Errors: why database or bucket cannot be used.
     pub async fn in_database(
         database: DatabaseOptions<'_>,
         bucket: &str,
         blobs: BlobOptions,
+        (copies, copies_bytes): (PathBuf, u64),
     ) -> Result<Self, JobApiError> {
         #[cfg(all(feature = "postgres", feature = "s3"))]
         {
@@ -156,11 +157,12 @@ impl Stores {
             let options = PostgresOptions { password_file, may_lose, ..PostgresOptions::new(url, holder) };
             let jobs = PostgresStore::open(options).await?;
             let blobs = ObjectBlobs::s3(jobs.index(), bucket, [], blobs).await?;
+            let blobs = blobs.with_cache(copies, copies_bytes).await?;
             Ok(Self { jobs: Arc::new(jobs), blobs: Arc::new(blobs) })
         }
         #[cfg(not(all(feature = "postgres", feature = "s3")))]
         {
-            let _ = (database, bucket, blobs);
+            let _ = (database, bucket, blobs, copies, copies_bytes);
             let cause = "this program was built without the feature postgres or s3".to_owned();
             Err(StoreError::Unusable { cause }.into())
         }

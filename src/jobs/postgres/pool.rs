@@ -237,7 +237,7 @@ impl From<sqlx::Error> for StoreError {
 
 impl From<sqlx::Error> for BlobError {
     fn from(error: sqlx::Error) -> Self {
-        Self::Unavailable(format!("the database of the index: {error}"))
+        Self::Database(error.to_string())
     }
 }
 

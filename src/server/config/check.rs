@@ -46,6 +46,8 @@ pub struct ServeConfig {
     /// This server's name among those that share its database.
     pub node: String,
     pub advertise: Option<String>,
+    /// Copies of blobs of a shared bucket, bytes.
+    pub cache_bytes: u64,
     pub disk_reserve_bytes: u64,
     pub keep: (Duration, Duration),
     pub blob_bytes: u64,
@@ -110,6 +112,7 @@ impl ServeArgs {
             role: self.role()?,
             node: self.node_name()?,
             advertise: self.advertise.clone(),
+            cache_bytes: within("--cache-mib", self.cache_mib, 0..=1 << 30)? << 20,
             disk_reserve_bytes: within("--disk-reserve-mib", self.disk_reserve_mib, 0..=1 << 24)? << 20,
             requires_keys: self.security.require_keys,
             data_dir: if is_ephemeral { None } else { Some(data_dir(self.data_dir.as_ref())?) },

@@ -264,7 +264,7 @@ pub(super) async fn send_result(
         (REPORT, _) => JSON,
         _ => BYTES,
     };
-    let warnings = if name == MESH { warnings(desk, job).await? } else { Vec::new() };
+    let warnings = if name == MESH { warnings(desk, job).await } else { Vec::new() };
     let mut answer = send(desk, &client.tenant, *digest, headers, media_type, until).await?;
     for warning in warnings {
         answer.headers_mut().append(WARNING, warning);

@@ -304,6 +304,7 @@ fn of_blob(error: &BlobError) -> Fault {
             let text = "the blob storage failed; try again, and look at the server's log if it stays so".to_owned();
             return retry(Kind::Unavailable, text, Duration::from_secs(5));
         }
+        BlobError::Database(_) => return away(&text),
     };
     invalid(text.clone(), path.to_owned(), text)
 }
@@ -321,6 +322,12 @@ fn of_job_api(error: JobApiError) -> Fault {
         JobApiError::Blob(error) => of_blob(&error),
         JobApiError::Job(error) => of_job(&error),
     }
+}
+
+/// The database that servers share is away. The log has the rest.
+fn away(error: &str) -> Fault {
+    tracing::warn!(error, "the database does not answer");
+    retry(Kind::Unavailable, "the database does not answer; try again".to_owned(), Duration::from_secs(2))
 }
 
 fn of_store(error: &StoreError) -> Fault {
@@ -342,11 +349,7 @@ fn of_store(error: &StoreError) -> Fault {
             let text = "the store of jobs cannot be written now; its server must be started again".to_owned();
             retry(Kind::Unavailable, text, Duration::from_secs(30))
         }
-        StoreError::Unavailable { .. } => {
-            tracing::warn!(error = %text, "the database of jobs does not answer");
-            let text = "the database of jobs does not answer; try again".to_owned();
-            retry(Kind::Unavailable, text, Duration::from_secs(2))
-        }
+        StoreError::Unavailable { .. } => away(&text),
         StoreError::InUse { .. }
         | StoreError::Unusable { .. }
         | StoreError::Damaged { .. }
