@@ -2,8 +2,8 @@
 # Checks what lies in deploy/, and the workflows, with the tools that will read it: promtool, kustomize, Envoy, hadolint, yamllint, cargo-deny, and
 # the schemas of Kubernetes, Compose and CycloneDX.
 # Usage: deploy/check.sh [PROGRAM]
-# With a program, the dashboard and the alerts are asked of a real Prometheus, and Envoy stands before two real servers.
-# Needs Debian's package prometheus, and Python 3.11 with venv; tests/python/venv.sh installs the other tools.
+# With a program, the dashboard and the alerts are asked of a real Prometheus, and Envoy stands before real servers.
+# Needs Debian's package prometheus, with a program postgresql too, and Python 3.11 with venv; tests/python/venv.sh installs the other tools.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 program=${1:-}
@@ -26,7 +26,9 @@ echo "-- Dockerfile"
 "$venv/bin/hadolint" --ignore DL3008 deploy/Dockerfile
 
 echo "-- Envoy"
-"$venv/bin/envoy" --mode validate --log-level error -c deploy/envoy/envoy.yaml
+for file in deploy/envoy/*.yaml; do
+    "$venv/bin/envoy" --mode validate --log-level error -c "$file"
+done
 
 echo "-- Compose"
 "$venv/bin/check-jsonschema" --quiet --builtin-schema vendor.compose-spec deploy/compose*.yaml

@@ -1,9 +1,9 @@
-"""Asks every query of the dashboard and of the alerts of a real Prometheus that watches a server at work.
+"""Asks every query of the dashboard and of the alerts of a real Prometheus that watches two servers of a cluster at work.
 
 Usage: check_queries.py PROGRAM
 
 Every query of the dashboard has to give figures, and `grafana/preview.py` has to draw them. An alert gives none as long as all is
-well: its metrics, with their labels, have to be there.
+well: its metrics, with their labels, have to be there. What KEDA asks has to be there too.
 """
 
 import json
@@ -12,6 +12,7 @@ import pathlib
 import re
 import subprocess
 import sys
+import textwrap
 import urllib.parse
 
 import yaml
@@ -25,12 +26,12 @@ RARE = re.compile(r'rpc_response_status_code=~"INTERNAL|reason="storage"')
 
 
 class Prometheus:
-    def __init__(self, place, admin):
+    def __init__(self, place, servers):
         # The files that are shipped, but for the server's address and shorter pauses.
         for name in ("prometheus.yml", "alerts.yml"):
             text = (HERE / "prometheus" / name).read_text()
             (place.folder / name).write_text(text.replace("_interval: 15s", "_interval: 1s"))
-        (place.folder / "targets.yml").write_text(f'- targets: ["{admin}"]\n')
+        (place.folder / "targets.yml").write_text(yaml.safe_dump([{"targets": [server.admin for server in servers]}]))
         self.url = f"http://127.0.0.1:{free_port()}"
         place.start(
             "prometheus", f"--config.file={place.folder}/prometheus.yml", f"--storage.tsdb.path={place.folder}/data",
@@ -63,6 +64,20 @@ def work(program, endpoint, folder):
         run("jobs", "fetch", job, "-o", out, *there)
 
 
+def check_scale(servers):
+    """What the ScaledObject of the overlay `cluster` asks, while nothing is to do."""
+    text = (HERE / "kubernetes/overlays/cluster/kustomization.yaml").read_text()
+    (trigger,) = re.findall(r"^( +)- type: metrics-api\n\1  metadata:\n((?:\1    .+\n)+)", text, re.M)
+    trigger = yaml.safe_load(textwrap.dedent(trigger[1]))
+    path = urllib.parse.urlsplit(trigger["url"]).path
+    try:
+        said = json.loads(get(f"http://{servers[0].admin}{path}"))
+        value, nodes, capacity = said[trigger["valueLocation"]], said["nodes"], said["capacity"]
+    except (OSError, ValueError, KeyError) as error:
+        return f"{path}: {error!r}"
+    return None if (value, nodes) == (0, len(servers)) and capacity >= nodes else f"{path} says {said} of {len(servers)} idle nodes"
+
+
 def in_panels():
     panels = json.loads((HERE / "grafana/dashboards/tessera.json").read_text())["panels"]
     for panel in panels:
@@ -73,10 +88,11 @@ def in_panels():
 
 def main(program):
     with Place() as place:
-        endpoint, admin = place.server(program)
-        prometheus = Prometheus(place, admin)
-        wait_for(lambda: prometheus.ask("up == 1"), "Prometheus' first look at the server")
-        work(program, endpoint, place.folder)
+        shared = place.shared()
+        servers = [place.server(program, shared=shared) for _ in range(2)]
+        prometheus = Prometheus(place, servers)
+        wait_for(lambda: len(prometheus.ask("up == 1")) == len(servers), "Prometheus' first look at the servers")
+        work(program, servers[0].endpoint, place.folder)
         wrong, asked = [], 0
         # A stream, a diagram and a kept job, four times each.
         wait_for(lambda: prometheus.ask('sum(tessera_jobs_ended_total{outcome="done"}) >= 12'), "figures of the work")
@@ -88,6 +104,7 @@ def main(program):
         drawn = [sys.executable, HERE / "grafana/preview.py", "--prometheus", prometheus.url, "--minutes", "1", "--check"]
         if subprocess.run(drawn, check=False).returncode:
             wrong.append("preview.py does not draw the dashboard")
+        wrong += filter(None, [check_scale(servers)])
         selectors = set()
         for group in yaml.safe_load((HERE / "prometheus/alerts.yml").read_text())["groups"]:
             for rule in group["rules"]:

@@ -66,6 +66,16 @@ def by_method(query):
     return f'label_replace({query}, "rpc_method", "$1", "rpc_method", "tessera.v1.(.*)")'
 
 
+def of_cluster(metric, by):
+    """All nodes say the same, some a little later than others."""
+    return f"max by ({by}) ({metric}{{{ON}}})"
+
+
+def by_node(query):
+    """By the names of nodes. The series of one that started anew with the same name goes on."""
+    return f"sum by (node) ({query} * on (job, instance) group_left (node) max by (job, instance, node) (tessera_node_info{{{ON}}}))"
+
+
 GOOD_AT_0 = [{"color": "green", "value": None}, {"color": "red", "value": 1}]
 
 ROWS = [
@@ -167,6 +177,22 @@ ROWS = [
               [("", f"max by (instance, version, revision) (tessera_build_info{{{ON}}})")], height=8,
               target={"format": "table", "instant": True},
               options={"showHeader": True}),
+    ]),
+    # Empty for servers that share no database.
+    ("Cluster", [
+        lines("Nodes", 8, [("{{state}}", of_cluster("tessera_cluster_nodes", "state"))], stack=True,
+              help="Servers that share the database, as it knows them. Those that drain take no new jobs."),
+        lines("Jobs in the cluster", 8,
+              [("{{state}}", of_cluster("tessera_cluster_jobs", "state")),
+               ("capacity", of_cluster("tessera_cluster_capacity", "job"))],
+              help="All nodes together. Capacity: jobs that can run at once."),
+        lines("Oldest job in the queue", 8, [("oldest", of_cluster("tessera_cluster_oldest_queued_seconds", "job"))], unit="s",
+              help="How long it has waited. Beside free capacity it fits no node, or no node takes jobs."),
+        lines("Jobs at work by node", 12,
+              [("{{node}}", by_node(f'sum by (job, instance) (tessera_jobs{{{ON}, state="running"}})'))], stack=True),
+        lines("Jobs done by node", 12,
+              [("{{node}}", by_node(f'sum by (job, instance) (rate(tessera_jobs_ended_total{{{ON}, outcome="done"}}[{RATE}]))'))],
+              unit="ops", stack=True, help="A second."),
     ]),
 ]
 

@@ -99,7 +99,8 @@ impl DatabaseArgs {
         const NONE: &str = "which database? Give --store postgres://USER@HOST/DATABASE or set TESSERA_STORE";
         let url = self.store.as_ref().ok_or_else(|| Usage(NONE.to_owned()))?;
         let password_file = self.store_password_file.clone();
-        Ok(PostgresOptions { password_file, connections: 1, ..PostgresOptions::new(url, "operator") })
+        // Whether jobs may be lost is for servers to say.
+        Ok(PostgresOptions { password_file, connections: 1, may_lose: true, ..PostgresOptions::new(url, "operator") })
     }
 }
 
@@ -196,9 +197,18 @@ fn tell(json: bool, value: impl FnOnce() -> serde_json::Value, lines: impl FnOnc
     Ok(())
 }
 
+/// Bytes of a device whose memory has no limit, as the database has them.
+const NOT_LIMITED: u64 = i64::MAX as u64;
+
 fn status_json(overview: &Overview) -> serde_json::Value {
     let (nodes, capacity) = overview.capacity();
     let mut all = json!(overview);
+    for member in all["members"].as_array_mut().into_iter().flatten() {
+        let device = &mut member["node"]["memory"]["device"];
+        if device.as_u64().is_some_and(|bytes| bytes >= NOT_LIMITED) {
+            *device = serde_json::Value::Null;
+        }
+    }
     all["total"] = json!({ "queued": overview.queued(), "running": overview.running(), "nodes": nodes,
         "capacity": capacity, "oldest_ms": overview.oldest_ms() });
     say::plain_json(all)
@@ -207,7 +217,11 @@ fn status_json(overview: &Overview) -> serde_json::Value {
 fn status_lines(overview: &Overview) -> Vec<String> {
     let mut lines =
         vec![format!("{:24}  {:8}  {:8}  {:>7}  {:>12}  ADDRESS", "NODE", "ROLE", "STATE", "AT WORK", "MEMORY")];
-    lines.extend(overview.members.iter().map(member_line));
+    lines.extend(overview.members.iter().map(|member| {
+        // A lease says more than what the server said of itself a moment ago.
+        let leases = overview.leases.iter().filter(|lease| lease.holder == member.holder).count();
+        member_line(member, leases)
+    }));
     let (_, capacity) = overview.capacity();
     lines.push(String::new());
     lines.push(format!(
@@ -228,7 +242,7 @@ fn status_lines(overview: &Overview) -> Vec<String> {
     lines
 }
 
-fn member_line(member: &Member) -> String {
+fn member_line(member: &Member, at_work: usize) -> String {
     let node = &member.node;
     let state = match (member.is_alive, member.drains) {
         (false, _) => "away",
@@ -236,7 +250,7 @@ fn member_line(member: &Member) -> String {
         (true, false) => "alive",
     };
     let memory = format!("{} MiB", node.memory.host >> 20);
-    let work = format!("{}/{}", node.at_work, node.places);
+    let work = format!("{at_work}/{}", node.places);
     let gpu = if node.has_gpu { " GPU" } else { "" };
     let line = format!(
         "{:24}  {:8}  {state:8}  {work:>7}  {memory:>12}  {}{gpu}",

@@ -27,9 +27,9 @@ pub(crate) struct Given<A> {
 
 /// The options of a remesh that are set. Files of lists are no options of the message. Errors: `Usage` for a value that the
 /// schema does not have.
-pub(crate) fn message(given: [&Texts; 3]) -> Result<proto::RemeshOptions> {
+pub(crate) fn message(given: &[&Texts]) -> Result<proto::RemeshOptions> {
     let mut fields = Fields::default();
-    for (name, text) in given.into_iter().flatten() {
+    for (name, text) in given.iter().copied().flatten() {
         let wrong = |must| Usage(format!("--{} is {text}; it must be {must}", name.replace('_', "-")));
         fields.set(name, text).map_err(wrong)?;
     }
@@ -45,13 +45,6 @@ pub(crate) fn words<T: Clone + Send + Sync + 'static>(all: Words<T>) -> impl Typ
         let known = all.iter().find(|(known, ..)| *known == word);
         known.map(|(.., value)| value.clone()).ok_or("is no such word")
     })
-}
-
-impl<A> Given<A> {
-    /// `value`, if the option `id` is set. Ids are the names of fields.
-    pub(crate) fn given<T>(&self, id: &str, value: T) -> Option<T> {
-        self.set.contains_key(id).then_some(value)
-    }
 }
 
 impl<A> Deref for Given<A> {

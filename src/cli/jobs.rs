@@ -50,7 +50,7 @@ enum JobsCommand {
     Get(IdArgs),
     /// Print what happens to a job, a line each, until it has ended.
     Watch(WatchArgs),
-    /// Wait until a job has ended: exit code 0 if it succeeded, 70 if not.
+    /// Wait until a job has ended, and print its warnings: exit code 0 if it succeeded, 70 if not.
     Wait(IdArgs),
     /// Cancel a job.
     Cancel(IdArgs),
@@ -290,20 +290,23 @@ fn watch(id: &str, after: u64, server: &ServerArgs) -> Result<()> {
 fn wait(id: &str, server: &ServerArgs) -> Result<()> {
     let mut progress = None;
     let waited = session(server, async |session| {
-        let job = session.job(id).await?;
-        if super::remote::has_ended(&job) {
-            return Ok(job);
-        }
+        let mut job = session.job(id).await?;
         let progress = progress.insert(Progress::begin(Path::new(&format!("job {}", &id[..8])), server.quiet));
-        progress.plan(plan(&job));
-        session.wait(id, progress).await
+        if !super::remote::has_ended(&job) {
+            progress.plan(plan(&job));
+            job = session.wait(id, progress).await?;
+        }
+        let figures = fetch::figures(session, &job, progress).await?;
+        Ok((job, figures))
     });
     drop(progress);
-    let job = waited.map_err(|error| match exit::code(&error) {
+    let (job, figures) = waited.map_err(|error| match exit::code(&error) {
         interrupt::CODE => error.context(format!("job {id} goes on; `tessera jobs cancel` ends it")),
         _ => error,
     })?;
-    server.tell(|| show::json_of(&job), Vec::new)?;
+    let mut told = show::json_of(&job);
+    fetch::warn(id, &figures, &mut told);
+    server.tell(|| told, Vec::new)?;
     show::why(&job).map_or(Ok(()), |why| Err(NoResult(format!("job {id} {why}")).into()))
 }
 

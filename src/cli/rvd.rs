@@ -13,8 +13,10 @@ use serde_json::Value;
 use tempfile::NamedTempFile;
 
 use super::exit::{NotWritten, Usage};
+use super::given::{self, Given};
 use super::picture::PictureArgs;
 use super::progress::{Plan, Progress};
+use super::remesh::args::{points, usage};
 use super::remesh::ms;
 use super::remote::{RvdResult, Sink, Wants};
 use super::say::SayArgs;
@@ -31,7 +33,10 @@ use geometry::token::Token;
 use jobs::executor::diagram::Diagram;
 use jobs::executor::prepared::{Input, Prepared};
 use jobs::{BackendInfo, memory};
-use server::config::{BackendArgs, count, whole};
+use server::config::{BackendArgs, whole};
+use wire::counts::Bounds;
+use wire::options::{self, Beside};
+use wire::proto::{DiagramOptions, RemeshOptions};
 
 #[derive(Args, Debug)]
 #[command(group(ArgGroup::new("of").required(true).args(["seeds", "points"])))]
@@ -43,7 +48,7 @@ pub(crate) struct RvdArgs {
     #[arg(long, value_name = "FORMAT", value_parser = files::format())]
     input_format: Option<Format>,
     #[command(flatten)]
-    seeds: SeedArgs,
+    seeds: Given<SeedArgs>,
     #[command(flatten)]
     files: FileArgs,
     #[command(flatten, next_help_heading = "Picture")]
@@ -65,9 +70,9 @@ pub(super) struct SeedArgs {
     /// The seeds, `x y z` a line.
     #[arg(long, value_name = "FILE.xyz")]
     pub(super) seeds: Option<PathBuf>,
-    /// Number of seeds to draw instead.
-    #[arg(long, value_name = "N", value_parser = count, allow_negative_numbers = true)]
-    pub(super) points: Option<u32>,
+    /// Number of seeds to draw instead: 1000, 10k, or 50% of the surface's vertices.
+    #[arg(long, value_name = "N|P%", value_parser = points, allow_negative_numbers = true)]
+    pub(super) points: Option<String>,
     /// Random seed of the points.
     #[arg(long, value_name = "N", default_value_t = Seeds::RANDOM_SEED, value_parser = whole::<u64>)]
     pub(super) seed: u64,
@@ -87,12 +92,26 @@ struct FileArgs {
     report: Option<PathBuf>,
 }
 
+impl Given<SeedArgs> {
+    /// The options that are set, without outputs, and the seeds of them; given ones are empty. Errors: what cannot be
+    /// whatever the surface.
+    pub(super) fn asked(&self) -> Result<(DiagramOptions, Seeds)> {
+        let RemeshOptions { points, points_percent, seed, .. } = given::message(&[&self.set])?;
+        let message = DiagramOptions { points, points_percent, seed, outputs: Vec::new() };
+        let beside = Beside { seeds: self.seeds.is_some().then_some(0), ..Beside::default() };
+        let diagram = options::diagram(&message, beside, &Bounds::WIDEST).map_err(usage)?;
+        Ok((message, diagram.seeds))
+    }
+}
+
 impl RvdArgs {
-    pub(super) fn seeds(&self) -> Result<Seeds> {
-        let SeedArgs { seeds, points, seed } = &self.seeds;
-        Ok(match seeds {
+    /// The seeds for a surface.
+    pub(super) fn seeds(&self, mesh: &TriMesh) -> Result<Seeds> {
+        let (_, mut seeds) = self.seeds.asked()?;
+        seeds.resolve(mesh);
+        Ok(match &self.seeds.seeds {
             Some(path) => Seeds::Given(files::read_points(path)?),
-            None => Seeds::Sample { points: points.unwrap_or(1) as usize, seed: *seed },
+            None => seeds,
         })
     }
 }
@@ -107,7 +126,7 @@ fn work(args: &RvdArgs) -> Result<()> {
     let server = args.at.server()?;
     let mut progress = Progress::begin(&args.input, args.say.quiet);
     let mesh = files::Surface::new(&args.input, args.input_format).read_mesh()?;
-    let seeds = args.seeds()?;
+    let seeds = args.seeds(&mesh)?;
     let read_ms = ms(start);
     let FileArgs { output, centroids, report } = &args.files;
     // Without any file the sums give the figures.

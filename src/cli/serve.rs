@@ -22,7 +22,7 @@ use geometry::rvd::BackendChoice;
 use geometry::token::Token;
 use jobs::blob::BlobOptions;
 use jobs::executor::api::{JobApi, JobApiError};
-use jobs::executor::{NodeOptions, host_name};
+use jobs::executor::{DatabaseOptions, NodeOptions, host_name};
 use jobs::memory;
 use jobs::store::StoreError;
 use jobs::{Backends, Ceilings, Engine, EngineOptions, Executor, ExecutorOptions, JobError, LossPolicy, Stores};
@@ -48,7 +48,9 @@ async fn stores(config: &ServeConfig) -> Result<Stores> {
     std::fs::create_dir_all(folder).map_err(cannot)?;
     let stores = match (&config.database, &config.bucket) {
         (Some((url, password)), Some(bucket)) => {
-            Stores::in_database(&config.node, url, password.clone(), bucket, room).await
+            let (node, may_lose) = (config.node.as_str(), config.store_may_lose);
+            let database = DatabaseOptions { node, url, password: password.clone(), may_lose };
+            Stores::in_database(database, bucket, room, (folder.join("cache"), config.cache_bytes)).await
         }
         (_, None) => Stores::in_folder(folder.clone(), room).await,
         (None, Some(url)) => Stores::in_bucket(folder.clone(), url, room).await,
@@ -194,8 +196,8 @@ async fn serve(args: &ServeArgs, config: ServeConfig, tls: Option<Arc<Tls>>, met
     let http = bind("--http-listen", calls(&config.http)).await?;
     let operators = bind("--admin-listen", &config.admin).await?;
     let address = listener.as_ref().map(TcpListener::local_addr).transpose().context("asking for the port")?;
-    if let Some(address) = address {
-        executor.advertise(config.advertise.clone().unwrap_or_else(|| advertised(address, tls.is_some())));
+    if let Some((address, cluster)) = address.zip(executor.cluster()) {
+        cluster.advertise(config.advertise.clone().unwrap_or_else(|| advertised(address, tls.is_some())));
     }
     let executor: Arc<dyn JobApi> = Arc::new(executor);
     tracing::info!(

@@ -10,7 +10,7 @@ use super::remesh::RemeshArgs;
 use super::rvd::RvdArgs;
 use geometry::cvt::CvtOptions;
 use geometry::mesh::shapes::Shape;
-use geometry::remesh::{RemeshOptions, Seeds};
+use geometry::remesh::{RemeshOptions, Seeds, Share};
 use wire::counts::Bounds;
 use wire::options::{self, Beside};
 use wire::{fields, proto};
@@ -86,8 +86,33 @@ fn sessions_and_diagrams_have_the_library_s_defaults() {
     assert_eq!(format!("{:?}", service.options), format!("{:?}", CvtOptions::default()));
     let message = proto::DiagramOptions { points: Some(5), ..Default::default() };
     let service = options::diagram(&message, Beside::default(), &Bounds::of_library()).unwrap();
-    let command = arguments::<RvdArgs>(&["in.ply", "--points", "5"]).seeds().unwrap();
-    assert_eq!(format!("{:?}", service.seeds), format!("{command:?}"));
+    let mesh = Shape::Sphere.build(200);
+    let seeds = |points: &str| arguments::<RvdArgs>(&["in.ply", "--points", points]).seeds(&mesh);
+    assert_eq!(format!("{:?}", service.seeds), format!("{:?}", seeds("5").unwrap()));
+    // As people say numbers.
+    let vertices = mesh.positions().len();
+    for (text, points) in [("1k", 1000), ("1,000", 1000), ("50%", vertices.div_ceil(2)), ("1e-9%", 1)] {
+        assert_eq!(seeds(text).unwrap().drawn(), Some(points), "{text}");
+    }
+    let told = seeds("1e9%").unwrap_err().to_string();
+    assert!(told.starts_with("--points is 1000000000 %; "), "{told}");
+}
+
+/// Percent of the vertices, where a session or a diagram is asked for.
+#[test]
+fn points_are_percent_of_the_vertices() {
+    let (points, points_percent) = (Some(5), Some(50.0));
+    let bounds = Bounds::of_library();
+    let diagram = |message| options::diagram(&message, Beside::default(), &bounds).map(|diagram| diagram.seeds);
+    let session = |message| options::session(&message, Beside::default(), &bounds).map(|session| session.seeds);
+    let half = Seeds::Share { of: Share::Percent(50.0), seed: 0 };
+    let asked = proto::DiagramOptions { points_percent, ..Default::default() };
+    assert_eq!(format!("{:?}", diagram(asked).unwrap()), format!("{half:?}"));
+    let asked = proto::CvtOptions { points_percent, ..Default::default() };
+    assert_eq!(format!("{:?}", session(asked).unwrap()), format!("{half:?}"));
+    diagram(proto::DiagramOptions { points, points_percent, ..Default::default() }).unwrap_err();
+    session(proto::CvtOptions { points, points_percent, ..Default::default() }).unwrap_err();
+    session(proto::CvtOptions { points_percent: Some(0.0), ..Default::default() }).unwrap_err();
 }
 
 /// A file of the repository, wherever this crate lies in it.

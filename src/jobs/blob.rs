@@ -7,6 +7,7 @@
 //! says what may be stored and removed; the rest of the room moves bytes. Must not know: what the bytes mean, jobs, or the
 //! wire.
 
+mod cache;
 mod chunk;
 mod digest;
 mod error;
@@ -30,4 +31,4 @@ pub use objects::ObjectBlobs;
 #[cfg(feature = "postgres")]
 pub(crate) use owners::MOST as MOST_OWNERS;
 pub use owners::Owner;
-pub use store::{BlobInfo, BlobOptions, BlobRead, BlobStore, ByteStream, READ_BYTES, Usage, put, put_of};
+pub use store::{BlobInfo, BlobOptions, BlobRead, BlobStore, ByteStream, CacheUse, READ_BYTES, Usage, put, put_of};

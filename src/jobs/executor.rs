@@ -8,6 +8,7 @@
 //! A job fails for crashes only if it was at work alone. Must not know: messages, clients, which store.
 
 pub mod api;
+mod cluster;
 pub mod diagram;
 mod fingerprint;
 mod input;
@@ -19,7 +20,6 @@ mod sharing;
 mod storage;
 pub mod streams;
 
-use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, OnceLock, Weak};
@@ -33,12 +33,10 @@ use crate::admission::estimate::{Counts, Need};
 use crate::admission::forecast::{Forecast, must_fit};
 use crate::blob::{BlobError, BlobOptions, BlobStore, ObjectBlobs, Owner};
 use crate::engine::{AdmissionRequest, Engine};
-use crate::executor::api::{Estimate, JobApi, JobApiError, Reuse};
+use crate::executor::api::{ClusterApi, Estimate, JobApi, JobApiError, Reuse};
 use crate::observe::preview::{PreviewReceiver, Previews};
 use crate::places::may_take;
-use crate::record::Bytes;
 use crate::record::event::{Events, Progress};
-use crate::record::state::State;
 use crate::record::{Change, FailureKind, Job, JobId, Outcome, Spec};
 use crate::store::shared::{Overview, Unschedulable};
 use crate::store::{
@@ -46,17 +44,15 @@ use crate::store::{
     StoreError,
 };
 use crate::{JobError, admission, lock};
+pub use cluster::{NodeOptions, host_name};
 use fingerprint::fingerprint;
 use geometry::token::Token;
 use sharing::{Leases, Numbers};
-pub use sharing::{NodeOptions, host_name};
 use storage::Storage;
 use wire::counts::Bounds;
 
 /// How often jobs that are over are looked for.
 const SWEEP: Duration = Duration::from_secs(1);
-/// How often a process of a shared store says that it is alive, in sweeps.
-const BEAT: u32 = 4;
 /// How often a storage that is well is checked, in sweeps.
 const STORAGE_CHECK: u32 = 5;
 /// Sweeps between two looks for abandoned uploads.
@@ -103,6 +99,19 @@ impl ExecutorOptions {
     }
 }
 
+/// A database that several servers share.
+#[derive(Clone, Debug)]
+pub struct DatabaseOptions<'a> {
+    /// This server's name among them.
+    pub node: &'a str,
+    /// `postgres://USER@HOST/DATABASE`.
+    pub url: &'a str,
+    /// A file with its password, if the URL has none.
+    pub password: Option<PathBuf>,
+    /// Whether a crash or a failover of the database may lose jobs that were acknowledged.
+    pub may_lose: bool,
+}
+
 #[derive(Clone)]
 pub struct Stores {
     pub jobs: Arc<dyn JobStore>,
@@ -134,29 +143,28 @@ impl Stores {
         }
     }
 
-    /// Jobs in a PostgreSQL database that several servers share; blobs in a bucket, as in [`Self::in_bucket`]. `password` is a
-    /// file, if the URL has none; `node` is this server's name among them. Errors: why database or bucket cannot be used.
+    /// Jobs in a PostgreSQL database that several servers share; blobs in a bucket, as in [`Self::in_bucket`]. `copies` is a folder for
+    /// copies of blobs, and how many bytes they may take. Errors: why database or bucket cannot be used.
     pub async fn in_database(
-        node: &str,
-        database: &str,
-        password: Option<PathBuf>,
+        database: DatabaseOptions<'_>,
         bucket: &str,
         blobs: BlobOptions,
+        (copies, copies_bytes): (PathBuf, u64),
     ) -> Result<Self, JobApiError> {
         #[cfg(all(feature = "postgres", feature = "s3"))]
         {
             use crate::postgres::{PostgresOptions, PostgresStore};
-            let options = PostgresOptions {
-                password_file: password,
-                ..PostgresOptions::new(database, sharing::unique_name(node)?)
-            };
+            let DatabaseOptions { node, url, password: password_file, may_lose } = database;
+            let holder = cluster::unique_name(node)?;
+            let options = PostgresOptions { password_file, may_lose, ..PostgresOptions::new(url, holder) };
             let jobs = PostgresStore::open(options).await?;
             let blobs = ObjectBlobs::s3(jobs.index(), bucket, [], blobs).await?;
+            let blobs = blobs.with_cache(copies, copies_bytes).await?;
             Ok(Self { jobs: Arc::new(jobs), blobs: Arc::new(blobs) })
         }
         #[cfg(not(all(feature = "postgres", feature = "s3")))]
         {
-            let _ = (node, database, password, bucket, blobs);
+            let _ = (database, bucket, blobs, copies, copies_bytes);
             let cause = "this program was built without the feature postgres or s3".to_owned();
             Err(StoreError::Unusable { cause }.into())
         }
@@ -260,6 +268,7 @@ impl Executor {
         if is_shared {
             tokio::spawn(sharing::pull(Arc::downgrade(&inner)));
             tokio::spawn(sharing::renew(Arc::downgrade(&inner)));
+            tokio::spawn(cluster::beat(Arc::downgrade(&inner)));
         }
         Ok(Self { inner })
     }
@@ -300,8 +309,7 @@ async fn sweep(inner: Weak<Inner>) {
         {
             tracing::error!(%error, "uploads that nobody continues could not be let go of");
         }
-        let beats = sweeps % BEAT == 1;
-        let swept = match inner.sweeps(beats).await {
+        let swept = match inner.sweeps().await {
             Ok(true) => inner.expire().await,
             Ok(false) => continue,
             Err(error) => Err(error),
@@ -546,34 +554,22 @@ impl Inner {
         let counts = self.forecast.counts(spec, None).await?;
         self.within_bounds(&counts)?;
         let need = self.forecast.need(&counts);
-        match self.able(&need, spec).await? {
-            None if is_shared => {}
-            None => must_fit(&need, self.engine.memory())?,
-            // One that does may come: the job is told of it as long as it waits.
+        match self.why_not(&need, spec).await? {
+            // One that can may come: the job says so as long as it waits.
             Some(Unschedulable::NoServer | Unschedulable::NoGpu) => {}
-            Some(Unschedulable::TooLarge { .. }) => must_fit(&need, self.largest().await?)?,
+            None if is_shared => {}
+            _ => must_fit(&need, self.largest().await?)?,
         }
         Ok(need)
-    }
-
-    async fn able(&self, need: &Need, spec: &Spec) -> Result<Option<Unschedulable>, JobApiError> {
-        Ok(self.unschedulable(need.memory, spec.task().needs_gpu()).await?)
-    }
-
-    /// The memory of the largest server that does work: what jobs may need.
-    async fn largest(&self) -> Result<Bytes, JobApiError> {
-        let Some(overview) = self.overview().await else { return Ok(self.engine.memory()) };
-        let overview = overview?;
-        let of_workers = overview.members.iter().filter(|member| member.node.role.works());
-        Ok(of_workers
-            .map(|member| member.node.memory)
-            .max_by_key(|memory| (memory.host, memory.device))
-            .unwrap_or_else(|| self.engine.memory()))
     }
 }
 
 #[async_trait]
 impl JobApi for Executor {
+    fn cluster(&self) -> Option<&dyn ClusterApi> {
+        self.inner.shared().map(|_| self as &dyn ClusterApi)
+    }
+
     async fn create(&self, spec: Spec, reuse: Reuse) -> Result<Created, JobApiError> {
         let this = &self.inner;
         let begun = match this.shared() {
@@ -659,7 +655,7 @@ impl JobApi for Executor {
         let counts = self.inner.forecast.counts_by_surface(&spec, given).await?;
         let need = self.inner.forecast.need(&counts);
         let limits = self.inner.largest().await?;
-        let unschedulable = self.inner.able(&need, &spec).await?;
+        let unschedulable = self.inner.why_not(&need, &spec).await?;
         let in_bounds = self.inner.within_bounds(&counts).is_ok();
         Ok(Estimate {
             host_bytes: need.memory.host,
@@ -670,49 +666,6 @@ impl JobApi for Executor {
             fits: in_bounds && unschedulable.is_none() && (is_shared || need.memory.fits(limits)),
             unschedulable: unschedulable.map(|unschedulable| unschedulable.to_string()),
         })
-    }
-
-    async fn unschedulable(&self, job: &Job) -> Result<Option<String>, JobApiError> {
-        match self.inner.shared() {
-            Some(shared) if job.status.state == State::Queued => {
-                Ok(shared.unschedulable(job.id).await?.map(|unschedulable| unschedulable.to_string()))
-            }
-            _ => Ok(None),
-        }
-    }
-
-    async fn overview(&self) -> Option<Result<Arc<Overview>, JobApiError>> {
-        self.inner.overview().await.map(|overview| overview.map_err(JobApiError::from))
-    }
-
-    async fn streams_elsewhere(&self) -> Option<Option<String>> {
-        let inner = &self.inner;
-        if inner.options.node.role.works() && !*inner.drained.borrow() {
-            return None;
-        }
-        let overview = inner.overview().await.and_then(Result::ok);
-        let found = overview.iter().flat_map(|overview| &overview.members);
-        Some(
-            found
-                .filter(|member| member.works() && !member.node.address.is_empty())
-                .map(|member| member.node.address.clone())
-                .next(),
-        )
-    }
-
-    async fn share_calls(&self, open: BTreeMap<String, u32>) -> BTreeMap<String, u32> {
-        match self.inner.shared() {
-            Some(shared) => shared.share_calls(open).await.unwrap_or_default(),
-            None => BTreeMap::new(),
-        }
-    }
-
-    fn advertise(&self, address: String) {
-        drop(self.inner.address.set(address));
-    }
-
-    fn drained(&self) -> watch::Receiver<bool> {
-        self.inner.drained.subscribe()
     }
 
     async fn failed(&self) {

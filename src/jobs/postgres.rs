@@ -17,6 +17,7 @@ mod rows;
 mod upkeep;
 
 use std::collections::{BTreeMap, HashMap};
+use std::sync::atomic::{AtomicU32, Ordering};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
@@ -39,7 +40,7 @@ use crate::store::{
 };
 use index::PostgresIndex;
 use jobs::Work;
-use listen::Voice;
+use listen::{Ears, Voice};
 use pool::Database;
 
 /// A wait looks this often, woken or not: progress wakes nothing.
@@ -58,6 +59,8 @@ pub struct PostgresStore {
     /// Changes when jobs may have come to wait.
     work: Arc<watch::Sender<()>>,
     voice: Voice,
+    /// Servers that are alive beside this one.
+    others: Arc<AtomicU32>,
     listener: JoinHandle<()>,
     /// When the days of progress were last looked at.
     days: Mutex<Instant>,
@@ -71,11 +74,13 @@ impl PostgresStore {
         let index = Arc::new(PostgresIndex::new(database.clone(), options.same_use));
         let waiters = Arc::<Waiters>::default();
         let work = Arc::new(watch::Sender::new(()));
-        let heard = (Arc::clone(&waiters), Arc::clone(&work));
-        let listener = tokio::spawn(listen::listen(Database::apart(&options)?, heard));
+        let others = Arc::<AtomicU32>::default();
+        let ears = Ears { waiters: Arc::clone(&waiters), work: Arc::clone(&work), others: Arc::clone(&others) };
+        let listener = tokio::spawn(listen::listen(Database::apart(&options)?, ears));
         let voice = Voice::new(database.pool().clone(), Arc::clone(&waiters), Arc::clone(&work));
         let PostgresOptions { holder, silence, .. } = options;
-        Ok(Self { database, index, holder, silence, waiters, work, voice, listener, days: Mutex::new(Instant::now()) })
+        let days = Mutex::new(Instant::now());
+        Ok(Self { database, index, holder, silence, waiters, work, voice, others, listener, days })
     }
 
     async fn keep_days(&self) {
@@ -216,7 +221,11 @@ impl SharedStore for PostgresStore {
     }
 
     fn beat(&self, node: Node) -> Answer<'_, bool> {
-        connection!(self, |connection| cluster::beat(connection, &self.holder, &node))
+        connection!(self, |connection| async {
+            let (drain, others) = cluster::beat(connection, &self.holder, &node).await?;
+            self.others.store(others, Ordering::Relaxed);
+            Ok(drain)
+        })
     }
 
     fn sweeps(&self) -> Answer<'_, bool> {

@@ -18,7 +18,7 @@ const LOOK: Duration = Duration::from_secs(5);
 
 /// Work that waits or is done, in servers. `None` if no other server shares the store, or if the store does not answer.
 pub async fn scale(api: &dyn JobApi) -> Option<Value> {
-    let overview = api.overview().await?.ok()?;
+    let overview = api.cluster()?.overview().await.ok()?;
     let (nodes, capacity) = overview.capacity();
     // Two digits are enough for an autoscaler.
     let value = (overview.load() * 100.0).ceil() / 100.0;
@@ -28,11 +28,13 @@ pub async fn scale(api: &dyn JobApi) -> Option<Value> {
 
 /// Follows the store for as long as the server lives. Returns at once if no other server shares it.
 pub(crate) async fn follow(api: Arc<dyn JobApi>, metrics: Metrics, readiness: Readiness) -> Option<Infallible> {
-    let mut drained = api.drained();
+    let cluster = api.cluster()?;
+    let mut drained = cluster.drained();
     loop {
         readiness.set(Reason::Drained, *drained.borrow_and_update());
-        if let Ok(overview) = api.overview().await? {
-            metrics.cluster(&overview);
+        match cluster.overview().await {
+            Ok(overview) => metrics.cluster(&overview),
+            Err(_) => metrics.no_cluster(),
         }
         // Without a sender the executor is gone.
         tokio::select! {

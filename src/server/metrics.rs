@@ -63,6 +63,7 @@ struct Inner {
     device_losses: Counter,
     refusals: Family<Labels<1>, Counter>,
     blob_bytes: Family<Labels<1>, Gauge>,
+    blob_cache: Family<Labels<1>, Counter>,
     memory: Family<Labels<1>, Gauge>,
     memory_used: OnceLock<Arc<AtomicI64>>,
     not_ready: Family<Labels<1>, Gauge>,
@@ -146,6 +147,11 @@ impl Metrics {
             device_losses: plain(r, "tessera_device_losses", "Times that the device was lost"),
             refusals: plain(r, "tessera_refusals", "Calls and connections that were refused"),
             blob_bytes: add(r, "tessera_blob", b(), "Blobs that are kept, and what may be", Family::default()),
+            blob_cache: plain(
+                r,
+                "tessera_blob_cache",
+                "Whole blobs that were read, by whether the local disk had a copy",
+            ),
             memory: add(r, "tessera_memory", b(), "Memory for uploads and answers that wait", Family::default()),
             memory_used: OnceLock::new(),
             not_ready: plain(r, "tessera_not_ready", "1 for each reason why the server is not ready"),
@@ -191,6 +197,7 @@ impl Metrics {
         }
         self.condition(Condition::default());
         self.blobs(0, 0);
+        self.blob_cache(0, 0);
         self.probed(true, 0);
         self.probed(false, 0);
         for reason in [Refused::Queue, Refused::Memory, Refused::Streams, Refused::Draining, Refused::Connections] {
@@ -231,6 +238,13 @@ impl Metrics {
         }
     }
 
+    /// Whole blobs that were read since the start: with a copy on the local disk, and without.
+    pub fn blob_cache(&self, hits: u64, misses: u64) {
+        for (result, reads) in [("hit", hits), ("miss", misses)] {
+            self.0.blob_cache.get_or_create(&[("result", result)]).inner().store(reads, Ordering::Relaxed);
+        }
+    }
+
     /// Memory that streams share: where what is used can be read, and what there is.
     pub fn memory(&self, used: Arc<AtomicI64>, limit: u64) {
         let _ = self.0.memory_used.set(used);
@@ -246,6 +260,14 @@ impl Metrics {
     pub fn node(&self, node: &str, role: &str) {
         let labels = [("node", node.to_owned()), ("role", role.to_owned())];
         self.0.node.get_or_create(&labels).set(1);
+    }
+
+    /// Nothing is known of the other servers now.
+    pub fn no_cluster(&self) {
+        self.0.cluster_nodes.clear();
+        self.0.cluster_jobs.clear();
+        self.0.cluster_oldest.clear();
+        self.0.cluster_capacity.clear();
     }
 
     /// All servers that share the store, and all work.

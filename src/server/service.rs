@@ -39,7 +39,7 @@ use crate::hosts::Reach;
 use crate::lifecycle::{self, Step};
 use crate::metrics::Metrics;
 use crate::readiness::{Readiness, Reason};
-use jobs::blob::{BlobError, BlobStore};
+use jobs::blob::{BlobError, BlobStore, Digest};
 use jobs::executor::api::{JobApi, JobApiError};
 use jobs::executor::prepared::Input;
 use jobs::{Device, Engine, JobError};
@@ -133,6 +133,13 @@ pub enum RequestError {
         address.as_ref().map_or("create a job instead".to_owned(), |at| format!("ask {at}, or create a job"))
     )]
     Elsewhere { address: Option<String> },
+    #[error("the job is at work at the server {holder:?}, which alone shows its seeds; its events are here too")]
+    SeedsElsewhere { holder: String },
+    #[error(
+        "the server does no more streams; the last seeds of this one are the blob {seeds}, an array of three F64 for each: begin \
+         with them at another server"
+    )]
+    SessionEnded { seeds: Digest },
     #[error("the server's storage did not answer within {} s", .0.as_secs_f64())]
     Slow(Duration),
     #[error(transparent)]
@@ -188,7 +195,7 @@ pub async fn run(
     let gate = Gate::new(limits, phase.subscribe(), metrics.clone());
     let api = jobs.as_ref().map(|jobs| Arc::clone(&jobs.api));
     access.follow(engine.weights().clone(), api.clone(), &mut tasks);
-    let handlers = handlers::Handlers::new((engine.clone(), api.clone()), limits, budget.clone(), gate.clone());
+    let handlers = handlers::Handlers::new((engine.clone(), jobs.clone()), limits, budget.clone(), gate.clone());
     let info = Info { engine: engine.clone(), limits, readiness: readiness.clone(), about };
     let (health, health_service) = tonic_health::server::health_reporter();
     let names = names(jobs.is_some());

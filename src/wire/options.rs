@@ -83,11 +83,11 @@ pub fn fill(options: &mut dyn Start, points: Vec<DVec3>, edge_lengths: Option<Ve
 }
 
 /// The number of points that one of three options says.
-fn points(given: &proto::RemeshOptions) -> Read<Option<Points>> {
+fn points(count: Option<u32>, percent: Option<f64>, facets: Option<u32>) -> Read<Option<Points>> {
     let all = [
-        ("points", given.points.map(Points::Count)),
-        ("points_percent", given.points_percent.map(|percent| Points::Share(Share::Percent(percent)))),
-        ("facets", given.facets.map(|facets| Points::Share(Share::Facets(facets as usize)))),
+        ("points", count.map(Points::Count)),
+        ("points_percent", percent.map(|percent| Points::Share(Share::Percent(percent)))),
+        ("facets", facets.map(|facets| Points::Share(Share::Facets(facets as usize)))),
     ];
     let mut said = all.into_iter().filter_map(|(name, points)| Some((name, points?)));
     let first = said.next();
@@ -96,7 +96,7 @@ fn points(given: &proto::RemeshOptions) -> Read<Option<Points>> {
             Err(WireError::field(other, format!("is given beside {first}; give one of the two")))
         }
         (Some((name, Points::Share(Share::Percent(percent)))), None) if !(percent > 0.0 && percent <= MOST_PERCENT) => {
-            Err(WireError::field(name, format!("is {percent}; give a number above 0 and at most {MOST_PERCENT}")))
+            Err(WireError::field(name, format!("is {percent} %; give more than 0 % and at most {MOST_PERCENT} %")))
         }
         (Some((name, Points::Share(Share::Facets(0)))), None) => Err(WireError::field(name, "is 0; give at least 1")),
         _ => Ok(first.map(|(_, points)| points)),
@@ -115,7 +115,7 @@ enum Points {
 /// A remesh. Seeds and lengths or weights that are given beside the options are empty until [`fill`].
 pub fn remesh(given: &proto::RemeshOptions, beside: Beside, bounds: &Bounds) -> Read<RemeshOptions> {
     let usual = RemeshOptions::usual();
-    let points = points(given)?;
+    let points = points(given.points, given.points_percent, given.facets)?;
     let (seeds, density) = start(points, given.seed, given.density.as_ref(), beside, bounds)?;
     let steps = |path, steps: Option<u32>, usual: usize| match steps {
         Some(steps) => {
@@ -166,8 +166,9 @@ pub fn remesh(given: &proto::RemeshOptions, beside: Beside, bounds: &Bounds) -> 
 }
 
 pub fn session(given: &proto::CvtOptions, beside: Beside, bounds: &Bounds) -> Read<Session> {
-    let &proto::CvtOptions { points, seed, ref density, projection, max_seeds } = given;
-    let (seeds, density) = start(points.map(Points::Count), seed, density.as_ref(), beside, bounds)?;
+    let &proto::CvtOptions { points, points_percent, seed, ref density, projection, max_seeds } = given;
+    let points = self::points(points, points_percent, None)?;
+    let (seeds, density) = start(points, seed, density.as_ref(), beside, bounds)?;
     if let Some(most) = max_seeds {
         within("max_seeds", most.into(), first(&seeds, beside).unwrap_or(1), bounds.max_seeds)?;
     }
@@ -176,8 +177,9 @@ pub fn session(given: &proto::CvtOptions, beside: Beside, bounds: &Bounds) -> Re
 }
 
 pub fn diagram(given: &proto::DiagramOptions, beside: Beside, bounds: &Bounds) -> Read<Diagram> {
-    let &proto::DiagramOptions { points, seed, ref outputs } = given;
-    let (seeds, density) = start(points.map(Points::Count), seed, None, beside, bounds)?;
+    let &proto::DiagramOptions { points, points_percent, seed, ref outputs } = given;
+    let points = self::points(points, points_percent, None)?;
+    let (seeds, density) = start(points, seed, None, beside, bounds)?;
     let mut wanted = Outputs { cells: outputs.is_empty(), ..Outputs::default() };
     for (i, &output) in outputs.iter().enumerate() {
         match RvdOutput::try_from(output) {

@@ -8,6 +8,7 @@ mod lost;
 use std::process::{Command, Output, Stdio};
 
 use serde_json::Value;
+use tessera::mesh::io;
 use tessera::proto::{
     self, ArrayForm, BackendChoice, DensitySource, JobState, Placement, job_mesh, job_spec, result_format,
 };
@@ -87,6 +88,8 @@ fn wrong_options_are_wrong_usage() {
         ("jobs submit remesh in.off --points 9 --deadline-s 0", "seconds"),
         ("jobs submit rvd in.off --points 9 --format obj", "ply"),
         ("jobs submit rvd in.off", "--seeds"),
+        ("jobs submit rvd in.off --points 1e9%", "--points is 1000000000 %"),
+        ("jobs submit rvd in.off --points 0%", "--points"),
         ("jobs get 12", "32 hexadecimal digits"),
         ("jobs list --state done", "possible values"),
         ("jobs list --limit 0", "whole number from 1"),
@@ -198,6 +201,39 @@ fn every_option_arrives() {
     let seeds = spec.arrays.clone().unwrap().seeds.unwrap();
     assert_eq!((seeds.digest.clone(), seeds.form()), (digest(b"0 0 0\n"), ArrayForm::Text));
     assert_eq!(work.outputs, [2, 3]);
+    for (points, wanted) in [("10k", (Some(10_000), None)), ("12.5%", (None, Some(12.5)))] {
+        stage.ok(&format!("jobs submit rvd in.off --points {points} --seed 3"));
+        let work = stage.fake.created().0.spec.unwrap().work;
+        let Some(job_spec::Work::Rvd(work)) = work else { panic!("{work:?}") };
+        assert_eq!(((work.points, work.points_percent), work.seed), (wanted, Some(3)), "{points}");
+    }
+}
+
+/// A `.gltf` is sent with what the files beside it hold, packed or not.
+#[test]
+fn a_gltf_is_sent_with_its_buffers() {
+    let stage = Stage::new(Fake::default());
+    let numbers: Vec<u8> = [0f32, 0., 0., 1., 0., 0., 0., 1., 0.].iter().flat_map(|x| x.to_le_bytes()).collect();
+    let text = r#"{"asset":{"version":"2.0"},"meshes":[{"primitives":[{"attributes":{"POSITION":0}}]}],"nodes":[{"mesh":0}],
+        "scenes":[{"nodes":[0]}],"scene":0,"accessors":[{"bufferView":0,"componentType":5126,"type":"VEC3","count":3}],
+        "bufferViews":[{"buffer":0,"byteLength":36}],"buffers":[{"byteLength":36,"uri":"parts/a%20b.bin"}]}"#;
+    let name = |name: &str| stage.folder.path().join(name);
+    std::fs::create_dir(name("parts")).unwrap();
+    std::fs::write(name("parts/a b.bin"), &numbers).unwrap();
+    std::fs::write(name("one.gltf"), text).unwrap();
+    std::fs::write(name("one.gltf.gz"), io::pack_for(&name("one.gltf.gz"), text.into()).unwrap()).unwrap();
+    for file in ["one.gltf", "one.gltf.gz"] {
+        stage.ok(&format!("jobs submit remesh {file} --points 9"));
+        let spec = stage.fake.created().0.spec.unwrap();
+        let Some(job_mesh::Source::File(mesh)) = spec.mesh.unwrap().source else { panic!("no file") };
+        assert_eq!(mesh.format(), proto::MeshFormat::Gltf);
+        let sent = stage.fake.state().blobs[&mesh.digest].clone();
+        assert_eq!(io::decode(io::Format::Gltf, &sent).unwrap().area(), 0.5, "{file}");
+    }
+    std::fs::remove_file(name("parts/a b.bin")).unwrap();
+    for command in ["submit", "estimate"] {
+        stage.refused(&format!("jobs {command} remesh one.gltf --points 9"), 65, "parts/a");
+    }
 }
 
 #[test]
@@ -281,6 +317,36 @@ fn a_result_is_fetched_whole() {
     }
     let gone = Stage::new(Fake::ending(JobState::Succeeded, job(JobState::Succeeded)));
     gone.refused(&format!("jobs fetch {ID} -o out.ply"), 66, "no longer kept");
+}
+
+#[test]
+fn warnings_of_a_result_are_told_by_wait_and_by_fetch() {
+    let report = br#"{"warnings": [{"code": "gaps", "message": "it has\u001b 3 gaps; see `max_points`"}]}"#.to_vec();
+    let results = vec![result("mesh", b"mesh"), result("report", &report)];
+    let ended = proto::Job { results, ..job(JobState::Succeeded) };
+    let wait = format!("jobs wait {ID}");
+    for before in [JobState::Succeeded, JobState::Queued] {
+        let fake = Fake::ending(before, ended.clone());
+        [&b"mesh"[..], &report].into_iter().for_each(|bytes| fake.keep(bytes));
+        let stage = Stage::new(fake);
+        for line in [&wait, &format!("{wait} --quiet"), &format!("jobs fetch {ID} -q -o out.ply")] {
+            let (code, said, told) = stage.tell(line);
+            assert!(code == Some(0) && said.is_empty(), "{line}: {told}");
+            let warning = format!("tessera: warning: job {ID}: it has\u{fffd} 3 gaps; see --max-points");
+            assert_eq!(told.lines().filter(|line| *line == warning).count(), 1, "{line}: {told}");
+        }
+        let (_, said, told) = stage.tell(&format!("{wait} --json"));
+        let said: Value = serde_json::from_str(&said).unwrap();
+        assert_eq!((&said["warnings"][0]["code"], &said["state"]), (&"gaps".into(), &"succeeded".into()));
+        assert!(told.contains("3 gaps"), "{told}");
+    }
+    // A report that is gone takes nothing else along.
+    let fake = Fake::ending(JobState::Succeeded, ended);
+    fake.keep(b"mesh");
+    let stage = Stage::new(fake);
+    assert_eq!((stage.ok(&wait), stage.ok(&format!("jobs fetch {ID} -o out.ply"))), Default::default());
+    assert_eq!(std::fs::read(stage.folder.path().join("out.ply")).unwrap(), b"mesh");
+    stage.refused(&format!("jobs fetch {ID} --report r.json"), 66, "no such blob");
 }
 
 #[test]

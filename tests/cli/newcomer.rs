@@ -141,6 +141,9 @@ fn whole_numbers_may_have_an_exponent() {
     let remesh = report("remesh in.ply -o out.ply --points 1e2 --lloyd 1e0 --newton 0e0 --json");
     assert_eq!((&remesh["result"]["vertices"], remesh["iterations"].as_array().unwrap().len()), (&100.into(), 1));
     assert_eq!(report("rvd in.ply --points 2e1 --json")["seeds"], 20);
+    // Percent are of the vertices.
+    let vertices = remesh["input"]["vertices"].as_f64().unwrap();
+    assert_eq!(report("rvd in.ply --points 25% --json")["seeds"], (0.25 * vertices).round() as u64);
     assert!(tessera(folder.path(), "shape sphere --facets 1e3 -o s.ply").status.success());
 }
 

@@ -51,6 +51,37 @@ fn files_are_named_once() {
     assert_eq!(io::read(&surface).unwrap().positions().len(), 40);
 }
 
+/// Temporary files are beside the outputs, wherever these are, and where links lead.
+#[cfg(target_os = "linux")]
+#[test]
+fn outputs_may_be_on_another_file_system() {
+    let folder = tempfile::tempdir().unwrap();
+    let Ok(other) = tempfile::tempdir_in("/dev/shm") else { return };
+    io::write(&folder.path().join("in.ply"), &Shape::Sphere.build(200)).unwrap();
+    std::fs::write(other.path().join("old.ply"), "old").unwrap();
+    std::os::unix::fs::symlink(other.path().join("old.ply"), folder.path().join("link.ply")).unwrap();
+    let at = other.path().display();
+    let commands = [
+        format!(
+            "remesh in.ply -o {at}/a.ply --report {at}/a.json --picture {at}/a.png --picture-size 64x48 --points 40"
+        ),
+        format!("rvd in.ply -o {at}/cells.ply --centroids {at}/c.xyz --report {at}/c.json --points 40"),
+        format!("shape sphere --facets 100 -o {at}/s.obj.gz"),
+        "remesh in.ply -o link.ply --points 40 --overwrite".to_owned(),
+        format!("remesh in.ply {at}/a.ply --out-dir {at}/all --points 40"),
+    ];
+    for line in &commands {
+        let out = tessera(folder.path(), line);
+        assert!(out.status.success(), "{line}: {}", said(&out));
+    }
+    let mut written: Vec<_> = std::fs::read_dir(&other).unwrap().map(|file| file.unwrap().file_name()).collect();
+    written.sort();
+    assert_eq!(written, ["a.json", "a.ply", "a.png", "all", "c.json", "c.xyz", "cells.ply", "old.ply", "s.obj.gz"]);
+    assert!(folder.path().join("link.ply").is_symlink());
+    let same = ["a.ply", "old.ply", "all/in.ply"].map(|name| std::fs::read(other.path().join(name)).unwrap());
+    assert!(same[0] == same[1] && same[0] == same[2]);
+}
+
 #[test]
 fn a_surface_that_cannot_be_written_is_said_once() {
     let folder = tempfile::tempdir().unwrap();

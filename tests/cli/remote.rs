@@ -65,7 +65,7 @@ fn a_server_s_work_is_told_as_one_s_own() {
             assert!(lines.iter().any(|l| l.contains("iterations")), "{told}");
         }
     }
-    let line = "rvd in.ply --points 300 -o cells.ply";
+    let line = "rvd in.ply --points 50% -o cells.ply";
     let ((here, _), mine) = (tessera(folder.path(), line), read("cells.ply"));
     let (there, _) =
         tessera(folder.path(), &format!("{line} --endpoint http://localhost:{}", server.1.rsplit(':').next().unwrap()));

@@ -1,6 +1,5 @@
 //! Jobs that are kept, none of which is done: the tests say what becomes of each.
 
-use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
@@ -8,7 +7,6 @@ use jobs::blob::{BlobError, BlobStore, Digest};
 use jobs::executor::api::{Estimate, JobApi, JobApiError, Preview, Reuse};
 use jobs::record::event::Events;
 use jobs::record::*;
-use jobs::store::shared::Overview;
 use jobs::store::*;
 use tokio::sync::watch;
 
@@ -19,19 +17,12 @@ pub struct Idle {
     /// Why nothing can be stored.
     pub storage: watch::Sender<Option<BlobError>>,
     names: AtomicU64,
-    drained: watch::Sender<bool>,
 }
 
 impl Idle {
     /// `blobs` has the index of `store`.
     pub fn new(store: MemoryStore, blobs: Arc<dyn BlobStore>) -> Self {
-        Self {
-            store,
-            blobs,
-            storage: watch::Sender::new(None),
-            names: AtomicU64::new(0),
-            drained: watch::Sender::new(false),
-        }
+        Self { store, blobs, storage: watch::Sender::new(None), names: AtomicU64::new(0) }
     }
 
     async fn own(&self, tenant: &str, id: JobId) -> Result<Job, JobApiError> {
@@ -102,28 +93,6 @@ impl JobApi for Idle {
             fits: host_bytes <= 1000,
             ..Estimate::default()
         })
-    }
-
-    async fn unschedulable(&self, _: &Job) -> Result<Option<String>, JobApiError> {
-        Ok(None)
-    }
-
-    async fn overview(&self) -> Option<Result<Arc<Overview>, JobApiError>> {
-        None
-    }
-
-    async fn streams_elsewhere(&self) -> Option<Option<String>> {
-        None
-    }
-
-    async fn share_calls(&self, _: BTreeMap<String, u32>) -> BTreeMap<String, u32> {
-        BTreeMap::new()
-    }
-
-    fn advertise(&self, _: String) {}
-
-    fn drained(&self) -> watch::Receiver<bool> {
-        self.drained.subscribe()
     }
 
     async fn failed(&self) {

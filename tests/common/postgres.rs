@@ -132,7 +132,7 @@ impl Cluster {
         // A process that is killed loses nothing that the system has: without a power cut, a sync shows nothing.
         let settings = format!(
             "listen_addresses = '127.0.0.1'\nport = {port}\nunix_socket_directories = '{}'\nfsync = off\n\
-             max_connections = 200\nshared_buffers = 32MB\nautovacuum_naptime = 5s\n\
+             max_connections = 500\nshared_buffers = 32MB\nautovacuum_naptime = 5s\n\
              authentication_timeout = 3s\n",
             folder.display()
         );

@@ -4,7 +4,7 @@ use std::net::SocketAddr;
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
-use jobs::blob::BlobOptions;
+use jobs::blob::{BlobOptions, BlobStore};
 use jobs::{Backends, Engine, EngineOptions, Executor, ExecutorOptions, JobError, Stores};
 use rustls::pki_types::pem::PemObject;
 use rustls::pki_types::{CertificateDer, ServerName};
@@ -31,6 +31,7 @@ const PATIENCE: Duration = Duration::from_secs(120);
 pub struct House {
     pub http: SocketAddr,
     pub metrics: Metrics,
+    pub blobs: Arc<dyn BlobStore>,
     stop: Mutex<Option<oneshot::Sender<()>>>,
     served: tokio::task::JoinHandle<Result<(), ServeError>>,
 }
@@ -126,7 +127,7 @@ impl House {
             engine,
             worker,
             limits,
-            jobs: Some(Jobs { blobs, api: Arc::new(executor) }),
+            jobs: Some(Jobs { blobs: Arc::clone(&blobs), api: Arc::new(executor) }),
             tls,
             access,
             metrics: metrics.clone(),
@@ -137,7 +138,7 @@ impl House {
         let served = tokio::spawn(service::run(listener, parts, async {
             let _ = stopped.await;
         }));
-        Self { http, metrics, stop: Mutex::new(Some(stop)), served }
+        Self { http, metrics, blobs, stop: Mutex::new(Some(stop)), served }
     }
 
     /// Until keys that were just made are known.
@@ -182,6 +183,11 @@ pub struct Event {
 impl Answer {
     pub fn header(&self, name: &str) -> Option<&str> {
         self.headers.iter().find(|(known, _)| known == name).map(|(_, value)| value.as_str())
+    }
+
+    /// All values of a header.
+    pub fn all(&self, name: &str) -> Vec<&str> {
+        self.headers.iter().filter(|(other, _)| other == name).map(|(_, value)| value.as_str()).collect()
     }
 
     pub fn json(&self) -> Value {

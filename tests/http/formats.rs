@@ -3,7 +3,7 @@
 
 use std::io::Write as _;
 
-use serde_json::Value;
+use serde_json::{Value, json};
 use server::http::OPENAPI;
 use tessera::mesh::attributes::{Attributes, Scalar};
 use tessera::mesh::io::{Format, decode, encode, encode_with_attributes};
@@ -92,7 +92,48 @@ async fn warnings_come_with_the_answer() {
     let kept = post(&house, REMESH, &[], &file).await;
     assert_eq!((kept.status, kept.header("tessera-warning")), (200, None));
     let lost = post(&house, &format!("{REMESH}&to=stl"), &[], &file).await;
-    assert_eq!(lost.header("tessera-warning"), Some("not_held: this format cannot hold: scalar height"), "{lost:?}");
+    assert_eq!(lost.all("tessera-warning"), ["not_held: this format cannot hold: scalar height"], "{lost:?}");
+    house.stop().await;
+}
+
+/// With as many headers as clients take, and a surface whose report is gone.
+#[tokio::test(flavor = "multi_thread")]
+async fn warnings_come_with_the_result_of_a_job() {
+    let house = House::open().await;
+    let plain = String::from_utf8(encode(Format::Vtp, &Shape::Torus.build(500)).unwrap()).unwrap();
+    let file = |odd: usize| {
+        let array =
+            |k: usize| format!("<DataArray type=\"Float16\" Name=\"odd\u{e4}{k}\" format=\"ascii\">1</DataArray>");
+        plain.replace("</PointData>", &((0..odd).map(array).collect::<String>() + "</PointData>"))
+    };
+    for odd in [1, 16, 17, 300] {
+        let direct = post(&house, "/v1/remesh?points=60&format=vtp", &[], file(odd).as_bytes()).await;
+        let mesh = post(&house, "/v1/blobs", &[], file(odd).as_bytes()).await.json()["digest"].clone();
+        let spec = json!({ "mesh": mesh, "format": "vtp", "points": 60 });
+        let path =
+            post(&house, "/v1/jobs", &[], spec.to_string().as_bytes()).await.header("location").unwrap().to_owned();
+        let _ = get(&house, &format!("{path}/events"), &[]).await;
+        let result = format!("{path}/result");
+        let fetched = get(&house, &result, &[]).await;
+        for answer in [&direct, &fetched] {
+            let all = answer.all("tessera-warning");
+            assert_eq!((answer.status, all.len()), (200, odd.min(16)), "{answer:?}");
+            assert!(all[0].starts_with("left_aside: left aside: ") && all[0].contains("odd\u{e4}0"), "{}", all[0]);
+            let more = format!(" has {} more", odd - all.len() + 1);
+            assert_eq!(all.last().unwrap().starts_with("more: the report of job "), odd > 16, "{all:?}");
+            assert!(odd <= 16 || all.last().unwrap().ends_with(&more), "{all:?}");
+        }
+        assert_eq!(get(&house, &format!("{result}?name=report"), &[]).await.all("tessera-warning"), [""; 0]);
+
+        let report = get(&house, &path, &[]).await.json()["results"]["report"].as_str().unwrap().parse().unwrap();
+        let id = path.rsplit('/').next().unwrap();
+        house.blobs.unpin(&format!("result:{id}")).await.unwrap();
+        house.blobs.delete(report).await.unwrap();
+        let without = get(&house, &result, &[]).await;
+        assert_eq!((without.status, without.all("tessera-warning").len()), (200, 0), "{without:?}");
+        assert!(without.body == fetched.body);
+        assert_eq!(get(&house, &format!("{result}?name=report"), &[]).await.status, 404);
+    }
     house.stop().await;
 }
 

@@ -105,6 +105,10 @@ async fn nonsense_is_refused_and_costs_nobody_else() {
         (format!("GET /v1/jobs HTTP/1.1\r\nHost: localhost\r\n{many}\r\n"), &["431", "400"]),
         (format!("GET /{long} HTTP/1.1\r\nHost: localhost\r\n\r\n"), &["414", "431", "400"]),
         ("GET /v1/jobs HTTP/9.9\r\n\r\n".to_owned(), &["400", "505"]),
+        // A request of HTTP/1.1 names its host, whatever it asks for but a probe of health.
+        ("GET /v1/jobs HTTP/1.1\r\nConnection: close\r\n\r\n".to_owned(), &["400"]),
+        ("GET /none HTTP/1.1\r\nConnection: close\r\n\r\n".to_owned(), &["400"]),
+        ("POST /v1/blobs HTTP/1.1\r\nConnection: close\r\nContent-Length: 2\r\n\r\nhi".to_owned(), &["400"]),
         ("POST /v1/blobs HTTP/1.1\r\nHost: localhost\r\nContent-Length: -1\r\n\r\n".to_owned(), &["400"]),
         (
             "POST /v1/blobs HTTP/1.1\r\nHost: localhost\r\nContent-Length: 1\r\nContent-Length: 2\r\n\r\n".to_owned(),

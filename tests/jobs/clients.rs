@@ -380,7 +380,7 @@ fn an_index_whose_database_is_away_can_be_asked_again() {
     let id = UploadId::new(blob(1).0, 7);
     database.cluster.stop_immediate();
     let away = wait(index.admit(id, TERMS)).unwrap_err();
-    assert!(matches!(away, BlobError::Unavailable(_)) && away.is_temporary(), "{away}");
+    assert!(matches!(away, BlobError::Database(_)) && away.is_temporary(), "{away}");
     database.cluster.start();
     wait(index.admit(id, TERMS)).unwrap().unwrap();
     wait(index.publish(id, None)).unwrap();

@@ -31,6 +31,8 @@ mod postgres;
 mod random;
 mod reuse;
 #[cfg(all(unix, feature = "postgres"))]
+mod scaling;
+#[cfg(all(unix, feature = "postgres"))]
 mod shared;
 mod specs;
 mod states;

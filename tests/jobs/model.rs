@@ -326,7 +326,7 @@ pub async fn on_store(store: &dyn JobStore, step: Step) -> Option<(Gives, Option
                 let body = job.spec.message().labels["body"].parse().unwrap();
                 let digests: Vec<_> = result(body).blobs.into_values().collect();
                 match store.index().pin(None, &result_pin(job.id), &digests).await {
-                    Err(BlobError::Unavailable(_)) => return None,
+                    Err(BlobError::Unavailable(_) | BlobError::Database(_)) => return None,
                     pinned => drop(pinned.unwrap()),
                 }
             }

@@ -7,14 +7,15 @@ use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use futures_util::{StreamExt, TryStreamExt};
-use jobs::blob::{BlobOptions, Digest, ObjectBlobs, put_of};
+use jobs::blob::{BlobOptions, BlobStore, Digest, ObjectBlobs, put, put_of};
 use jobs::executor::api::{JobApi, JobApiError, Reuse};
 use jobs::postgres::PostgresStore;
 use jobs::record::state::State;
 use jobs::record::{Change, Job, JobId, Outcome, Spec};
-use jobs::store::{JobStore, StoreError};
+use jobs::store::{JobStore, StoreError, result_pin};
 use jobs::{Admission, AdmissionRequest, Engine, EngineOptions, Executor, ExecutorOptions, Pending, Retry, Stores};
 use needs::needs;
+use object_store::ObjectStoreExt;
 use object_store::memory::InMemory;
 use tessera::mesh::io::{self, Format};
 use tessera::mesh::shapes::Shape;
@@ -223,6 +224,68 @@ fn a_job_whose_lease_is_over_is_done_by_another_server() {
         surface(&done);
         assert!(b.stores.blobs.usage().await.unwrap().pinned_bytes > 0, "the result stays");
     });
+}
+
+/// As a server that was stopped (SIGSTOP) for longer than its lease leaves it: it stores and pins after another has done the job.
+#[needs(postgres)]
+#[test]
+fn what_a_server_stores_for_a_job_that_it_lost_is_collected() {
+    let (database, bucket) = (server::database(), Arc::new(InMemory::new()));
+    runtime().block_on(async {
+        let a = Node::shared("a", &database, &bucket, options()).await;
+        let b = Node::shared("b", &database, &bucket, options()).await;
+        let soon = BlobOptions { keep_unneeded: Duration::ZERO, ..BlobOptions::default() };
+        let sweeping = ObjectBlobs::shared_with(b.stores.jobs.index(), Arc::clone(&bucket), soon).await.unwrap();
+        let pinned = |id: JobId| {
+            let names = format!("select count(*) from tessera.pins where name = '{}'", result_pin(id));
+            database.sql(&names).parse::<usize>().unwrap()
+        };
+        let late = |id: JobId, what: &'static str| {
+            let blobs = Arc::clone(&a.stores.blobs);
+            async move { put(&*blobs, what.into(), Some(&result_pin(id))).await.unwrap().digest }
+        };
+        // One that another server has done.
+        let done = a.create((200, 50)).await;
+        let job = a.ended(done).await;
+        let Some(Outcome::Succeeded(result)) = &job.status.outcome else { panic!("{:?}", job.status) };
+        let count = result.blobs.len();
+        let mut lost = vec![late(done, "another result").await];
+        assert_eq!(pinned(done), count + 1);
+        // One that was cancelled, one that is no more, one that waits.
+        let busy = [a.occupy(), b.occupy()];
+        let [cancelled, deleted, waiting] = [a.create(LONG).await, a.create(LONG).await, a.create(LONG).await];
+        for id in [cancelled, deleted] {
+            a.executor.cancel(TENANT, id).await.unwrap();
+        }
+        a.stores.jobs.delete(deleted).await.unwrap();
+        lost.push(late(cancelled, "of a cancelled job").await);
+        lost.push(late(deleted, "of a deleted job").await);
+        lost.push(late(waiting, "of a job that waits").await);
+        sweeping.sweep().await.unwrap();
+        assert_eq!([done, cancelled, deleted, waiting].map(pinned), [count, 0, 0, 0]);
+        for digest in lost {
+            let path = format!("blobs/{}/{digest}", &digest.to_string()[..2]).into();
+            assert!(bucket.head(&path).await.is_err(), "its object is still there");
+        }
+        // A job at work keeps what is pinned for it.
+        drop(busy);
+        let running = b.until(waiting, |job| job.status.holder.is_some()).await.id;
+        late(running, "of the server at work, as far as anybody knows").await;
+        sweeping.sweep().await.unwrap();
+        assert_eq!(pinned(running), 1);
+        for digest in result.blobs.values() {
+            read(&*b.stores.blobs, *digest).await;
+        }
+        for node in [&a, &b] {
+            node.executor.cancel(TENANT, running).await.unwrap();
+            node.idle().await;
+        }
+    });
+}
+
+/// All bytes of a blob.
+async fn read(blobs: &dyn BlobStore, digest: Digest) -> Vec<bytes::Bytes> {
+    blobs.read(digest, 0..u64::MAX).await.unwrap().bytes.try_collect().await.unwrap()
 }
 
 #[needs(postgres)]

@@ -84,6 +84,22 @@ async fn every_kind_of_job_is_done() {
     assert_eq!(part(&job, "seeds.0005"), part(&job, "seeds"));
     assert_eq!(job.results.len(), 7, "{job:?}");
 
+    // As many seeds as a share of the vertices.
+    let quarter = 24 * mesh.positions().len().div_ceil(4);
+    let points_percent = Some(25.0);
+    let outputs = vec![RvdOutput::Centroids.into()];
+    let diagram = DiagramOptions { outputs, points_percent, ..DiagramOptions::default() };
+    let options = Some(CvtOptions { points_percent, ..CvtOptions::default() });
+    let step = CvtStep { iterations: 1, ..CvtStep::default() };
+    let commands = vec![CvtJobCommand { command: Some(cvt_job_command::Command::Step(step)) }];
+    for (work, named) in
+        [(job_spec::Work::Rvd(diagram), "centroids"), (job_spec::Work::Cvt(CvtJob { options, commands }), "seeds")]
+    {
+        let id = client.submit(JobSpec { work: Some(work), ..remesh(&digest, 1, 0) }).await;
+        let job = client.end(&id, LIMIT).await;
+        assert_eq!(client.read(&part(&job, named)).await.len(), quarter, "{named}");
+    }
+
     // Events from a number on: those that came before, without those up to it.
     let all = client.watch(&id, 0).await.unwrap();
     assert_eq!(client.watch(&id, 5).await.unwrap(), all.iter().filter(|e| e.number > 5).cloned().collect::<Vec<_>>());

@@ -408,16 +408,6 @@ fn odd_parts_refuse_no_file() {
     assert!(wrong.is_empty(), "{}", wrong.join("\n"));
 }
 
-/// Colours are from 0 to 1 or from 0 to 255.
-#[test]
-fn colours_that_are_none_are_told() {
-    for (light, told) in [("255 0.5 0", false), ("1 0.5 0", false), ("300 0.5 0", true), ("-1 0 0", true)] {
-        let text = format!("v 0 0 0 {light}\nv 1 0 0 {light}\nv 0 1 0 {light}\nf 1 2 3\n");
-        let loaded = decode_with_attributes(Format::Obj, text.as_bytes()).unwrap();
-        assert_eq!(!loaded.left_aside.is_empty(), told, "{light}: {:?}", loaded.left_aside);
-    }
-}
-
 /// What a file requires is read, or the file is refused.
 #[test]
 fn required_extensions_are_read_or_refuse_a_file() {

@@ -8,6 +8,7 @@ use glam::{DVec2, DVec3, dvec2, dvec3};
 use tessera::mesh::TriMesh;
 use tessera::mesh::attributes::{AttributeError, Attributes, ColourDepth, Colours, Normals, PerCorner, Scalar};
 use tessera::mesh::closest_point::ClosestPoint;
+use tessera::mesh::io::{Format, decode_with_attributes};
 use tessera::mesh::numbers::NumberType;
 use tessera::mesh::shapes::Shape;
 use tessera::remesh::{Remesh, RemeshError, RemeshOptions, Seeds, remesh};
@@ -236,6 +237,47 @@ fn charts_that_meet_themselves() {
             let doubled = texture.values.len() - done.mesh.positions().len();
             let along = seams * TAU * 1.4 / edge;
             assert!((doubled as f64) < 4.0 * along + 20.0, "{name} {points}: {doubled}, about {along} along seams");
+        }
+    }
+}
+
+/// Colours are from 0 to 1 or from 0 to 255, of a file and of arrays alike. Others stay as they are, with a warning.
+#[test]
+fn colours_of_another_range_are_kept_and_told() {
+    let mesh = Shape::Square.build(200);
+    let all = |light: [f64; 3], first: [f64; 3]| {
+        let mut all = vec![[light[0], light[1], light[2], 1.0]; mesh.positions().len()];
+        all[0][..3].copy_from_slice(&first);
+        all
+    };
+    let (bytes, dim) = ([255.0, 51.0, 0.0], [0.5, 0.25, 1.0]);
+    for (light, first, scale, outside) in [
+        (bytes, bytes, 255.0, 0),
+        ([255.0, 0.5, 0.0], bytes, 255.0, 0),
+        (dim, dim, 1.0, 0),
+        (dim, [2.0, 0.5, 0.0], 1.0, 1),
+        (dim, [255.0, 2.0, 0.0], 1.0, 2),
+        (bytes, [300.0, 0.0, -1.0], 1.0, 2 + 2 * (mesh.positions().len() - 1)),
+    ] {
+        let given = all(light, first);
+        let mut text = String::new();
+        for (p, c) in mesh.positions().iter().zip(&given) {
+            text += &format!("v {:?} {:?} {:?} {:?} {:?} {:?}\n", p.x, p.y, p.z, c[0], c[1], c[2]);
+        }
+        mesh.facets().iter().for_each(|f| text += &format!("f {} {} {}\n", f[0] + 1, f[1] + 1, f[2] + 1));
+        let read = decode_with_attributes(Format::Obj, text.as_bytes()).unwrap();
+        assert!(read.left_aside.is_empty(), "{:?}", read.left_aside);
+        let mut arrays = Attributes::new(&mesh);
+        arrays.set_colours(Colours { values: given.clone(), depth: ColourDepth::Float }).unwrap();
+        for attributes in [read.attributes, arrays] {
+            let kept = &attributes.colours().unwrap().values;
+            assert!(
+                kept.iter().zip(&given).all(|(kept, given)| (0..3).all(|k| kept[k] == given[k] / scale)),
+                "{first:?}"
+            );
+            let warnings = run(&mesh, attributes, 60).report.warnings;
+            let told = warnings.iter().find(|warning| warning.code == "colours_out_of_range");
+            assert_eq!(told.and_then(|told| told.count).unwrap_or(0), outside, "{light:?}, {first:?}: {warnings:?}");
         }
     }
 }

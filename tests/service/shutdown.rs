@@ -83,3 +83,33 @@ async fn nothing_but_admitted_work_uses_the_grace() {
     assert_eq!(upload.message().await.unwrap_err().code(), Code::Unavailable);
     assert_eq!(listed.message().await.unwrap_err().code(), Code::Unavailable);
 }
+
+/// A session that waits for a command ends with the server; its seeds are kept as a blob of its tenant.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_session_ends_with_the_blob_of_its_seeds() {
+    use cvt_request::Message as Ask;
+    let mut server = Server::start(long_grace()).await;
+    let (points, facets) = octahedron();
+    let seeds = spiral(9);
+    let (send, stream) = by_hand();
+    let wrap = |message| CvtRequest { message: Some(message) };
+    let header = CvtHeader { mesh: Some(mesh_header(&points, &facets)), seeds: 9, ..CvtHeader::default() };
+    send.send(wrap(Ask::Header(header))).await.unwrap();
+    for chunk in all_chunks(&points, &facets, &seeds) {
+        send.send(wrap(Ask::Chunk(chunk))).await.unwrap();
+    }
+    send.send(wrap(Ask::Start(CvtStart {}))).await.unwrap();
+    let mut session = server.client().await.cvt(stream).await.unwrap().into_inner();
+    session.message().await.unwrap().unwrap();
+    let blobs = server.idle.blobs.clone();
+    server.begin_stop();
+    let status = session.message().await.unwrap_err();
+    assert_eq!(status.code(), Code::Unavailable);
+    let words = status.message().split([' ', ',']);
+    let digest: Vec<jobs::blob::Digest> = words.filter_map(|word| word.parse().ok()).collect();
+    let bytes: Vec<u8> = seeds.iter().flat_map(|seed| seed.to_array()).flat_map(f64::to_le_bytes).collect();
+    assert_eq!(digest, [jobs::blob::Digest::of(&bytes)], "{}", status.message());
+    assert!(blobs.stat(digest[0]).await.is_ok());
+    drop(send);
+    server.ended().await.unwrap();
+}

@@ -1,6 +1,7 @@
 //! Promise: every stream of the service does its work end to end, through a real client.
 
 use crate::server::*;
+use server::config::Limits;
 use tessera::proto::*;
 use tokio_stream::StreamExt;
 
@@ -96,6 +97,45 @@ async fn remesh_gives_a_closed_surface_and_a_report() {
     assert_eq!(report["iterations"].as_array().unwrap().len(), 3);
     let timing = done.timing.unwrap();
     assert!(timing.compute_ms > 0.0 && timing.queue_ms >= 0.0);
+    server.stop().await.unwrap();
+}
+
+/// Of a diagram and of a session.
+#[tokio::test(flavor = "multi_thread")]
+async fn points_are_percent_of_the_vertices() {
+    let limits = Limits { max_seeds: 600, ..Limits::default() };
+    let server = Server::start(Setup { limits, ..Setup::default() }).await;
+    let mut client = server.client().await;
+    let (points, facets) = sphere(4);
+    let half = (points.len() / 2) as u64;
+    let diagram = |points_percent| {
+        use compute_rvd_request::Message as Ask;
+        let mut request = rvd_request(&points, &facets, &[], BackendChoice::Serial, &[RvdOutput::Centroids]);
+        let Some(Ask::Header(header)) = &mut request[0].message else { panic!("no header") };
+        header.options.as_mut().unwrap().points_percent = Some(points_percent);
+        request
+    };
+    let answers = ask_rvd(&mut client, diagram(50.0)).await.unwrap();
+    let Some(compute_rvd_response::Message::Done(done)) = answers.last() else { panic!("done comes last") };
+    assert_eq!(done.seeds, half);
+    let refused = ask_rvd(&mut client, diagram(1000.0)).await.unwrap_err();
+    assert!(refused.message().contains("options.points come to"), "{refused:?}");
+
+    use cvt_request::Message as Ask;
+    let options = CvtOptions { points_percent: Some(50.0), ..CvtOptions::default() };
+    let mesh = Some(mesh_header(&points, &facets));
+    let header = Ask::Header(CvtHeader { mesh, options: Some(options), ..CvtHeader::default() });
+    let chunks = all_chunks(&points, &facets, &[]).into_iter().map(Ask::Chunk);
+    let rest = [Ask::Start(CvtStart {}), Ask::Finish(Finish {})];
+    let all: Vec<_> = [header].into_iter().chain(chunks).chain(rest).map(cvt).collect();
+    let mut answers = client.cvt(tokio_stream::iter(all)).await.unwrap().into_inner();
+    let mut seeds = None;
+    while let Some(answer) = answers.message().await.unwrap() {
+        if let Some(cvt_response::Message::Done(done)) = answer.message {
+            seeds = Some(done.seeds);
+        }
+    }
+    assert_eq!(seeds, Some(half));
     server.stop().await.unwrap();
 }
 

@@ -21,10 +21,11 @@ pub(crate) struct Start {
 pub(crate) fn start(
     mesh: &TriMesh,
     density: &DensityOptions,
-    seeds: Seeds,
+    mut seeds: Seeds,
     steps: bool,
     token: &Token,
 ) -> Result<Start, RemeshError> {
+    seeds.resolve(mesh);
     let plan = plan(mesh, density, seeds.count(), token)?;
     let seeds = match seeds {
         Seeds::Sample { seed, .. } | Seeds::Implied { seed } | Seeds::Share { seed, .. } => {

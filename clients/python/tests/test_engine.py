@@ -172,6 +172,17 @@ def test_a_share_of_the_vertices_is_a_count(surface):
             tessera_remesh.remesh(*surface, points=points)
 
 
+def test_diagrams_and_steps_count_as_a_remesh_does(surface):
+    assert len(tessera_remesh.rvd(*surface, points="50%", pieces=False).areas) == len(surface[0]) // 2
+    assert len(tessera_remesh.rvd(*surface, points="0.1k", seed="7", pieces=False).areas) == 100
+    assert len(next(tessera_remesh.cvt(*surface, points="50%", lloyd=1.0)).seeds) == len(surface[0]) // 2
+    for wrong in ("many", 10.5, "0.5"):
+        with pytest.raises(InputError, match="points"):
+            tessera_remesh.rvd(*surface, points=wrong)
+        with pytest.raises(InputError, match="points"):
+            next(tessera_remesh.cvt(*surface, points=wrong))
+
+
 def test_files_come_and_go(surface, tmp_path):
     result = tessera_remesh.remesh(*surface, points=300, newton=0, attributes={"height": surface[0][:, 2]})
     for name in ("a.ply", "b.vtp", "c.ply.gz"):
@@ -226,6 +237,18 @@ def test_gaps_of_a_scalar_stay_gaps(surface):
     result = tessera_remesh.remesh(*surface, points=300, attributes={"height": height})
     carried, x = result.attributes.scalars["height"], result.vertices[:, 0]
     assert np.isnan(carried[x > 0.3]).all() and (carried[x < -0.3] == 1.0).all()
+
+
+def test_colours_of_another_range_are_kept_and_told(surface):
+    light = np.tile([0.5, 0.25, 1.0], (len(surface[0]), 1))
+    light[0] = [2, 0.5, 0]
+    bytes_of = np.tile([255, 51, 0], (len(surface[0]), 1))
+    for colours, most in ((bytes_of, 1), (bytes_of.astype(float), 1)):
+        kept = tessera_remesh.remesh(*surface, points=100, attributes=tessera_remesh.Attributes(colours=colours))
+        assert np.asarray(kept.attributes.colours).max() in (most, 255 * most)
+    with pytest.warns(tessera_remesh.RemeshWarning, match="neither from 0 to 1"):
+        kept = tessera_remesh.remesh(*surface, points=100, attributes=tessera_remesh.Attributes(colours=light))
+    assert kept.attributes.colours.max() >= 1
 
 
 def test_density_moves_points(surface):

@@ -113,7 +113,7 @@ def test_all_attributes_travel(surface, endpoint):
 
 def test_diagrams_and_steps(surface, endpoint):
     here = tessera_remesh.rvd(*surface, points=50, backend="parallel")
-    there = tessera_remesh.rvd(*surface, points=50, endpoint=endpoint)
+    there = tessera_remesh.rvd(*surface, points=50.0, endpoint=endpoint)
     for name in ("seeds", "centroids", "areas", "energies", "masses", "piece_faces", "piece_seeds", "piece_offsets"):
         assert np.array_equal(getattr(here, name), getattr(there, name)), name
     assert np.allclose(here.piece_vertices, there.piece_vertices, atol=1e-12)
@@ -210,7 +210,7 @@ def test_asyncio(surface, endpoint):
     async def work() -> list[tessera_remesh.Remesh]:
         async with AsyncClient(endpoint) as client:
             assert await client.read(await client.put(b"bytes")) == b"bytes"
-            cells = await client.rvd(*surface, points=20)
+            cells = await client.rvd(*surface, points="2e1")
             assert len(cells.areas) == 20
             return await asyncio.gather(*(client.remesh(*surface, 200, seed=seed) for seed in (0, 0, 1)))
 

@@ -19,6 +19,9 @@ use crate::server::ServerArgs;
 use geometry::mesh::io::Format;
 use wire::proto::{Job, job_spec};
 
+/// Its name among the blobs of a result.
+const REPORT: &str = "report";
+
 /// The longest report: some hundred bytes an iteration.
 const REPORT_BYTES: usize = 256 << 20;
 
@@ -49,10 +52,9 @@ pub(super) fn run(args: &FetchArgs, server: &ServerArgs) -> Result<()> {
         check(&job)?;
         let mut told = json!({ "id": id });
         // Warnings are of the whole result, whichever part is fetched.
-        let figures = match digest(&job, "report") {
-            Ok(digest) => Some(read_report(session, digest, &progress).await?),
-            Err(_) if report.is_none() => None,
-            Err(error) => return Err(error),
+        let figures = match report {
+            Some(_) => read_report(session, digest(&job, REPORT)?, &progress).await?,
+            None => figures(session, &job, &progress).await?,
         };
         if let Some(path) = output {
             let name = name.as_deref().unwrap_or(usual(&job));
@@ -64,19 +66,35 @@ pub(super) fn run(args: &FetchArgs, server: &ServerArgs) -> Result<()> {
             (told["name"], told["digest"]) = (name.into(), digest.into());
             (told["size_bytes"], told["file"]) = (size.into(), path.to_string_lossy().into());
         }
-        if let (Some(path), Some(figures)) = (report, &figures) {
-            files::write_json(path, figures)?;
+        if let Some(path) = report {
+            files::write_json(path, &figures)?;
             told["report"] = path.to_string_lossy().into();
         }
-        Ok((told, figures.unwrap_or_default()))
+        Ok((told, figures))
     });
     drop(progress);
     let (mut told, figures) = fetched?;
-    told_of(&figures).for_each(|(_, text)| errln!("tessera: warning: job {id}: {text}"));
+    warn(id, &figures, &mut told);
+    server.tell(|| told, Vec::new)
+}
+
+/// Prints the warnings of a report and enters them in what is told of the job.
+pub(super) fn warn(id: &str, figures: &Value, told: &mut Value) {
+    told_of(figures).for_each(|(_, text)| errln!("tessera: warning: job {id}: {text}"));
     if let Some(warnings) = figures.get("warnings") {
         told["warnings"] = warnings.clone();
     }
-    server.tell(|| told, Vec::new)
+}
+
+/// The report of a result. Null if it is not kept: the rest of the result is of use without it.
+pub(super) async fn figures(session: &mut Session<'_>, job: &Job, progress: &Progress) -> Result<Value> {
+    if !job.results.iter().any(|blob| blob.name == REPORT) {
+        return Ok(Value::Null);
+    }
+    match read_report(session, digest(job, REPORT)?, progress).await {
+        Err(error) if error.is::<Absent>() => Ok(Value::Null),
+        read => read,
+    }
 }
 
 fn check(job: &Job) -> Result<()> {

@@ -122,7 +122,7 @@ pub(super) struct RemeshWork {
 impl RemeshWork {
     pub(super) fn asked(&self) -> Result<Asked> {
         let Self { input, size, shape, steps, .. } = self;
-        let message = given::message([&size.set, &shape.set, &steps.set])?;
+        let message = given::message(&[&size.set, &shape.set, &steps.set])?;
         let beside = Beside { edge_lengths: size.sizes.is_some(), ..Beside::default() };
         options::remesh(&message, beside, &Bounds::WIDEST).map_err(usage)?;
         if let Input::File(path) = &input.input {
@@ -175,9 +175,8 @@ impl RvdWork {
             asked.spec.arrays = Some(JobArrays { seeds, ..JobArrays::default() });
         }
         asked.spec.work = Some(job_spec::Work::Rvd(DiagramOptions {
-            points: seeds.points,
-            seed: seeds.given("seed", seeds.seed),
             outputs: self.outputs.iter().map(|&output| output.into()).collect(),
+            ..seeds.asked()?.0
         }));
         Ok(asked)
     }

@@ -248,7 +248,8 @@ impl At<'_> {
     }
 
     fn diagram_options(&self) -> DiagramOptions {
-        DiagramOptions { points: self.surface.points(), seed: Some(self.random_seed), outputs: Vec::new() }
+        let (points, seed) = (self.surface.points(), Some(self.random_seed));
+        DiagramOptions { points, seed, ..DiagramOptions::default() }
     }
 
     async fn info(&self) -> Result<(), End> {

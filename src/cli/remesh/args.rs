@@ -200,7 +200,7 @@ const PLACEMENTS: Words<Placement> = &[
 ];
 
 /// A number of points, or percent of the vertices.
-fn points(text: &str) -> Result<String, String> {
+pub(crate) fn points(text: &str) -> Result<String, String> {
     match text.trim().strip_suffix('%') {
         Some(percent) => positive(percent).map(|_| text.to_owned()),
         None => count(text).map(|_| text.to_owned()),
@@ -212,15 +212,16 @@ pub(crate) fn usage(error: WireError) -> anyhow::Error {
     Usage(names::in_text(&text, flag).unwrap_or(text)).into()
 }
 
-/// `max_points` as `--max-points`.
+/// `max_points` as `--max-points`. Percent of the vertices are given as points.
 pub(crate) fn flag(name: &str) -> String {
+    let name = if name == "points_percent" { "points" } else { name };
     format!("--{}", name.replace('_', "-"))
 }
 
 impl RemeshArgs {
     /// The options that are set, and the library's of them. Arrays are empty. Errors: what cannot be whatever the surface.
     pub(crate) fn asked(&self) -> Result<(proto::RemeshOptions, RemeshOptions)> {
-        let message = given::message([&self.size.set, &self.shape.set, &self.steps.set])?;
+        let message = given::message(&[&self.size.set, &self.shape.set, &self.steps.set])?;
         let beside = Beside { edge_lengths: self.size.sizes.is_some(), ..Beside::default() };
         let options = options::remesh(&message, beside, &Bounds::of_library()).map_err(usage)?;
         Ok((message, options))

@@ -222,7 +222,8 @@ impl Attributes {
         Ok(())
     }
 
-    /// Takes colours. Numbers from 0 to 255, as some programs write, are divided by 255.
+    /// Takes colours. Numbers from 0 to 255, as some programs write, are divided by 255: whole numbers of which one exceeds 1,
+    /// or fractions of which most are at least 2. Others stay as they are.
     pub fn set_colours(&mut self, mut colours: Colours) -> Result<(), AttributeError> {
         check_count(COLOURS, colours.values.len(), self.vertices, "vertices")?;
         check_finite(COLOURS, &colours.values, |c| c.iter().all(|x| x.is_finite()))?;
@@ -308,21 +309,38 @@ impl Attributes {
     }
 }
 
-/// The least largest number of colours from 0 to 255: light may be a little brighter than 1.
+/// Most fractions from 0 to 255 are at least this. Light from 0 to 1 may be brighter than that, but in few places.
 const LEAST_BYTE: f64 = 2.0;
 
+/// Whether numbers are from 0 to 255, and not from 0 to 1.
+fn are_bytes(numbers: impl Iterator<Item = f64>) -> bool {
+    let (mut are_whole, mut exceeds_one, mut positive, mut large) = (true, false, 0usize, 0usize);
+    for x in numbers {
+        if !(0.0..=255.0).contains(&x) {
+            return false;
+        }
+        are_whole &= x.fract() == 0.0;
+        exceeds_one |= x > 1.0;
+        positive += usize::from(x > 0.0);
+        large += usize::from(x >= LEAST_BYTE);
+    }
+    if are_whole { exceeds_one } else { 2 * large >= positive }
+}
+
 impl Colours {
+    /// How many components a file with bytes cuts: they are not from 0 to 1.
+    pub(crate) fn outside(&self) -> usize {
+        // Half a step of bytes is their rounding.
+        let beyond = |x: &&f64| !(-0.5 / 255.0..=1.0 + 0.5 / 255.0).contains(*x);
+        self.values.iter().flatten().filter(beyond).count()
+    }
+
     /// Makes colours from 0 to 255 such from 0 to 1. Opacity may have either range.
     fn divide_bytes(&mut self) {
-        let bounds = |from: usize, to: usize| {
-            let all = self.values.iter().flat_map(move |colour| colour[from..to].iter().copied());
-            all.fold((0.0f64, 0.0f64), |(least, most), x| (least.min(x), most.max(x)))
-        };
-        let are_bytes = |(least, most): (f64, f64)| least == 0.0 && (LEAST_BYTE..=255.0).contains(&most);
-        let (light, opacity) = (are_bytes(bounds(0, 3)), are_bytes(bounds(3, 4)));
-        if !light {
+        if !are_bytes(self.values.iter().flat_map(|colour| colour[..3].iter().copied())) {
             return;
         }
+        let opacity = are_bytes(self.values.iter().map(|colour| colour[3]));
         for colour in &mut self.values {
             colour[..if opacity { 4 } else { 3 }].iter_mut().for_each(|x| *x /= 255.0);
         }
@@ -432,6 +450,16 @@ mod tests {
         for kept in [[1.0, 0.2, 0.0, 1.0], [1.5, 0.0, 0.0, 1.0], [300.0, 0.0, 0.0, 1.0], [255.0, -1.0, 0.0, 1.0]] {
             assert_eq!(set([kept; 4]).0, [kept; 4]);
         }
+        // A few places that are brighter than 1 do not make the rest black.
+        let mut lit = [[0.25, 0.5, 0.0, 1.0]; 4];
+        lit[3] = [2.0, 3.5, 1.0, 1.0];
+        assert_eq!(set(lit), (lit.to_vec(), ColourDepth::Float));
+        let mut dark = [[0.0, 1.0, 0.0, 1.0]; 4];
+        dark[3] = [2.0, 0.0, 0.0, 1.0];
+        assert_eq!(set(dark).0[3], [2.0 / 255.0, 0.0, 0.0, 1.0]);
+        let outside = |colour| Colours { values: vec![colour; 4], depth: ColourDepth::Float }.outside();
+        assert_eq!(outside([1.001, -0.001, 0.0, 1.0]), 0);
+        assert_eq!(outside([1.5, -1.0, 0.5, 255.0]), 12);
     }
 
     #[test]

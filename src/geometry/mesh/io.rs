@@ -444,7 +444,13 @@ fn decode_soup(format: Format, bytes: &[u8], wanted: bool) -> Result<Soup, DataE
     let room = bytes.len().saturating_mul(ROOM_RATIO).saturating_sub(fans.capacity() * size_of::<Fan>());
     let mut lists = vec![soup.facets.as_mut_slice()];
     lists.extend(soup.raw.corners_mut());
-    polygons::recut(&soup.positions, &mut lists, &fans, room);
+    let left = polygons::recut(&soup.positions, &mut lists, &fans, room);
+    if left > 0 {
+        let text = format!(
+            "{left} are not convex and too long, or beside many that cross themselves; they become fans around their first corner"
+        );
+        soup.raw.unreadable("polygons", text);
+    }
     Ok(soup)
 }
 

@@ -83,7 +83,7 @@ pub fn remesh(
         }
         done => done,
     })?;
-    done.report.warnings = warnings::of(&done.report);
+    done.report.warnings = warnings::of(&done.report, options.attributes.as_ref());
     Ok(done)
 }
 

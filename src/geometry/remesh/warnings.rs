@@ -1,17 +1,22 @@
 //! What a caller should know of a remesh that succeeded: data that changed or was dropped, and requests that were missed.
 //!
-//! Purpose: [`of`] reads the figures of a report and makes its warnings; readers and writers of files add theirs by
+//! Purpose: [`of`] reads the figures of a report and what the input carries, and makes warnings; readers and writers of files add theirs by
 //! `Warning::left_aside` and `Warning::not_held`. Invariant: each condition has one code, which does not change, and one
 //! sentence, made here, with names of options in backticks; every interface shows the same list. Must not know: how the figures
 //! came about, where warnings are shown.
 
 use super::report::{CountReason, LostReason, RefineEnd, Report, Warning};
+use crate::mesh::attributes::{Attributes, Colours};
 use crate::mesh::duplicates::InputKind;
 
-/// The warnings of a remesh, those of the input first.
-pub(super) fn of(report: &Report) -> Vec<Warning> {
+/// The warnings of a remesh of an input with `attributes`, those of the input first.
+pub(super) fn of(report: &Report, attributes: Option<&Attributes>) -> Vec<Warning> {
     let mut all = Vec::new();
     of_input(report, &mut all);
+    let colours = attributes.and_then(Attributes::colours).map_or(0, Colours::outside);
+    let outside = "numbers of colours are neither from 0 to 1 nor, with all others, from 0 to 255; they stay as they are, and \
+                   formats with bytes cut them";
+    counted(&mut all, "colours_out_of_range", colours, outside);
     of_count(report, &mut all);
     of_repair(report, &mut all);
     of_lost(report, &mut all);

@@ -2,7 +2,8 @@
 //!
 //! Purpose: [`need`] says how much memory and time a job takes, for admission and for fair queueing. Host bytes are fitted
 //! to measured runs (`tests/calibration.rs`; docs/performance.md has the figures). Device bytes are those of the plan that allocates.
-//! Invariant: pure, without clock or files. Monotone in every count, and nothing overflows.
+//! Invariant: pure, without clock or files. Monotone in every count, but for time in the first steps of a remesh; nothing
+//! overflows.
 //! Must not know: queues, records of jobs, how counts were found.
 
 use crate::observe::activity::Origin;
@@ -208,6 +209,15 @@ fn usual_pairs(counts: &Counts) -> u64 {
 /// Bytes of a session for each facet and each seed.
 const CVT_BYTES: (u64, u64) = (180, 650);
 
+/// Steps after which points are as even as they become. Of 0 to 100 steps with 3000 and 10,000 points.
+const EVEN_STEPS: f64 = 35.0;
+
+/// How much of their unevenness points keep after so many steps, from 1 to 0.
+fn uneven(steps: f64) -> f64 {
+    let left = |steps: f64| (-steps / 6.5).exp();
+    (left(steps) - left(EVEN_STEPS)).max(0.0)
+}
+
 /// By two threads of the machine in docs/performance.md, each microsecond; more threads take less.
 fn seconds(counts: &Counts, threads: usize) -> f64 {
     let (facets, points, steps) = (counts.facets as f64, counts.points as f64, counts.steps as f64);
@@ -225,11 +235,15 @@ fn seconds(counts: &Counts, threads: usize) -> f64 {
     let fit = if counts.placement == Placement::Fitted { 2.7 * facets + 4.5 * points } else { 0.0 };
     let measure = if counts.measures { 0.07e6 + 0.2 * facets + 1.5 * points } else { 0.0 };
     let cells = if counts.cells { 1.5 * (facets + points) } else { 0.0 };
+    // Points that few steps have moved leave slender facets to the repair, which looks at the input around each.
+    let repair = uneven(steps) * (160.0 * points + 110.0 * (facets * points).sqrt());
+    // Each set of seeds becomes a blob of its own.
+    let sets = 1e3 * counts.sets as f64;
     let (steps, other) = match counts.kind {
         // The dual and what comes after it look at a pair about ten times.
-        Kind::Remesh => (steps * step, density + 1.2 * facets + 7.5 * points + fit + measure + 10.0 * pairs),
+        Kind::Remesh => (steps * step, density + 1.2 * facets + 7.5 * points + fit + measure + 10.0 * pairs + repair),
         Kind::Rvd => (4.0 * step, density + 0.4 * facets + 0.5 * points + cells),
-        Kind::Cvt => (steps * step, density + 0.7 * facets + points),
+        Kind::Cvt => (steps * step, density + 0.7 * facets + points + sets),
     };
     let attempts = if counts.refines { 6.0 } else { 1.0 };
     // Steps are shared by all threads, the rest by some.

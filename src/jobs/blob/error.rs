@@ -57,6 +57,8 @@ pub enum BlobError {
     StorageFull,
     #[error("the blob storage failed: {0}; try again, and look at the server's log if it stays so")]
     Unavailable(String),
+    #[error("the database does not answer: {0}; try again, and look at the server's log if it stays so")]
+    Database(String),
 }
 
 impl BlobError {
@@ -69,6 +71,7 @@ impl BlobError {
                 | Self::TooManyUploads { .. }
                 | Self::StorageFull
                 | Self::Unavailable(_)
+                | Self::Database(_)
         )
     }
 

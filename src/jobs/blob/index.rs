@@ -11,9 +11,11 @@ mod promises;
 pub(crate) mod rules;
 
 use std::fmt::Debug;
+use std::sync::Arc;
 use std::time::{Duration, SystemTime};
 
 use async_trait::async_trait;
+use serde::{Deserialize, Serialize};
 
 pub use local::LocalIndex;
 
@@ -65,7 +67,42 @@ pub struct Published {
     pub replaced: Option<Owner>,
 }
 
-/// See the module's head. Every call may fail with `Unavailable`.
+/// How far an upload is in an object store.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Note {
+    /// The object store's name of the multipart upload; empty before the first part.
+    pub multipart: String,
+    /// The object store's names of the parts, in order.
+    pub parts: Vec<String>,
+    /// The bytes of all parts.
+    pub bytes: u64,
+    /// The state of the hash after these bytes, as hexadecimal digits; empty before the first part.
+    pub hash: String,
+}
+
+/// Notes of uploads, from which any process continues them. Every call may fail with `Unavailable` or `Database`; it is unknown then whether
+/// the note was changed.
+#[async_trait]
+pub trait UploadNotes: Send + Sync + Debug {
+    /// The note of an upload. `None` if there is no such upload.
+    async fn note(&self, upload: UploadId) -> Result<Option<Note>, BlobError>;
+
+    /// Writes the note of an upload that is admitted.
+    async fn begin(&self, _: UploadId) -> Result<(), BlobError> {
+        Ok(())
+    }
+
+    /// Replaces the note `from` by `to`. `false` if the note is another by now: another process has continued or ended the
+    /// upload, or is about to show its bytes.
+    async fn advance(&self, upload: UploadId, from: &Note, to: &Note) -> Result<bool, BlobError>;
+
+    /// Removes the note of an upload that ends.
+    async fn remove(&self, _: UploadId) -> Result<(), BlobError> {
+        Ok(())
+    }
+}
+
+/// See the module's head. Every call may fail with `Unavailable` or `Database`.
 #[async_trait]
 pub trait BlobIndex: Send + Sync + Debug {
     /// Enters what a storage has. No quota is checked. Gives the owners that count for nothing: their blob is not stored,
@@ -81,6 +118,12 @@ pub trait BlobIndex: Send + Sync + Debug {
     /// Enters an upload that another process began. Its room is not checked. Errors: `TooManyUploads`; `UploadNotFound` if the
     /// index is that process's too, and has it no more.
     async fn adopt(&self, upload: UploadId, places: usize) -> Result<(), BlobError>;
+
+    /// The notes of uploads in this index, if several processes share it: it then has every upload. Else the notes lie beside the
+    /// blobs.
+    fn notes(self: Arc<Self>) -> Option<Arc<dyn UploadNotes>> {
+        None
+    }
 
     /// The upload is continued now.
     async fn touch_upload(&self, upload: UploadId) -> Result<(), BlobError>;
@@ -127,6 +170,12 @@ pub trait BlobIndex: Send + Sync + Debug {
 
     /// Blobs that have been out of the index for `time`, and whose bytes no process reported as removed.
     async fn left(&self, time: Duration) -> Result<Vec<BlobInfo>, BlobError>;
+
+    /// Takes out blobs that were not used for `time`, and that no owner and no pin holds. The caller removes their bytes. Ends the pins
+    /// of results that no job has before.
+    async fn orphans(&self, _: Duration) -> Result<Vec<BlobInfo>, BlobError> {
+        Ok(Vec::new())
+    }
 
     /// The bytes of a blob that is out of the index are gone. If not, the blob is back, as the first to go.
     async fn removed(&self, blob: BlobInfo, gone: bool) -> Result<(), BlobError>;

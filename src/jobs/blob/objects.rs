@@ -16,6 +16,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use async_trait::async_trait;
+use bytes::Bytes;
 use futures_util::{StreamExt, TryStreamExt, stream};
 use object_store::local::LocalFileSystem;
 use object_store::memory::InMemory;
@@ -24,13 +25,14 @@ use object_store::path::Path;
 use object_store::{GetOptions, ObjectStore};
 use tokio::task::spawn_blocking;
 
+use super::cache::Cache;
 use super::chunk::{Chunk, UploadId, UploadStatus};
 use super::digest::{BLOBS, path_of};
 use super::error::{found, io, join, object};
 use super::index::{BlobIndex, LocalIndex, Stored};
 use super::reader::bytes_of;
 use super::staging::{Folder, Memory, Multipart, Staging};
-use super::store::{BlobInfo, BlobOptions, BlobRead, BlobStore, Usage};
+use super::store::{BlobInfo, BlobOptions, BlobRead, BlobStore, CacheUse, Usage};
 use super::upload::Uploads;
 use super::{BlobError, Digest, Owner};
 use changes::{Inner, Kind};
@@ -100,7 +102,7 @@ impl ObjectBlobs {
         store: Arc<S>,
         options: BlobOptions,
     ) -> Result<Self, BlobError> {
-        let staging = Multipart::new(&store, UPLOADS);
+        let staging = Multipart::new(&store, UPLOADS, Arc::clone(&index).notes());
         Self::open(store, Box::new(staging), Kind::Shared, options, index).await
     }
 
@@ -117,6 +119,17 @@ impl ObjectBlobs {
         Self::shared_with(index, Arc::new(super::s3::open(url, settings)?), options).await
     }
 
+    /// Keeps copies of blobs in a folder of this machine, up to `limit_bytes`; 0 is none. One process at a time may use the folder.
+    /// Errors: `StorageFull`, `Unavailable`.
+    pub async fn with_cache(self, folder: PathBuf, limit_bytes: u64) -> Result<Self, BlobError> {
+        let opened = spawn_blocking(move || Cache::open(folder, limit_bytes)).await.map_err(join)?;
+        let cache = opened.map_err(io("open the folder of copies of blobs"))?;
+        if limit_bytes > 0 {
+            let _ = self.0.cache.set(cache);
+        }
+        Ok(self)
+    }
+
     async fn open(
         objects: Arc<dyn ObjectStore>,
         staging: Box<dyn Staging>,
@@ -124,18 +137,7 @@ impl ObjectBlobs {
         options: BlobOptions,
         index: Arc<dyn BlobIndex>,
     ) -> Result<Self, BlobError> {
-        let mut stored = Stored::default();
-        let mut blobs = objects.list(Some(&Path::from(BLOBS)));
-        while let Some(blob) = blobs.try_next().await.map_err(object("look for blobs"))? {
-            match blob.location.filename().and_then(|name| name.parse::<Digest>().ok()) {
-                Some(digest) if path_of(&digest) == blob.location => {
-                    stored.blobs.push((BlobInfo { digest, size_bytes: blob.size }, changes::stamp_of(&blob)));
-                }
-                _ => tracing::warn!(path = %blob.location, "not a blob; left alone"),
-            }
-        }
-        drop(blobs);
-        stored.owners = marks::scan(&*objects).await?;
+        let mut stored = stored(&*objects).await?;
         stored.uploads = staging.scan().await?;
         let uploads = Uploads::default();
         stored.uploads.iter().for_each(|(id, _)| uploads.found(*id));
@@ -155,6 +157,23 @@ impl ObjectBlobs {
     {
         tokio::spawn(work(Arc::clone(&self.0))).await.map_err(join)?
     }
+}
+
+/// The blobs of a store and their owners.
+async fn stored(objects: &dyn ObjectStore) -> Result<Stored, BlobError> {
+    let mut stored = Stored::default();
+    let mut blobs = objects.list(Some(&Path::from(BLOBS)));
+    while let Some(blob) = blobs.try_next().await.map_err(object("look for blobs"))? {
+        match blob.location.filename().and_then(|name| name.parse::<Digest>().ok()) {
+            Some(digest) if path_of(&digest) == blob.location => {
+                stored.blobs.push((BlobInfo { digest, size_bytes: blob.size }, changes::stamp_of(&blob)));
+            }
+            _ => tracing::warn!(path = %blob.location, "not a blob; left alone"),
+        }
+    }
+    drop(blobs);
+    stored.owners = marks::scan(objects).await?;
+    Ok(stored)
 }
 
 fn open_folder(root: &FilePath, options: &BlobOptions) -> Result<(Arc<LocalFileSystem>, Folder, File), BlobError> {
@@ -211,14 +230,26 @@ impl BlobStore for ObjectBlobs {
             return Ok(BlobRead { info, range, bytes: stream::empty().boxed() });
         }
         let whole = (range == (0..info.size_bytes)).then_some(digest);
+        let cache = self.0.cache.get().filter(|_| whole.is_some());
+        if let Some(cache) = cache
+            && let Some(bytes) = cache.read(info).await
+        {
+            return Ok(BlobRead { info, range, bytes });
+        }
         // A whole blob is read to the end of what is there, which may be another end by now.
         let part = whole.is_none().then(|| range.clone().into());
         let wanted = GetOptions { range: part, ..GetOptions::default() };
         match found("open a blob", self.0.objects.get_opts(&path_of(&digest), wanted).await)? {
-            Some(opened) => Ok(BlobRead { info, range, bytes: self.0.clone().guarded(bytes_of(opened, whole)) }),
+            Some(opened) => {
+                let bytes = self.0.clone().guarded(bytes_of(opened, whole));
+                let bytes = match cache {
+                    Some(cache) => cache.copied(info, bytes),
+                    None => bytes,
+                };
+                Ok(BlobRead { info, range, bytes })
+            }
             None => {
-                // Another program removed it.
-                self.0.index.forget(digest).await?;
+                self.0.lose(digest).await?;
                 Err(BlobError::NotFound { digest })
             }
         }
@@ -283,6 +314,16 @@ impl BlobStore for ObjectBlobs {
 
     async fn sweep(&self) -> Result<usize, BlobError> {
         self.change(|inner| async move { inner.sweep().await }).await
+    }
+
+    async fn remember(&self, digest: Digest, bytes: &Bytes) {
+        if let Some(cache) = self.0.cache.get() {
+            cache.put(digest, bytes.clone()).await;
+        }
+    }
+
+    fn cache_use(&self) -> CacheUse {
+        self.0.cache.get().map(Cache::used).unwrap_or_default()
     }
 
     async fn check(&self) -> Result<(), BlobError> {

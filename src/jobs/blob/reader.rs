@@ -8,12 +8,12 @@ use std::fs::File;
 use std::io::{Read, Seek, SeekFrom};
 
 use bytes::Bytes;
-use futures_util::{StreamExt, stream};
-use object_store::{GetResult, GetResultPayload};
+use futures_util::{StreamExt, TryStreamExt, stream};
+use object_store::{GetResult, GetResultPayload, ObjectStore, ObjectStoreExt};
 use tokio::task::{JoinHandle, spawn_blocking};
 
-use super::digest::Tally;
-use super::error::{io, join, object};
+use super::digest::{Tally, path_of};
+use super::error::{found, io, join, object};
 use super::{BlobError, ByteStream, Digest, READ_BYTES};
 
 /// The bytes that were opened; if they are to be those of `whole`, that is looked at.
@@ -27,6 +27,20 @@ pub(super) fn bytes_of(opened: GetResult, whole: Option<Digest>) -> ByteStream {
             let pieces = bytes.map(|piece| piece.map_err(object("read a blob")));
             checked(pieces.flat_map(|piece| stream::iter(cut(piece))).boxed(), check)
         }
+    }
+}
+
+/// The bytes of a file that were looked at before.
+pub(super) fn bytes_of_file(file: File, length: u64) -> ByteStream {
+    file_pieces(file, 0, length, None)
+}
+
+/// Whether the bytes of a blob are stored, and right. Reads all of them.
+pub(super) async fn is_sound(objects: &dyn ObjectStore, digest: Digest) -> Result<bool, BlobError> {
+    let Some(opened) = found("open a blob", objects.get(&path_of(&digest)).await)? else { return Ok(false) };
+    match bytes_of(opened, Some(digest)).try_for_each(async |_| Ok(())).await {
+        Err(BlobError::Damaged { .. }) => Ok(false),
+        read => read.map(|()| true),
     }
 }
 

@@ -34,6 +34,11 @@ pub(super) trait Staging: Send + Sync {
     /// What is kept of an upload. `None` if there is nothing of it any more.
     async fn load(&self, id: UploadId) -> Result<Option<Box<dyn Part>>, BlobError>;
 
+    /// Removes what is left of uploads that have ended.
+    async fn sweep(&self) -> Result<(), BlobError> {
+        Ok(())
+    }
+
     async fn check(&self) -> Result<(), BlobError>;
 
     /// Removes what is kept of an upload, if anything is.
@@ -42,8 +47,13 @@ pub(super) trait Staging: Send + Sync {
 
 /// The bytes of one upload. After an error the part is of no use; [`Staging::load`] gives what is kept.
 #[async_trait]
-pub(super) trait Part: Send {
+pub(super) trait Part: Send + Sync {
     fn tally(&self) -> &Tally;
+
+    /// Whether no other process has continued or ended the upload.
+    async fn is_current(&self) -> Result<bool, BlobError> {
+        Ok(true)
+    }
 
     /// Adds bytes at the end; `crc32c` was checked.
     async fn append(&mut self, bytes: Bytes, crc32c: u32) -> Result<(), BlobError>;

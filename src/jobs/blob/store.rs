@@ -27,6 +27,11 @@ pub struct BlobOptions {
     pub keep_uploads: Duration,
     /// How long an idle upload keeps its place while others need one.
     pub keep_crowded_uploads: Duration,
+    /// How long a blob stays that no owner and no pin holds, and how long a process has to remove the bytes of one that goes, where
+    /// processes share an index.
+    pub keep_unneeded: Duration,
+    /// Between two looks for objects that such an index lacks.
+    pub scan_period: Duration,
     /// Whether the disk must have a blob before it is said to be stored. Without, a loss of power may lose blobs.
     pub fsync: bool,
     /// Bytes of the disk that stay free: for the journal, which must never find it full.
@@ -42,6 +47,8 @@ impl Default for BlobOptions {
             keep_uploads: Duration::from_secs(24 * 3600),
             // Twice the pause that a client may make between two pieces.
             keep_crowded_uploads: Duration::from_secs(120),
+            keep_unneeded: Duration::from_secs(3600),
+            scan_period: Duration::from_secs(24 * 3600),
             fsync: true,
             reserve_bytes: 64 << 20,
         }
@@ -69,6 +76,13 @@ pub struct Usage {
     pub limit_bytes: u64,
 }
 
+/// Reads of whole blobs since the start, by whether the local disk had them.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct CacheUse {
+    pub hits: u64,
+    pub misses: u64,
+}
+
 pub struct BlobRead {
     pub info: BlobInfo,
     /// What of it comes; within the blob.
@@ -82,7 +96,7 @@ pub struct BlobRead {
 /// An upload: [`begin`](Self::begin), [`write`](Self::write) at ascending offsets, [`finish`](Self::finish). After a
 /// cut connection or a restart, [`upload_status`](Self::upload_status) says where to go on.
 ///
-/// Every call may also fail with `Unavailable`.
+/// Every call may also fail with `Unavailable`, or with `Database` if the index is in one that does not answer.
 #[async_trait]
 pub trait BlobStore: Send + Sync + Debug {
     /// Begins an upload or goes on with one. Room for the whole size is kept from here on. Blobs may be evicted.
@@ -161,6 +175,14 @@ pub trait BlobStore: Send + Sync + Debug {
     /// Whether something could be stored now. It asks the storage each time. Errors: `StorageFull`.
     async fn check(&self) -> Result<(), BlobError>;
 
+    /// A hint: these are the bytes of a blob that was stored just now, and may be read soon.
+    async fn remember(&self, _: Digest, _: &Bytes) {}
+
+    /// How often copies on the local disk were of use.
+    fn cache_use(&self) -> CacheUse {
+        CacheUse::default()
+    }
+
     /// The quota.
     fn limit_bytes(&self) -> u64;
 
@@ -198,9 +220,13 @@ async fn put_upload(
     let mut attempts = 0;
     loop {
         match put_once(store, upload, limit, &bytes, pin).await {
-            // Another writer of the same upload gave up, or the blob was evicted before it could be pinned.
-            Err(BlobError::UploadNotFound { .. }) if attempts < 3 => attempts += 1,
-            result => return result,
+            // Another writer of the same upload gave up or went ahead, or the blob was evicted before it could be pinned.
+            Err(BlobError::UploadNotFound { .. } | BlobError::Incomplete { .. }) if attempts < 3 => attempts += 1,
+            Ok(info) => {
+                store.remember(digest, &bytes).await;
+                return Ok(info);
+            }
+            Err(error) => return Err(error),
         }
     }
 }

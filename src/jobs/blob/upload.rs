@@ -52,6 +52,10 @@ impl Uploads {
         Some(slot)
     }
 
+    pub(super) fn all(&self) -> Vec<UploadId> {
+        lock(&self.0).keys().copied().collect()
+    }
+
     /// The upload has become a blob or nothing.
     pub(super) fn remove(&self, id: &UploadId, slot: &mut Slot) {
         *slot = Slot::Gone;

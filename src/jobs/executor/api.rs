@@ -52,25 +52,6 @@ pub trait JobApi: Send + Sync {
     /// `Packed`; `Blob` if counts are not given and the input is not stored.
     async fn estimate(&self, spec: Spec, vertices: Option<u64>, facets: Option<u64>) -> Result<Estimate, JobApiError>;
 
-    /// Why no server that is alive does a queued job; `None` if one can.
-    async fn unschedulable(&self, job: &Job) -> Result<Option<String>, JobApiError>;
-
-    /// All servers and all work, if several servers share the store. A moment old.
-    async fn overview(&self) -> Option<Result<Arc<Overview>, JobApiError>>;
-
-    /// If this server does no streams, since it does no work or is to take no more: where one that does takes calls, if any is known.
-    async fn streams_elsewhere(&self) -> Option<Option<String>>;
-
-    /// This server takes calls at this address.
-    fn advertise(&self, address: String);
-
-    /// Tells how many calls are open here by key, and gives how many are at other servers that share the store; nothing if none
-    /// does, or if it does not answer.
-    async fn share_calls(&self, open: BTreeMap<String, u32>) -> BTreeMap<String, u32>;
-
-    /// Whether an operator wants this server to take no more work.
-    fn drained(&self) -> watch::Receiver<bool>;
-
     /// Ends if nothing can be kept any more: only a new process can go on.
     async fn failed(&self);
 
@@ -79,6 +60,36 @@ pub trait JobApi: Send + Sync {
 
     /// Takes nothing new and begins nothing more. Ends once nothing is at work; what waits is done after the next start.
     async fn drain(&self);
+
+    /// What there is more where several servers share the store.
+    fn cluster(&self) -> Option<&dyn ClusterApi> {
+        None
+    }
+}
+
+/// What there is more where several servers share a store.
+#[async_trait]
+pub trait ClusterApi: Send + Sync {
+    /// The process that has a job at work, if it is another one that shares the store: that one alone shows its seeds.
+    async fn at_work_elsewhere(&self, tenant: &str, id: JobId) -> Result<Option<String>, JobApiError>;
+
+    /// Why no server that is alive does a queued job; `None` if one can.
+    async fn unschedulable(&self, job: &Job) -> Result<Option<String>, JobApiError>;
+
+    /// All servers and all work, a moment old.
+    async fn overview(&self) -> Result<Arc<Overview>, JobApiError>;
+
+    /// If this server does no streams, since it does no work or is to take no more: where one that does takes calls, if any is known.
+    async fn streams_elsewhere(&self) -> Option<Option<String>>;
+
+    /// This server takes calls at this address.
+    fn advertise(&self, address: String);
+
+    /// Tells how many calls are open here by key, and gives how many are at the other servers; nothing if the store does not answer.
+    async fn share_calls(&self, open: BTreeMap<String, u32>) -> BTreeMap<String, u32>;
+
+    /// Whether an operator wants this server to take no more work.
+    fn drained(&self) -> watch::Receiver<bool>;
 }
 
 /// Whether a new job may be answered with an earlier one.

@@ -37,8 +37,8 @@ pub(super) fn fingerprint(wanted: &JobSpec, by: &BackendInfo, bounds: &Bounds) -
     // As many points as an adaptive remesh may add.
     bytes.extend(bounds.max_seeds.to_le_bytes());
     // Fields are encoded in the order of their numbers, and none of these has a map.
-    let (mesh, work, result, arrays) = (mesh.clone(), work.clone(), result.clone(), arrays.clone());
-    bytes.extend(JobSpec { mesh, work, result, arrays, ..JobSpec::default() }.encode_to_vec());
+    let (mesh, work, arrays) = (mesh.clone(), work.clone(), arrays.clone());
+    bytes.extend(JobSpec { mesh, work, result: *result, arrays, ..JobSpec::default() }.encode_to_vec());
     Digest::of(&bytes)
 }
 
@@ -90,13 +90,14 @@ mod tests {
             points_percent: Some(50.0),
             facets: Some(200),
         };
-        let rvd = DiagramOptions { points: Some(9), seed: Some(1), outputs: vec![1, 2] };
+        let rvd = DiagramOptions { points: Some(9), seed: Some(1), outputs: vec![1, 2], points_percent: Some(50.0) };
         let options = CvtOptions {
             points: Some(9),
             seed: Some(1),
             density: Some(density),
             projection: Projection::Surface.into(),
             max_seeds: Some(20),
+            points_percent: Some(50.0),
         };
         let point = Point { x: 0.5, y: 0.25, z: 0.125 };
         let edits = vec![

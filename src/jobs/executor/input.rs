@@ -279,6 +279,7 @@ impl Reader<'_> {
     /// Reads everything that a diagram or a session needs.
     pub(crate) fn input(&self, task: &Task, options: &mut dyn Start) -> Result<Input, WorkError> {
         let Surface { mesh, vertices, .. } = self.surface(task)?;
+        options.start().0.resolve(&mesh);
         self.fill(options, task, &vertices)?;
         let (seeds, density) = options.start();
         Ok(Input { mesh, density: density.clone(), seeds: seeds.clone(), creases: Vec::new(), attributes: None })

@@ -112,6 +112,19 @@ impl Work {
     }
 }
 
+fn unkept(unstored: StorageError) -> WorkError {
+    match unstored {
+        StorageError::Stopped(reason) => WorkError::from(reason),
+        StorageError::Blob(error) => {
+            let kind = match error {
+                BlobError::TooLarge { .. } => FailureKind::TooLarge,
+                _ => FailureKind::Unavailable,
+            };
+            failure(kind, format!("the result cannot be kept: {error}"))
+        }
+    }
+}
+
 struct AtWork {
     inner: Arc<Inner>,
     job: Job,
@@ -252,16 +265,18 @@ impl AtWork {
         }
         // A fault in between, of the index or of the bucket, is waited for as well. What is stored already is not stored again.
         let store = || inner.runtime.block_on(self.store(&parts));
-        inner.storage.patiently(&self.token, store).map_err(|unstored| match unstored {
-            StorageError::Stopped(reason) => WorkError::from(reason),
-            StorageError::Blob(error) => {
-                let kind = match error {
-                    BlobError::TooLarge { .. } => FailureKind::TooLarge,
-                    _ => FailureKind::Unavailable,
-                };
-                failure(kind, format!("the result cannot be kept: {error}"))
+        let result = inner.storage.patiently(&self.token, store).map_err(unkept)?;
+        // A server that was stopped for a while may have lost the job: its tenant gets nothing from here then.
+        if inner.shared().is_some() {
+            let (id, at) = (self.job.id, self.job.status.version);
+            match inner.runtime.block_on(inner.stores.jobs.renew(id, at, inner.options.lease)) {
+                Err(error) if is_outdated(&error) => return Err(WorkError::from(Stopped::Cancelled)),
+                _ => {}
             }
-        })
+        }
+        let give = || inner.runtime.block_on(self.give(&result));
+        inner.storage.patiently(&self.token, give).map_err(unkept)?;
+        Ok(result)
     }
 
     async fn store(&self, parts: &Parts) -> Result<ResultSet, BlobError> {
@@ -271,12 +286,16 @@ impl AtWork {
             let info = put(blobs, bytes.clone(), Some(&pin)).await?;
             result.blobs.insert(name.clone(), info.digest);
         }
-        // Before the job names it: a tenant sees only its own blobs.
+        Ok(result)
+    }
+
+    /// Before the job names its result: a tenant sees only its own blobs.
+    async fn give(&self, result: &ResultSet) -> Result<(), BlobError> {
+        let (blobs, pin) = (self.inner.stores.blobs.as_ref(), result_pin(self.job.id));
         let (owner, digests): (_, Vec<_>) =
             (Owner::of(&self.job.spec.tenant), result.blobs.values().copied().collect());
         blobs.pin_for(owner, &pin, &digests).await?;
-        blobs.claim(owner, &digests).await?;
-        Ok(result)
+        blobs.claim(owner, &digests).await
     }
 
     fn record_outcome(&self, outcome: Result<ResultSet, WorkError>) {

@@ -14,21 +14,18 @@ use futures_util::future::join_all;
 use super::storage::RETRY_PERIOD;
 use super::{ALONE_CHECK, Inner, is_outdated};
 use crate::lock;
-use crate::record::{Bytes, Change, Job, JobId};
-use crate::store::shared::{Node, Overview, Role, Unschedulable};
+use crate::record::{Change, Job, JobId};
 use crate::store::{Offer, Orphans, SharedStore, StoreError};
 use geometry::rvd::{BackendChoice, BackendKind};
 use geometry::token::Token;
 
 /// A process with room looks for work this often, woken or not.
 const POLL: Duration = Duration::from_secs(1);
-const GPU: BackendChoice = BackendChoice::Only(BackendKind::Gpu);
+pub(super) const GPU: BackendChoice = BackendChoice::Only(BackendKind::Gpu);
 /// Renewals in the time of a lease.
 const RENEWALS: u32 = 3;
 /// Looks for leases that are over, in the time of a lease.
 const RECOVERIES: u32 = 12;
-/// How long it is used what all servers have to do.
-const OVERVIEW: Duration = Duration::from_secs(2);
 /// How long the numbers of waiting jobs are used.
 const NUMBERS: Duration = Duration::from_secs(1);
 
@@ -149,28 +146,6 @@ pub(super) async fn end_preview(inner: Weak<Inner>, id: JobId) {
     }
 }
 
-/// How this process shows itself to others that share its store.
-#[derive(Clone, Debug, Default)]
-pub struct NodeOptions {
-    /// As operators call it.
-    pub name: String,
-    pub role: Role,
-    pub version: String,
-}
-
-/// The name of this machine.
-pub fn host_name() -> String {
-    let told = std::fs::read_to_string("/proc/sys/kernel/hostname").ok();
-    let host = told.or_else(|| std::env::var("HOSTNAME").ok()).unwrap_or_default();
-    Some(host.trim()).filter(|host| !host.is_empty()).unwrap_or("unknown").to_owned()
-}
-
-/// A name for the holder of leases that no other process has.
-#[cfg(all(feature = "postgres", feature = "s3"))]
-pub(super) fn unique_name(node: &str) -> Result<String, crate::admission::JobApiError> {
-    Ok(format!("{node} process {} {:08x}", std::process::id(), super::getrandom_u128()? as u32))
-}
-
 impl Inner {
     pub(super) fn shared(&self) -> Option<&dyn SharedStore> {
         self.stores.jobs.shared()
@@ -269,71 +244,6 @@ impl Inner {
             tracing::warn!(again, failed, "leases ran out: their processes went down, or cannot reach the database");
         }
         Ok(())
-    }
-
-    /// What this process says of itself to the others.
-    fn node(&self) -> Node {
-        let NodeOptions { name, role, version } = self.options.node.clone();
-        Node {
-            name,
-            role,
-            version,
-            address: self.address.get().cloned().unwrap_or_default(),
-            has_gpu: self.engine.backend(GPU).is_ok(),
-            places: if role.works() { u32::try_from(self.engine.places()).unwrap_or(u32::MAX) } else { 0 },
-            memory: self.engine.memory(),
-            at_work: u32::try_from(self.leases.len()).unwrap_or(u32::MAX),
-            planned: self.engine.planned(),
-        }
-    }
-
-    /// Says that this process is alive, and hears whether it is to take no more work.
-    async fn beat(&self, shared: &dyn SharedStore) {
-        match shared.beat(self.node()).await {
-            Ok(drain) => {
-                let differs = |now: &mut bool| std::mem::replace(now, drain) != drain;
-                if self.drained.send_if_modified(differs) {
-                    let text = if drain { "takes no more work, as an operator wants" } else { "takes work again" };
-                    tracing::info!("this server {text}");
-                }
-            }
-            Err(error) => tracing::debug!(%error, "the others do not hear that this server is alive"),
-        }
-    }
-
-    /// Whether this process sweeps now. In a shared store it says that it is alive besides, if `beats`.
-    pub(super) async fn sweeps(&self, beats: bool) -> Result<bool, StoreError> {
-        let Some(shared) = self.shared() else { return Ok(true) };
-        if beats {
-            self.beat(shared).await;
-        }
-        shared.sweeps().await
-    }
-
-    /// All servers and all work of a shared store, as they were a moment ago.
-    pub(super) async fn overview(&self) -> Option<Result<Arc<Overview>, StoreError>> {
-        let shared = self.shared()?;
-        let mut known = self.overview.lock().await;
-        if let Some((at, overview)) = &*known
-            && at.elapsed() < OVERVIEW
-        {
-            return Some(Ok(Arc::clone(overview)));
-        }
-        let read = shared.overview().await.map(Arc::new);
-        *known = read.as_ref().ok().map(|overview| (Instant::now(), Arc::clone(overview)));
-        Some(read)
-    }
-
-    /// Whether a server that is alive, or was within a day, could do a job that needs so much. `None` if this process alone does jobs.
-    pub(super) async fn unschedulable(
-        &self,
-        needs: Bytes,
-        needs_gpu: bool,
-    ) -> Result<Option<Unschedulable>, StoreError> {
-        match self.overview().await {
-            None => Ok(None),
-            Some(overview) => Ok(Unschedulable::of(&overview?.members, needs, needs_gpu)),
-        }
     }
 
     /// Jobs that wait in a shared store: a tenant's, and all. Up to a second old, this process's own new ones included.

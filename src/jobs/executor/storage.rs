@@ -72,7 +72,10 @@ impl Storage {
             match call() {
                 // An upload that another process ended, or that was lost with a crash of its index, is begun again.
                 Err(
-                    error @ (BlobError::StorageFull | BlobError::Unavailable(_) | BlobError::UploadNotFound { .. }),
+                    error @ (BlobError::StorageFull
+                    | BlobError::Unavailable(_)
+                    | BlobError::Database(_)
+                    | BlobError::UploadNotFound { .. }),
                 ) => {
                     if !matches!(error, BlobError::UploadNotFound { .. }) {
                         self.note(Some(error));

@@ -29,15 +29,16 @@ fn whole(value: u32) -> i32 {
     i32::try_from(value).unwrap_or(i32::MAX)
 }
 
-pub(super) async fn beat(connection: impl PgExecutor<'_>, holder: &str, node: &Node) -> StoreResult<bool> {
-    let drain = sqlx::query_scalar(
+/// Gives whether an operator wants this process to take no more work, and how many are alive beside it.
+pub(super) async fn beat(connection: impl PgExecutor<'_>, holder: &str, node: &Node) -> StoreResult<(bool, u32)> {
+    let (drain, others): (bool, i64) = sqlx::query_as(
         "insert into tessera.nodes as n (holder, name, role, version, address, class, places, host_bytes, device_bytes, \
          at_work, host_planned, device_planned, started, seen) \
          values ($1, $2, $3, $4, $5, $6, $7, $8, $9, $10, $11, $12, tessera.now_ms(), tessera.now_ms()) \
          on conflict (holder) do update set class = excluded.class, places = excluded.places, \
          host_bytes = excluded.host_bytes, device_bytes = excluded.device_bytes, at_work = excluded.at_work, \
          host_planned = excluded.host_planned, device_planned = excluded.device_planned, seen = excluded.seen \
-         returning n.drain",
+         returning n.drain, (select count(*) from tessera.nodes o where o.holder <> n.holder and o.seen > tessera.now_ms() - $13)",
     )
     .bind(text(holder))
     .bind(text(&node.name))
@@ -51,9 +52,10 @@ pub(super) async fn beat(connection: impl PgExecutor<'_>, holder: &str, node: &N
     .bind(whole(node.at_work))
     .bind(number(node.planned.host))
     .bind(number(node.planned.device))
+    .bind(away_ms())
     .fetch_one(connection)
     .await?;
-    Ok(drain)
+    Ok((drain, u32::try_from(others).unwrap_or(u32::MAX)))
 }
 
 /// Whether this process is the one that sweeps now; it has settled the shares of tenants then.

@@ -1,7 +1,7 @@
 //! The index of blobs in the database.
 //!
 //! Purpose: [`PostgresIndex`] is [`BlobIndex`] for several processes. [`admission`] makes room, [`blobs`] has pins, owners and
-//! removals, [`uploads`] the uploads. Each call is one short transaction; the rules are those of every index. Invariant: one
+//! removals, [`uploads`] the uploads, [`orphans`] what nothing needs. Each call is one short transaction; the rules are those of every index. Invariant: one
 //! admission at a time: all else only takes blobs and uploads away, turns an upload into its blob, or enters what is stored, so that
 //! the quota holds whenever it is looked at. Rows are locked in this order: an upload, blobs by their digests, then what
 //! belongs to them; what is locked in another order is skipped where it is not free. Only the database's clock counts.
@@ -9,9 +9,11 @@
 
 mod admission;
 mod blobs;
+mod orphans;
 mod uploads;
 
 use std::hash::{BuildHasher, RandomState};
+use std::sync::Arc;
 use std::time::Duration;
 
 use async_trait::async_trait;
@@ -19,7 +21,7 @@ use sqlx::PgTransaction;
 
 use super::pool::Database;
 use super::rows::{count, number};
-use crate::blob::index::{BlobIndex, Published, Room, Stored, Terms, Used};
+use crate::blob::index::{BlobIndex, Note, Published, Room, Stored, Terms, UploadNotes, Used};
 use crate::blob::{BlobError, BlobInfo, Digest, NO_OWNER, Owner, UploadId, Usage};
 use admission::Decision;
 pub(super) use blobs::{pin, unpin};
@@ -91,7 +93,10 @@ macro_rules! transaction {
 }
 
 fn unavailable(error: crate::store::StoreError) -> BlobError {
-    BlobError::Unavailable(error.to_string())
+    match error {
+        crate::store::StoreError::Unavailable { cause } => BlobError::Database(cause),
+        error => BlobError::Database(error.to_string()),
+    }
 }
 
 #[async_trait]
@@ -105,12 +110,12 @@ impl BlobIndex for PostgresIndex {
             let entered: Vec<Digest> = run!(self, blobs::enter(self.database.pool(), some))?;
             new.extend(entered);
         }
-        for (digest, owner) in stored.owners {
-            if new.contains(&digest) {
-                lost.extend(self.give(owner, digest).await?.map(|other| (digest, other)));
-            } else if !self.has(owner, digest).await? {
-                lost.push((digest, owner));
-            }
+        let (given, known): (Vec<_>, Vec<_>) = stored.owners.into_iter().partition(|(digest, _)| new.contains(digest));
+        for (digest, owner) in given {
+            lost.extend(self.give(owner, digest).await?.map(|other| (digest, other)));
+        }
+        for some in known.chunks(blobs::AT_ONCE) {
+            lost.extend(run!(self, blobs::not_owned(self.database.pool(), some))?);
         }
         run!(self, uploads::enter(self.database.pool(), &stored.uploads))?;
         Ok(lost)
@@ -134,6 +139,10 @@ impl BlobIndex for PostgresIndex {
     // What another process began is here already.
     async fn adopt(&self, upload: UploadId, _: usize) -> BlobResult<()> {
         run!(self, uploads::adopt(self.database.pool(), &upload))
+    }
+
+    fn notes(self: Arc<Self>) -> Option<Arc<dyn UploadNotes>> {
+        Some(self)
     }
 
     async fn touch_upload(&self, upload: UploadId) -> BlobResult<()> {
@@ -204,6 +213,11 @@ impl BlobIndex for PostgresIndex {
         transaction!(self, |work| blobs::left(work, time))
     }
 
+    async fn orphans(&self, time: Duration) -> BlobResult<Vec<BlobInfo>> {
+        transaction!(self, |work| orphans::unpin(work))?;
+        transaction!(self, |work| orphans::take(work, time))
+    }
+
     async fn removed(&self, blob: BlobInfo, gone: bool) -> BlobResult<()> {
         transaction!(self, |work| blobs::removed(work, blob, gone))
     }
@@ -241,5 +255,16 @@ impl BlobIndex for PostgresIndex {
 
     async fn usage(&self) -> BlobResult<Usage> {
         run!(self, admission::usage(self.database.pool()))
+    }
+}
+
+#[async_trait]
+impl UploadNotes for PostgresIndex {
+    async fn note(&self, upload: UploadId) -> BlobResult<Option<Note>> {
+        run!(self, uploads::note(self.database.pool(), &upload))
+    }
+
+    async fn advance(&self, upload: UploadId, from: &Note, to: &Note) -> BlobResult<bool> {
+        transaction!(self, |work| uploads::advance(work, &upload, (from, to), self.process))
     }
 }

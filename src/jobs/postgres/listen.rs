@@ -6,7 +6,9 @@
 //! may remain unsaid, and after a connection was lost something may have been missed; a wait polls besides. A notification also
 //! says whether a job came to wait, so that processes with room look for work. Progress is not said. Must not know: statements of operations.
 
+use std::hash::{BuildHasher, RandomState};
 use std::sync::Arc;
+use std::sync::atomic::{AtomicU32, Ordering};
 use std::time::Duration;
 
 use sqlx::PgPool;
@@ -26,6 +28,9 @@ const MOST_NAMES: usize = 200;
 const WAITING: usize = 1024;
 /// Between two notifications of this process.
 const MOMENT: Duration = Duration::from_millis(20);
+/// Processes that look at once for each job that came to wait, of many: that none does has a chance of `e^-8`, and then one looks
+/// within a second.
+const LOOKERS: f64 = 8.0;
 /// Between attempts to connect.
 const PAUSE: Duration = Duration::from_secs(1);
 
@@ -78,10 +83,18 @@ async fn speak(pool: PgPool, mut waiting: mpsc::Receiver<Said>) {
     }
 }
 
+/// What hears of changes.
+pub(super) struct Ears {
+    pub waiters: Arc<Waiters>,
+    pub work: Arc<watch::Sender<()>>,
+    /// Processes that are alive beside this one.
+    pub others: Arc<AtomicU32>,
+}
+
 /// Runs until it is aborted.
-pub(super) async fn listen(pool: PgPool, heard: (Arc<Waiters>, Arc<watch::Sender<()>>)) {
+pub(super) async fn listen(pool: PgPool, ears: Ears) {
     loop {
-        if let Err(error) = hear(&pool, &heard.0, &heard.1).await {
+        if let Err(error) = hear(&pool, &ears).await {
             tracing::debug!(%error, "nothing is heard from the database: waits poll");
         }
         tokio::time::sleep(PAUSE).await;
@@ -89,9 +102,10 @@ pub(super) async fn listen(pool: PgPool, heard: (Arc<Waiters>, Arc<watch::Sender
 }
 
 /// Ends when the connection does.
-async fn hear(pool: &PgPool, waiters: &Waiters, work: &watch::Sender<()>) -> Result<(), sqlx::Error> {
+async fn hear(pool: &PgPool, Ears { waiters, work, others }: &Ears) -> Result<(), sqlx::Error> {
     let mut listener = PgListener::connect_with(pool).await?;
     listener.listen(CHANNEL).await?;
+    let dice = RandomState::new();
     waiters.wake_all();
     work.send_replace(());
     while let Some(notification) = listener.try_recv().await? {
@@ -99,12 +113,21 @@ async fn hear(pool: &PgPool, waiters: &Waiters, work: &watch::Sender<()>) -> Res
         let names = payload.strip_prefix(WORK).unwrap_or(payload);
         let has_work = names != payload;
         let names: Result<Vec<JobId>, _> = names.split(',').map(str::parse).collect();
-        match names {
-            Ok(names) => waiters.wake(&names),
+        let jobs = match names {
+            Ok(names) => {
+                waiters.wake(&names);
+                names.len()
+            }
             // Too many for one notification.
-            Err(_) => waiters.wake_all(),
-        }
-        if has_work {
+            Err(_) => {
+                waiters.wake_all();
+                usize::MAX
+            }
+        };
+        let all = f64::from(others.load(Ordering::Relaxed)) + 1.0;
+        // From 0 to 1, another one in each process.
+        let draw = dice.hash_one(payload) as f64 / u64::MAX as f64;
+        if has_work && draw * all < LOOKERS * jobs as f64 {
             work.send_replace(());
         }
     }

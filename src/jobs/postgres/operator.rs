@@ -51,8 +51,11 @@ impl Operator {
     }
 
     pub async fn overview(&self) -> Result<Overview, StoreError> {
-        let mut connection = self.database.pool().acquire().await?;
-        cluster::overview(&mut connection).await
+        let overview = async {
+            let mut connection = self.database.pool().acquire().await?;
+            cluster::overview(&mut connection).await
+        };
+        self.database.run(overview).await
     }
 
     /// Wants all servers of this name to take no more work, or to take work again. Gives how many of them are alive.
@@ -60,11 +63,12 @@ impl Operator {
         cluster::drain(self.database.pool(), name, drain).await
     }
 
-    /// Jobs that failed since servers went down with them, the newest first, a thousand at most.
+    /// Jobs that failed since servers went down with them and that were not tried again, the newest first, a thousand at most.
     pub async fn dead(&self) -> Result<Vec<Job>, StoreError> {
         let rows: Vec<JobRow> = sqlx::query_as(
-            "select id, spec, status, null::bigint as until from tessera.jobs where state = $1 \
-             and status::jsonb #>> '{outcome,failed,kind}' = 'crashed' order by id desc limit $2",
+            "select id, spec, status, null::bigint as until from tessera.jobs j where state = $1 \
+             and status::jsonb #>> '{outcome,failed,kind}' = 'crashed' and not exists (select from tessera.requests r \
+             where r.tenant = j.tenant and r.request_id = 'requeue-' || encode(j.id, 'hex')) order by id desc limit $2",
         )
         .bind(State::Failed as i16)
         .bind(DEAD)
@@ -73,9 +77,18 @@ impl Operator {
         rows.into_iter().map(JobRow::job).collect()
     }
 
-    /// Makes a new job of what one was asked to do that failed since servers went down with it. The old one stays as it is. Errors: `NotFound` if there is no such job; `InputMissing` if its input is gone.
+    /// Makes a new job of what one was asked to do that failed since servers went down with it. The old one stays as it is, and
+    /// a second call gives the same new one. Errors: `NotFound` if there is no such job; `InputMissing` if its input is gone.
     pub async fn requeue(&self, id: JobId) -> Result<Job, StoreError> {
-        let dead = self.dead().await?.into_iter().find(|job| job.id == id).ok_or(StoreError::NotFound { id })?;
+        let row: Option<JobRow> = sqlx::query_as(
+            "select id, spec, status, null::bigint as until from tessera.jobs where id = $1 and state = $2 \
+             and status::jsonb #>> '{outcome,failed,kind}' = 'crashed'",
+        )
+        .bind(id.0.as_slice())
+        .bind(State::Failed as i16)
+        .fetch_optional(self.database.pool())
+        .await?;
+        let dead = row.ok_or(StoreError::NotFound { id })?.job()?;
         let (host, device, cost, weight): (i64, i64, i64, f64) =
             sqlx::query_as("select host_bytes, device_bytes, cost, weight from tessera.jobs where id = $1")
                 .bind(id.0.as_slice())
@@ -85,7 +98,7 @@ impl Operator {
         getrandom::fill(&mut bytes).map_err(|error| StoreError::Unusable { cause: error.to_string() })?;
         let random = u128::from_le_bytes(bytes);
         let mut spec = dead.spec;
-        spec.request_id.clear();
+        spec.request_id = format!("requeue-{id}");
         let needs = Bytes { host: count(host), device: count(device) };
         let cost = Cost { seconds: cost as f64 / 1000.0, weight };
         let mut work = Work::begin(&self.database).await?;

@@ -94,19 +94,19 @@ pub(super) struct Database {
 impl Database {
     /// Connects, and brings the schema up to date. Errors: `Unusable`, `Unavailable`, `UnknownVersion`.
     pub(super) async fn open(options: &PostgresOptions) -> Result<Self, StoreError> {
-        first(options, async |connection| migrations::migrate(connection).await).await?;
+        first(options, LONG_OPERATION, async |connection| migrations::migrate(connection).await).await?;
         Ok(Self { pool: pool(options, options.connecting()?, options.connections) })
     }
 
     /// Connects, and leaves the schema as it is. Errors: as [`Self::open`].
     pub(super) async fn connect(options: &PostgresOptions) -> Result<Self, StoreError> {
-        first(options, async |connection| migrations::check(connection).await).await?;
+        first(options, OPERATION, async |connection| migrations::check(connection).await).await?;
         Ok(Self { pool: pool(options, options.connecting()?, options.connections) })
     }
 
     /// Brings the schema up to date. Gives how many steps there were, and how many there are.
     pub(super) async fn migrate(options: &PostgresOptions) -> Result<(i64, i64), StoreError> {
-        first(options, async |connection| {
+        first(options, LONG_OPERATION, async |connection| {
             let before = migrations::done(connection).await?;
             migrations::migrate(connection).await?;
             Ok((before, migrations::done(connection).await?))
@@ -141,10 +141,11 @@ impl Database {
 /// Does what comes first, on a connection of its own: of a pool's it would only be said that it took too long.
 async fn first<T>(
     options: &PostgresOptions,
+    time: Duration,
     work: impl AsyncFnOnce(&mut PgConnection) -> Result<T, StoreError>,
 ) -> Result<T, StoreError> {
     let connecting = options.connecting()?;
-    within(LONG_OPERATION, async {
+    within(time, async {
         let mut connection = PgConnection::connect_with(&connecting).await?;
         check(&mut connection, options.may_lose).await?;
         let done = work(&mut connection).await;
@@ -236,7 +237,7 @@ impl From<sqlx::Error> for StoreError {
 
 impl From<sqlx::Error> for BlobError {
     fn from(error: sqlx::Error) -> Self {
-        Self::Unavailable(format!("the database of the index: {error}"))
+        Self::Database(error.to_string())
     }
 }
 

@@ -90,13 +90,16 @@ pub struct ServeArgs {
     #[arg(long, value_name = "URL", env = "TESSERA_BLOBS")]
     pub blobs: Option<String>,
     /// Keep jobs in a PostgreSQL database that several servers share: postgres://USER@HOST/DATABASE (docs/cluster.md). Needs
-    /// --blobs. The data folder then holds keys alone.
+    /// --blobs. The data folder then holds keys and copies of blobs.
     #[arg(long, value_name = "URL", env = "TESSERA_STORE", hide_env_values = true)]
     pub store: Option<String>,
     /// File that holds the password of the database. If not given, the password comes from the URL, or from the file that the
     /// variable PGPASSFILE names.
     #[arg(long, value_name = "FILE", env = "TESSERA_STORE_PASSWORD_FILE")]
     pub store_password_file: Option<PathBuf>,
+    /// Use a database whose `synchronous_commit` is `off` or `local`: a crash or a failover then loses jobs that were acknowledged.
+    #[arg(long, env = "TESSERA_STORE_MAY_LOSE")]
+    pub store_may_lose: bool,
     /// What this server does, of those that share a database: a gateway takes calls and does no work, a worker does work and
     /// takes no calls.
     #[arg(long, value_enum, default_value_t, env = "TESSERA_ROLE")]
@@ -108,6 +111,9 @@ pub struct ServeArgs {
     /// Where clients reach this server, for answers of others that do no streams: http://HOST:PORT. The address listened on if not given.
     #[arg(long, value_name = "URL", env = "TESSERA_ADVERTISE")]
     pub advertise: Option<String>,
+    /// MiB of copies of blobs that are kept in the data folder, so that the same input is fetched once. With --store; 0 is none.
+    #[arg(long, value_name = "MIB", default_value_t = 1024, value_parser = whole::<u64>, env = "TESSERA_CACHE_MIB")]
+    pub cache_mib: u64,
     /// MiB of the disk that uploads and results leave free, so that the journal of jobs always has room.
     #[arg(long, value_name = "MIB", default_value_t = 64, value_parser = whole::<u64>, env = "TESSERA_DISK_RESERVE_MIB")]
     pub disk_reserve_mib: u64,

@@ -40,10 +40,14 @@ pub struct ServeConfig {
     pub bucket: Option<String>,
     /// The database of the jobs, and a file with its password; without one the jobs are in the data folder.
     pub database: Option<(String, Option<PathBuf>)>,
+    /// Whether the database may lose jobs that were acknowledged.
+    pub store_may_lose: bool,
     pub role: Role,
     /// This server's name among those that share its database.
     pub node: String,
     pub advertise: Option<String>,
+    /// Copies of blobs of a shared bucket, bytes.
+    pub cache_bytes: u64,
     pub disk_reserve_bytes: u64,
     pub keep: (Duration, Duration),
     pub blob_bytes: u64,
@@ -104,9 +108,11 @@ impl ServeArgs {
             admin: self.watching.admin(self.security.insecure)?,
             bucket: self.bucket(is_ephemeral)?,
             database: self.database(is_ephemeral)?,
+            store_may_lose: self.store_may_lose,
             role: self.role()?,
             node: self.node_name()?,
             advertise: self.advertise.clone(),
+            cache_bytes: within("--cache-mib", self.cache_mib, 0..=1 << 30)? << 20,
             disk_reserve_bytes: within("--disk-reserve-mib", self.disk_reserve_mib, 0..=1 << 24)? << 20,
             requires_keys: self.security.require_keys,
             data_dir: if is_ephemeral { None } else { Some(data_dir(self.data_dir.as_ref())?) },

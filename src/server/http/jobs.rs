@@ -222,7 +222,10 @@ pub(super) async fn list(State(desk): State<Desk>, Extension(client): Whose, req
 
 pub(super) async fn one(State(desk): State<Desk>, Extension(client): Whose, Path(id): Path<String>) -> Answered {
     let job = desk.api.get(&client.tenant, job_id(&id)?).await?;
-    let unschedulable = desk.api.unschedulable(&job).await?;
+    let unschedulable = match desk.api.cluster() {
+        Some(cluster) => cluster.unschedulable(&job).await?,
+        None => None,
+    };
     Ok(answer(StatusCode::OK, &JobBody { unschedulable, ..JobBody::of(&job) }))
 }
 
@@ -272,7 +275,7 @@ pub(super) async fn send_result(
         (REPORT, _) => JSON,
         _ => BYTES,
     };
-    let warnings = if name == MESH { warnings(desk, job).await? } else { Vec::new() };
+    let warnings = if name == MESH { warnings(desk, job).await } else { Vec::new() };
     let mut answer = send(desk, &client.tenant, *digest, headers, media_type, until).await?;
     for warning in warnings {
         answer.headers_mut().append(WARNING, warning);
@@ -413,7 +416,13 @@ pub(super) async fn seeds(
     let mut asked = Asked::of_query(request.uri().query())?;
     let after: u64 = asked.whole("after")?.unwrap_or(0);
     asked.finish()?;
-    let mut receiver = desk.api.preview(&client.tenant, job_id(&id)?).await?;
+    let id = job_id(&id)?;
+    if let Some(cluster) = desk.api.cluster()
+        && let Some(holder) = cluster.at_work_elsewhere(&client.tenant, id).await?
+    {
+        return Err(RequestError::SeedsElsewhere { holder }.into());
+    }
+    let mut receiver = desk.api.preview(&client.tenant, id).await?;
     let newer = receiver.wait_for(|shown| shown.as_ref().is_some_and(|shown| shown.steps > after));
     let found = tokio::select! {
         found = tokio::time::timeout(WAIT, newer) => found,

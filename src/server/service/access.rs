@@ -286,8 +286,9 @@ impl Access {
 
     /// Hears how many calls of each key are open at other servers.
     async fn share_calls(&self, api: &dyn JobApi) {
+        let Some(cluster) = api.cluster() else { return };
         let open = self.table().open_calls();
-        let elsewhere = api.share_calls(open).await;
+        let elsewhere = cluster.share_calls(open).await;
         self.table().set_elsewhere(&elsewhere);
     }
 

@@ -113,7 +113,10 @@ fn of(error: RequestError) -> Fault {
         RequestError::Stalled(_) => Fault::new(Kind::Aborted, text),
         RequestError::ClientGone => Fault::new(Kind::Cancelled, text),
         RequestError::Draining => draining(text),
-        RequestError::Elsewhere { .. } => retry(Kind::Unavailable, text, Duration::from_secs(1)),
+        RequestError::Elsewhere { .. } | RequestError::SeedsElsewhere { .. } => {
+            retry(Kind::Unavailable, text, Duration::from_secs(1))
+        }
+        RequestError::SessionEnded { .. } => draining(text),
         RequestError::Slow(_) => {
             tracing::error!(error = %text, "the storage is slow");
             retry(Kind::Unavailable, text, Duration::from_secs(5))
@@ -301,6 +304,7 @@ fn of_blob(error: &BlobError) -> Fault {
             let text = "the blob storage failed; try again, and look at the server's log if it stays so".to_owned();
             return retry(Kind::Unavailable, text, Duration::from_secs(5));
         }
+        BlobError::Database(_) => return away(&text),
     };
     invalid(text.clone(), path.to_owned(), text)
 }
@@ -318,6 +322,12 @@ fn of_job_api(error: JobApiError) -> Fault {
         JobApiError::Blob(error) => of_blob(&error),
         JobApiError::Job(error) => of_job(&error),
     }
+}
+
+/// The database that servers share is away. The log has the rest.
+fn away(error: &str) -> Fault {
+    tracing::warn!(error, "the database does not answer");
+    retry(Kind::Unavailable, "the database does not answer; try again".to_owned(), Duration::from_secs(2))
 }
 
 fn of_store(error: &StoreError) -> Fault {
@@ -339,11 +349,7 @@ fn of_store(error: &StoreError) -> Fault {
             let text = "the store of jobs cannot be written now; its server must be started again".to_owned();
             retry(Kind::Unavailable, text, Duration::from_secs(30))
         }
-        StoreError::Unavailable { .. } => {
-            tracing::warn!(error = %text, "the database of jobs does not answer");
-            let text = "the database of jobs does not answer; try again".to_owned();
-            retry(Kind::Unavailable, text, Duration::from_secs(2))
-        }
+        StoreError::Unavailable { .. } => away(&text),
         StoreError::InUse { .. }
         | StoreError::Unusable { .. }
         | StoreError::Damaged { .. }
@@ -387,7 +393,10 @@ pub(super) fn refusal(error: &RequestError) -> Option<Refused> {
         RequestError::Transport(Rejection::Memory { .. }) => Some(Refused::Memory),
         RequestError::Transport(Rejection::MessageTooLong { .. }) => Some(Refused::MessageSize),
         RequestError::TooMany { .. } => Some(Refused::Streams),
-        RequestError::Draining | RequestError::Transport(Rejection::Draining) => Some(Refused::Draining),
+        RequestError::Draining
+        | RequestError::Elsewhere { .. }
+        | RequestError::SessionEnded { .. }
+        | RequestError::Transport(Rejection::Draining) => Some(Refused::Draining),
         RequestError::Job(error) | RequestError::JobApi(JobApiError::Job(error)) => refusal_of_job(error),
         RequestError::Blob(error) | RequestError::JobApi(JobApiError::Blob(error)) => refusal_of_blob(error),
         RequestError::JobApi(

@@ -33,7 +33,7 @@ use super::stream::{Answers, Gate, Inbox, Kind, Outbox, respond};
 use crate::config::Limits;
 use ::jobs::admission::estimate::{self, Counts, need};
 use ::jobs::admission::forecast::{must_end, must_fit};
-use ::jobs::executor::api::JobApi;
+use ::jobs::executor::api::ClusterApi;
 use ::jobs::executor::prepared::Input;
 use ::jobs::executor::streams::Place;
 use ::jobs::observe::activity::Origin;
@@ -64,7 +64,7 @@ pub(super) struct Handlers {
 
 struct Shared {
     engine: Engine,
-    api: Option<Arc<dyn JobApi>>,
+    jobs: Option<super::Jobs>,
     limits: Limits,
     budget: Budget,
     gate: Gate,
@@ -74,7 +74,7 @@ struct Shared {
 
 impl Handlers {
     pub(super) fn new(
-        (engine, api): (Engine, Option<Arc<dyn JobApi>>),
+        (engine, jobs): (Engine, Option<super::Jobs>),
         limits: Limits,
         budget: Budget,
         gate: Gate,
@@ -82,7 +82,7 @@ impl Handlers {
         let cores = std::thread::available_parallelism().map_or(1, usize::from);
         // One tenant leaves a place.
         let preparing = Places::new(cores.max(2));
-        Self { shared: Arc::new(Shared { engine, api, limits, budget, gate, preparing }) }
+        Self { shared: Arc::new(Shared { engine, jobs, limits, budget, gate, preparing }) }
     }
 
     /// Runs a stream in the name of its tenant.
@@ -123,14 +123,29 @@ impl proto::remesh_service_server::RemeshService for Handlers {
 }
 
 impl Shared {
+    fn cluster(&self) -> Option<&dyn ClusterApi> {
+        self.jobs.as_ref()?.api.cluster()
+    }
+
+    /// Ready once the server drains, or an operator wants it to take no more work.
+    async fn leaves(&self) {
+        let drained = async {
+            match self.cluster() {
+                // Without a sender the server ends.
+                Some(cluster) => drop(cluster.drained().wait_for(|drained| *drained).await),
+                None => std::future::pending().await,
+            }
+        };
+        tokio::select! {
+            () = self.gate.reached(Phase::Draining) => {}
+            () = drained => {}
+        }
+    }
+
     /// Errors: `Elsewhere` if another server is to do streams.
     async fn does_streams(&self) -> Result<(), RequestError> {
-        match &self.api {
-            Some(api) => {
-                api.streams_elsewhere().await.map_or(Ok(()), |address| Err(RequestError::Elsewhere { address }))
-            }
-            None => Ok(()),
-        }
+        let Some(cluster) = self.cluster() else { return Ok(()) };
+        cluster.streams_elsewhere().await.map_or(Ok(()), |address| Err(RequestError::Elsewhere { address }))
     }
 }
 

@@ -150,6 +150,8 @@ pub(super) async fn follow_blobs(
             }
             Err(error) => tracing::warn!(%error, "what blobs take is not known"),
         }
+        let copies = blobs.cache_use();
+        metrics.blob_cache(copies.hits, copies.misses);
         let trouble = storage.borrow_and_update().clone();
         readiness.set(Reason::DiskFull, trouble == Some(BlobError::StorageFull));
         readiness.set(Reason::StoreAway, trouble.is_some_and(|error| error != BlobError::StorageFull));

@@ -18,7 +18,7 @@ class TesseraAccessor:
     def __init__(self, mesh: pyvista.DataSet) -> None:
         self._mesh = mesh
 
-    def remesh(self, points: int | None = None, **options: Any) -> Any:
+    def remesh(self, points: float | str | None = None, **options: Any) -> Any:
         """A remesh, a `pyvista.PolyData`; the options are those of `tessera_remesh.remesh`."""
         return remesh(self._mesh, points=points, **options).to_pyvista()
 
@@ -26,6 +26,6 @@ class TesseraAccessor:
         """The pieces of a restricted Voronoi diagram, with the cell array `seed`; options as of `tessera_remesh.rvd`."""
         return rvd(self._mesh, **options).to_pyvista()
 
-    def cvt(self, points: int | None = None, **options: Any) -> Iterator[CvtStep]:
+    def cvt(self, points: float | str | None = None, **options: Any) -> Iterator[CvtStep]:
         """Centroidal iterations; options as of `tessera_remesh.cvt`."""
         return cvt(self._mesh, points=points, **options)

@@ -77,11 +77,16 @@ def _one_size(edge_length: Any, **others: Any) -> None:
             raise _engine.InputError(f"{name} and edge_length are given; give one of them")
 
 
+def _counted(surface: Surface, given: dict[str, Any]) -> dict[str, Any]:
+    """The same with its counts as whole numbers."""
+    names = ("points", "facets", "max_points", "lloyd", "newton", "seed")
+    counts = {name: count(name, given[name], len(surface.vertices)) for name in names if name in given}
+    return {**given, **counts}
+
+
 def remesh_options(surface: Surface, given: dict[str, Any]) -> tuple[dict[str, Any], Attributes | None]:
     """What the engine and the service take, and what the surface carries. `given` are the arguments of `remesh`."""
-    given = dict(given)
-    for name in ("points", "facets", "max_points", "lloyd", "newton", "seed"):
-        given[name] = count(name, given[name], len(surface.vertices))
+    given = _counted(surface, given)
     _one_size(given["edge_length"], **{name: given[name] for name in ("points", "facets", "sizes")})
     named = None if given["attributes"] is False else surface.creases
     attributes = _carried(given.pop("attributes"), surface)
@@ -224,12 +229,21 @@ def _no_server(server: dict[str, Any]) -> None:
         raise TypeError(f"there is no argument {name}")
 
 
+def rvd_options(surface: Surface, given: dict[str, Any]) -> dict[str, Any]:
+    """What the engine and the service take. `given` are the arguments of `rvd`."""
+    given = _counted(surface, given)
+    given["seeds"], given["weights"] = meshes._floats(given["seeds"]), meshes._floats(given["weights"])
+    if given["seeds"] is None and given["points"] is None:
+        raise _engine.InputError("seeds or points is needed")
+    return given
+
+
 def rvd(
     mesh: Any,
     faces: ArrayLike | None = None,
     *,
     seeds: ArrayLike | None = None,
-    points: int | None = None,
+    points: float | str | None = None,
     seed: int | None = None,
     weights: ArrayLike | None = None,
     pieces: bool = True,
@@ -250,7 +264,7 @@ def rvd(
         mesh: vertices, (n, 3) float; or an object of trimesh, pyvista or meshio.
         faces: (m, 3) integer indices from 0, with vertices only.
         seeds: (s, 3) float, anywhere near the surface.
-        points: draws so many seeds instead.
+        points: draws so many seeds instead: 1000, "10k", or "50%" of the vertices.
         seed: random seed of drawn ones.
         weights: (n,) float at least 0, a weight for each vertex, linear in each face.
         pieces: whether to give the polygons in which cells meet faces.
@@ -263,17 +277,8 @@ def rvd(
         As `remesh`.
     """
     surface = meshes.surface(mesh, faces)
-    if seeds is None and points is None:
-        raise _engine.InputError("seeds or points is needed")
-    options = {
-        "seeds": meshes._floats(seeds),
-        "points": points,
-        "seed": seed,
-        "weights": meshes._floats(weights),
-        "backend": backend,
-        "threads": threads,
-        "pieces": pieces,
-    }
+    given = {"seeds": seeds, "points": points, "seed": seed, "weights": weights, "pieces": pieces}
+    options = rvd_options(surface, {**given, "backend": backend, "threads": threads})
     if endpoint is not None:
         from .service import Client
 
@@ -286,7 +291,7 @@ def rvd(
 def cvt(
     mesh: Any,
     faces: ArrayLike | None = None,
-    points: int | None = None,
+    points: float | str | None = None,
     *,
     seeds: ArrayLike | None = None,
     seed: int | None = None,
@@ -337,6 +342,8 @@ def cvt(
         "backend": backend,
         "threads": threads,
     }
+    options = _counted(surface, options)
+    lloyd, newton = (count(name, steps, 0) for name, steps in (("lloyd", lloyd), ("newton", newton)))
     if lloyd < 0 or newton < 0:
         raise _engine.InputError("lloyd and newton are at least 0")
     if endpoint is not None:

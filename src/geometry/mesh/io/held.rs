@@ -35,9 +35,6 @@ const MOST_UNREADABLE: usize = 1024;
 /// The most labels that are told apart: a set of them takes more than the file has for them.
 const MOST_LABELS: usize = 1 << 16;
 
-/// Light may be a little brighter than 1.
-const BRIGHTEST: f64 = 2.0;
-
 /// Notes a label, if there are not too many.
 pub(super) fn note<T: Eq + Hash>(labels: &mut HashSet<T>, label: Option<T>) {
     labels.extend(label.filter(|_| labels.len() < MOST_LABELS));
@@ -121,12 +118,6 @@ impl Raw {
             self.colours.map(|colours| attributes.set_colours(colours)),
         ];
         left_aside.extend(results.into_iter().flatten().filter_map(Result::err));
-        let is_colour = |x: &f64| (0.0..BRIGHTEST).contains(x);
-        if attributes.colours().is_some_and(|colours| !colours.values.iter().flatten().all(is_colour)) {
-            let message =
-                "some numbers are not from 0 to 1, nor all from 0 to 255; files with bytes cut them".to_owned();
-            left_aside.push(AttributeError::Unreadable { attribute: "colours".to_owned(), message });
-        }
         if let Some(more) = self.scalars.len().checked_sub(MOST_SCALARS).filter(|&more| more > 0) {
             let message = format!("{more} are more than the {MOST_SCALARS} that a surface carries");
             left_aside.push(AttributeError::Unreadable { attribute: "scalars".to_owned(), message });

@@ -3,8 +3,8 @@
 //! Purpose: readers make a fan of every polygon, which is right for convex ones. [`recut`] finds those of which it is not,
 //! as some of its triangles would lie outside, turned over, and cuts them by clipping ears (`earcut`).
 //! Invariant: a polygon of n corners stays n - 2 facets with each of its corners, so that neighbours keep their edges; one
-//! that crosses itself, of which nothing would be right, keeps its fan. What stands for the corners beside the facets is
-//! cut in the same way, in place. Must not know: formats.
+//! that crosses itself, of which nothing would be right, keeps its fan, after work that is bounded for all of a file. What
+//! stands for the corners beside the facets is cut in the same way, in place. Must not know: formats.
 
 use earcut::Earcut;
 use earcut::utils3d::project3d_to_2d;
@@ -17,6 +17,13 @@ pub(super) type Fan = (u32, u32);
 
 /// One with more corners keeps its fan: the time that ears take may go by the square of the corners.
 const MOST: u32 = 1 << 14;
+/// Ears of one that crosses itself take 0.03 s for so many corners, and 5 s for eight times as many. Of longer ones it is
+/// found out first.
+const LONG: usize = 2048;
+/// What may be spent on polygons that cross themselves: the squares of their corners. Ears take about 1 s for it.
+const MOST_IN_VAIN: u64 = 1 << 26;
+/// Pairs of edges that are compared in the time of ears for a square of one corner.
+const PAIRS: u64 = 16;
 /// A fan's triangle is turned over if it is so by more than rounding: this share of the polygon's area.
 const TURNED: f64 = 1e-9;
 /// Bytes that cutting takes for a corner: of `earcut` 76 and as many again as its list of nodes may grow by.
@@ -25,19 +32,25 @@ const CORNER_BYTES: usize = 120;
 const LEAST_ROOM: usize = 128 << 10;
 
 /// Cuts polygons, of which `lists` has the facets and then what stands beside them. One that would take more than `room`
-/// bytes keeps its fan.
-pub(super) fn recut(positions: &[DVec3], lists: &mut [&mut [[u32; 3]]], fans: &[Fan], room: usize) {
+/// bytes keeps its fan. Returns how many keep a fan with facets that are turned over because cutting would take too long.
+pub(super) fn recut(positions: &[DVec3], lists: &mut [&mut [[u32; 3]]], fans: &[Fan], room: usize) -> usize {
     let mut scratch = Scratch::default();
+    let (mut left, mut spent) = (0, 0u64);
     let most = (room.max(LEAST_ROOM) / CORNER_BYTES).min(MOST as usize);
     let place = |v: u32| positions.get(v as usize).copied().unwrap_or(DVec3::NAN);
-    for &(first, count) in fans.iter().filter(|fan| (fan.1 as usize) < most) {
+    for &(first, count) in fans {
         let range = first as usize..first as usize + count as usize;
         let fan = lists.first().and_then(|facets| facets.get(range.clone())).unwrap_or_default();
-        if is_right(fan, place) || !scratch.may_be_simple(fan, place) || !scratch.cut(fan, place) {
+        if is_right(fan, place) {
             continue;
         }
-        lists.iter_mut().filter_map(|list| list.get_mut(range.clone())).for_each(|fan| scratch.apply(fan));
+        if count as usize >= most || spent >= MOST_IN_VAIN {
+            left += 1;
+        } else if scratch.may_be_simple(fan, place) && scratch.cut(fan, place, &mut spent) {
+            lists.iter_mut().filter_map(|list| list.get_mut(range.clone())).for_each(|fan| scratch.apply(fan));
+        }
     }
+    left
 }
 
 /// The corners of a fan in order.
@@ -77,8 +90,8 @@ impl Scratch {
         2 * self.ring.len() >= corners
     }
 
-    /// Finds the triangles of a polygon. Returns whether there are any that are better than the fan.
-    fn cut(&mut self, fan: &[[u32; 3]], place: impl Fn(u32) -> DVec3) -> bool {
+    /// Finds the triangles of a polygon. Returns whether there are any that are better than the fan; if not, that is `spent`.
+    fn cut(&mut self, fan: &[[u32; 3]], place: impl Fn(u32) -> DVec3, spent: &mut u64) -> bool {
         let places = || ring(fan).map(&place);
         let low = places().fold(DVec3::INFINITY, DVec3::min);
         let extent = (places().fold(DVec3::NEG_INFINITY, DVec3::max) - low).max_element();
@@ -92,6 +105,13 @@ impl Scratch {
             return false;
         }
         drop(corners);
+        if self.flat.len() > LONG {
+            let (crosses, pairs) = crosses(&self.flat);
+            *spent += pairs / PAIRS;
+            if crosses {
+                return false;
+            }
+        }
         self.earcut.earcut_slice::<u32>(&self.flat, &[], &mut self.ears);
         let twice = |t: &[u32; 3]| {
             let [a, b, c] = t.map(|k| self.flat[k as usize]);
@@ -107,7 +127,9 @@ impl Scratch {
         let triangles = self.ears.as_chunks::<3>().0;
         let area = |t: &[u32; 3]| twice(t).abs();
         let is_whole = (triangles.iter().map(area).sum::<f64>() - whole.abs()).abs() <= 1e-6 * whole.abs();
-        triangles.len() == fan.len() && is_whole
+        let is_cut = triangles.len() == fan.len() && is_whole;
+        *spent += if is_cut { 0 } else { (self.flat.len() as u64).pow(2) };
+        is_cut
     }
 
     /// Makes the triangles that were found of a fan.
@@ -117,6 +139,31 @@ impl Scratch {
         let triangles = self.ears.as_chunks::<3>().0;
         fan.iter_mut().zip(triangles).for_each(|(facet, cut)| *facet = cut.map(|corner| self.ring[corner as usize]));
     }
+}
+
+/// Whether edges of a polygon cross, and how many pairs were compared: by their places along the axis on which edges are short.
+fn crosses(flat: &[[f64; 2]]) -> (bool, u64) {
+    let edge = |k: u32| [flat[k as usize], flat[(k as usize + 1) % flat.len()]];
+    let extent =
+        |axis: usize| -> f64 { (0..flat.len() as u32).map(|k| (edge(k)[0][axis] - edge(k)[1][axis]).abs()).sum() };
+    let axis = usize::from(extent(1) < extent(0));
+    let low = |k: u32| edge(k)[0][axis].min(edge(k)[1][axis]);
+    let mut order: Vec<u32> = (0..flat.len() as u32).collect();
+    order.sort_unstable_by(|&a, &b| low(a).total_cmp(&low(b)));
+    // Only from side to side: edges of a joined hole lie on one another.
+    let side = |[a, b]: [[f64; 2]; 2], c: [f64; 2]| (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]);
+    let parts = |a: [[f64; 2]; 2], b: [[f64; 2]; 2]| side(a, b[0]) * side(a, b[1]) < 0.0;
+    let mut pairs = 0;
+    for (k, &a) in order.iter().enumerate() {
+        let high = edge(a)[0][axis].max(edge(a)[1][axis]);
+        for &b in order[k + 1..].iter().take_while(|&&b| low(b) < high) {
+            pairs += 1;
+            if parts(edge(a), edge(b)) && parts(edge(b), edge(a)) {
+                return (true, pairs);
+            }
+        }
+    }
+    (false, pairs)
 }
 
 /// Puts corners that lie on a line with their neighbours, and were left out, into the edges that pass them by.
@@ -221,6 +268,40 @@ mod tests {
         let mut broken = slanted(&[[0.0, 0.0], [2.0, 1.0], [0.0, 2.0], [1.0, 1.0]]);
         broken[1].x = f64::NAN;
         assert_eq!(cut(&broken), fan(4));
+    }
+
+    /// A polygon of any length may cross itself anywhere, and a file may have many of them.
+    #[test]
+    fn work_on_what_crosses_itself_is_bounded() {
+        let hash = |n: usize| -> Vec<[f64; 2]> {
+            (0..n).map(|k| [(k * 7919 % 30_011) as f64, (k * 104_729 % 251) as f64]).collect()
+        };
+        // Spikes that all overlap along both axes, and one crossing at the end.
+        let spikes = |n: usize| -> Vec<[f64; 2]> {
+            let spike = |k: usize| {
+                let angle = std::f64::consts::TAU * k as f64 / n as f64;
+                let r = if k % 2 == 0 { 1.0 } else { 0.5 };
+                [r * angle.cos(), r * angle.sin()]
+            };
+            (0..n).map(spike).collect()
+        };
+        let mut bow = spikes(16_000);
+        bow.swap(1000, 1002);
+        let cut = |flat: &[[f64; 2]], copies: u32| {
+            let (n, places) = (flat.len() as u32, slanted(flat).iter().map(|&p| p / 1e150).collect::<Vec<_>>());
+            let mut facets: Vec<[u32; 3]> = (0..copies).flat_map(|_| (2..n).map(|k| [0, k - 1, k])).collect();
+            let before = facets.clone();
+            let fans: Vec<Fan> = (0..copies).map(|copy| (copy * (n - 2), n - 2)).collect();
+            let left = recut(&places, &mut [&mut facets], &fans, usize::MAX);
+            (left, facets != before)
+        };
+        assert_eq!(cut(&spikes(16_000), 2), (0, true), "it is simple");
+        assert_eq!(cut(&bow, 1), (0, false));
+        assert_eq!(cut(&hash(16_000), 4), (0, false), "crossings are soon found");
+        assert_eq!(cut(&hash(20_000), 3), (3, false), "too long");
+        let (left, _) = cut(&hash(2000), 100);
+        assert_eq!(left, 100 - (MOST_IN_VAIN / 2000 / 2000 + 1) as usize, "the rest is not tried");
+        assert_eq!(cut(&hash(100), 1000), (0, false), "of short ones there may be many");
     }
 
     #[test]

@@ -77,7 +77,10 @@ proptest! {
             _ => {}
         }
         let (before, after) = (need(&counts, threads), need(&larger, threads));
-        prop_assert!(grows(&before, &after), "{counts:?} {before:?} {after:?}");
+        // Few steps leave more to the repair.
+        let is_uneven = which == 3 && counts.kind == Kind::Remesh && (counts.steps as f64) < EVEN_STEPS;
+        let seconds = if is_uneven { after.seconds.max(before.seconds) } else { after.seconds };
+        prop_assert!(grows(&before, &Need { seconds, ..after }), "{counts:?} {before:?} {after:?}");
         prop_assert!(before.seconds.is_finite() && before.seconds > 0.0);
         prop_assert!(before.memory.host >= MIB);
         prop_assert_eq!(before.memory.device > 0, counts.backend == BackendKind::Gpu);
@@ -133,9 +136,14 @@ fn seconds_are_within_a_factor_of_two_of_those_in_the_documents() {
         let counts = Counts::new(Kind::Remesh, BackendKind::Parallel, facets / 2, facets, points);
         need(&Counts { steps, ..counts }, 2).seconds
     };
-    let step = |facets, points| remesh(facets, points, 1001) - remesh(facets, points, 1);
+    let step = |facets, points| remesh(facets, points, 1035) - remesh(facets, points, 35);
     let cases = [
         ("the bunny", remesh(69_451, 10_000, 35), 0.75),
+        // CPU time, since the repair uses both threads for a part of it only.
+        ("a torus, one step", remesh(150_164, 10_000, 1), 9.3),
+        ("a coarse torus, one step", remesh(2000, 10_000, 1), 3.0),
+        ("a coarse torus, 10 steps", remesh(2000, 10_000, 10), 1.1),
+        ("few points, one step", remesh(150_164, 200, 1), 2.2),
         ("nefertiti", remesh(99_938, 50_000, 35), 2.35),
         ("steps of the bunny", step(69_451, 10_000), 2.7),
         ("steps of rocker-arm", step(20_088, 15_000), 4.5),

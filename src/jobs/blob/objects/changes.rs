@@ -6,8 +6,8 @@
 //! bytes are stored. Must not know: which store it is.
 
 use std::fs::File;
-use std::sync::Arc;
-use std::time::{Duration, SystemTime};
+use std::sync::{Arc, Mutex, OnceLock};
+use std::time::{Duration, Instant, SystemTime};
 
 use futures_util::{StreamExt, TryStreamExt, stream};
 use object_store::local::LocalFileSystem;
@@ -15,23 +15,23 @@ use object_store::{ObjectMeta, ObjectStore, ObjectStoreExt};
 use tokio::sync::{MutexGuard, OwnedMutexGuard};
 use tokio::task::spawn_blocking;
 
-use super::LOCKS;
+use super::{LOCKS, stored};
+use crate::blob::cache::Cache;
 use crate::blob::chunk::{Chunk, UploadId, UploadStatus};
 use crate::blob::digest::path_of;
 use crate::blob::error::found;
 use crate::blob::index::{BlobIndex, Room, Terms, Used};
-use crate::blob::reader::bytes_of;
+use crate::blob::reader::is_sound;
 use crate::blob::staging::{Part, Staging};
 use crate::blob::upload::{Slot, Uploads};
 use crate::blob::{BlobError, BlobInfo, BlobOptions, ByteStream, Digest, Owner};
+use crate::lock;
 
 /// Removals and questions to the store that run at once.
 const AT_ONCE: usize = 16;
 
 /// How often an upload is begun again that ended meanwhile; each time this takes a millisecond longer.
 const ENDED: u64 = 40;
-/// How long a process has to remove the bytes of blobs that it took out of the index, until another does.
-const LEFT: Duration = Duration::from_secs(3600);
 
 /// What sets stores apart.
 #[derive(Debug)]
@@ -49,9 +49,15 @@ pub(super) struct Inner {
     pub(super) staging: Box<dyn Staging>,
     pub(super) index: Arc<dyn BlobIndex>,
     pub(super) uploads: Uploads,
+    /// Whether all processes have one index: it knows every upload and owner.
+    pub(super) has_one_index: bool,
+    /// When the store was last looked through for what the index lacks.
+    scanned: Mutex<Instant>,
     locks: Vec<tokio::sync::Mutex<()>>,
     pub(super) options: BlobOptions,
     pub(super) kind: Kind,
+    /// Copies of blobs that lie elsewhere.
+    pub(super) cache: OnceLock<Cache>,
 }
 
 /// When an object was written or used last, in nanoseconds since 1970.
@@ -68,8 +74,20 @@ impl Inner {
         index: Arc<dyn BlobIndex>,
         uploads: Uploads,
     ) -> Self {
+        let has_one_index = matches!(kind, Kind::Shared) && Arc::clone(&index).notes().is_some();
         let locks = (0..LOCKS).map(|_| tokio::sync::Mutex::new(())).collect();
-        Self { objects, staging, index, uploads, locks, options, kind }
+        Self {
+            objects,
+            staging,
+            index,
+            uploads,
+            has_one_index,
+            scanned: Mutex::new(Instant::now()),
+            locks,
+            options,
+            kind,
+            cache: OnceLock::new(),
+        }
     }
 
     /// Waits for the lock under which the bytes of a blob are shown and removed.
@@ -180,7 +198,7 @@ impl Inner {
     /// Takes over an upload that another process began. Whether there is one.
     async fn adopt(&self, id: UploadId) -> Result<bool, BlobError> {
         // Looked for first: an upload that was never begun must not count against the quota.
-        if self.staging.load(id).await?.is_none() {
+        if !self.has_one_index && self.staging.load(id).await?.is_none() {
             return Ok(false);
         }
         match self.index.adopt(id, self.options.uploads).await {
@@ -224,7 +242,7 @@ impl Inner {
                 if actual_bytes == size_bytes {
                     return Ok(UploadStatus { kept_bytes: size_bytes, complete: true });
                 }
-                if self.is_sound(digest).await? {
+                if is_sound(&*self.objects, digest).await? {
                     return Err(BlobError::WrongSize { digest, promised_bytes: size_bytes, actual_bytes });
                 }
                 // Another program changed what is stored: the right bytes take its place.
@@ -317,7 +335,10 @@ impl Inner {
         // All of them, even if one fails: they are out of the index.
         let removals = stream::iter(victims).map(|victim| self.remove(victim)).buffer_unordered(AT_ONCE);
         removals.collect::<Vec<_>>().await.into_iter().collect::<Result<(), _>>()?;
-        if let Some(part) = self.staging.load(id).await? {
+        // An index that has them all has admitted this one as new.
+        if !self.has_one_index
+            && let Some(part) = self.staging.load(id).await?
+        {
             return Ok(part);
         }
         self.staging.create(id).await
@@ -354,10 +375,13 @@ impl Inner {
             Err(BlobError::UploadNotFound { .. }) => {}
             known => return known.map(complete),
         }
-        if let Some(slot) = self.turn(id).await?
-            && let Slot::Open(part) = &*slot
-        {
-            return Ok(UploadStatus { kept_bytes: part.tally().bytes(), complete: false });
+        while let Some(mut slot) = self.turn(id).await? {
+            let Slot::Open(part) = &*slot else { break };
+            if part.is_current().await? {
+                return Ok(UploadStatus { kept_bytes: part.tally().bytes(), complete: false });
+            }
+            // It is read again.
+            *slot = Slot::Kept;
         }
         // It ended just now.
         self.whole(id).await.map(complete)
@@ -441,7 +465,16 @@ impl Inner {
             // Also where others have the blob: it takes as long as where they do not.
             if let Err(error) = part.publish(&path_of(&digest)).await {
                 *slot = Slot::Kept;
-                return Err(error);
+                return Err(match error {
+                    // Another process continues it, or the store has lost parts of it.
+                    BlobError::WrongOffset { expected, .. } if expected < id.size_bytes => {
+                        BlobError::Incomplete { kept_bytes: expected, size_bytes: id.size_bytes }
+                    }
+                    BlobError::WrongOffset { .. } => {
+                        BlobError::Unavailable(format!("another process ends the upload of {digest}"))
+                    }
+                    error => error,
+                });
             }
         }
         let published = match self.index.publish(id, pin).await {
@@ -481,7 +514,13 @@ impl Inner {
     /// Removes an upload, unless somebody continued it less than `idle` ago; says whether.
     pub(super) async fn abandon(&self, id: UploadId, idle: Duration) -> Result<bool, BlobError> {
         let gone = BlobError::UploadNotFound { digest: id.digest };
-        let mut slot = self.uploads.lock(&id).await.ok_or_else(|| gone.clone())?;
+        let mut slot = loop {
+            match self.uploads.lock(&id).await {
+                Some(slot) => break slot,
+                None if matches!(self.kind, Kind::Shared) && self.adopt(id).await? => {}
+                None => return Err(gone),
+            }
+        };
         if matches!(*slot, Slot::Gone) {
             return Err(gone);
         }
@@ -500,11 +539,18 @@ impl Inner {
             match self.abandon(id, self.options.keep_uploads).await {
                 Ok(gone) => swept += usize::from(gone),
                 Err(BlobError::UploadNotFound { .. }) => {}
-                Err(error) => return Err(error),
+                // The others go all the same.
+                Err(error) => tracing::warn!(%id, %error, "an upload that nobody continues was not removed"),
             }
         }
-        // A process that went down left them.
-        for blob in self.index.left(LEFT).await? {
+        if self.has_one_index {
+            self.forget_ended().await?;
+            self.scan().await?;
+        }
+        // A process that went down left them, or one that lost its job.
+        let mut left = self.index.left(self.options.keep_unneeded).await?;
+        left.extend(self.index.orphans(self.options.keep_unneeded).await?);
+        for blob in left {
             if let Err(error) = self.remove(blob).await {
                 tracing::warn!(digest = %blob.digest, %error, "the bytes of a blob that nobody has were not removed");
             }
@@ -512,13 +558,31 @@ impl Inner {
         Ok(swept)
     }
 
-    async fn is_sound(&self, digest: Digest) -> Result<bool, BlobError> {
-        let opened = found("open a blob", self.objects.get(&path_of(&digest)).await)?;
-        let Some(opened) = opened else { return Ok(false) };
-        match bytes_of(opened, Some(digest)).try_for_each(async |_| Ok(())).await {
-            Err(BlobError::Damaged { .. }) => Ok(false),
-            read => read.map(|()| true),
+    /// Enters objects that the index lacks, now and then: those that no owner has go as orphans. Removes what is left of uploads.
+    async fn scan(&self) -> Result<(), BlobError> {
+        {
+            let mut scanned = lock(&self.scanned);
+            if scanned.elapsed() < self.options.scan_period {
+                return Ok(());
+            }
+            *scanned = Instant::now();
         }
+        self.staging.sweep().await?;
+        self.index.enter(stored(&*self.objects).await?).await.map(drop)
+    }
+
+    /// Lets go of what this process holds of uploads that another process has ended.
+    async fn forget_ended(&self) -> Result<(), BlobError> {
+        for id in self.uploads.all() {
+            if self.index.idle_time(id).await?.is_none()
+                && let Some(mut slot) = self.uploads.lock(&id).await
+                && !matches!(*slot, Slot::Gone)
+                && self.index.idle_time(id).await?.is_none()
+            {
+                self.uploads.remove(&id, &mut slot);
+            }
+        }
+        Ok(())
     }
 
     /// Removes a blob once its reader finds it damaged.
@@ -533,6 +597,15 @@ impl Inner {
             }
         });
         guarded.boxed()
+    }
+
+    /// Another program removed the bytes of a blob, unless they came back meanwhile.
+    pub(super) async fn lose(&self, digest: Digest) -> Result<(), BlobError> {
+        let _turn = self.lock_bytes(&digest).await;
+        if found("look for a blob", self.objects.head(&path_of(&digest)).await)?.is_none() {
+            self.index.forget(digest).await?;
+        }
+        Ok(())
     }
 
     /// Removes a blob whose bytes are wrong, pinned or not.

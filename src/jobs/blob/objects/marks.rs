@@ -89,7 +89,7 @@ impl Inner {
         if self.index.has(owner, digest).await? {
             return Ok(true);
         }
-        if !matches!(self.kind, Kind::Shared) {
+        if !matches!(self.kind, Kind::Shared) || self.has_one_index {
             return Ok(false);
         }
         // The mark first: the answer to another tenant must not depend on the blob.

@@ -280,6 +280,19 @@ pub(super) async fn has(pool: &PgPool, owner: Owner, digest: &Digest) -> BlobRes
     Ok(has.bind(digest.as_bytes().as_slice()).bind(owner.as_bytes().as_slice()).fetch_one(pool).await?)
 }
 
+/// Those of `owners` that do not have their blob.
+pub(super) async fn not_owned(pool: &PgPool, owners: &[(Digest, Owner)]) -> BlobResult<Vec<(Digest, Owner)>> {
+    let rows: Vec<([u8; 32], [u8; 16])> = sqlx::query_as(
+        "select digest, owner from unnest($1::bytea[], $2::bytea[]) as marked (digest, owner) where not exists \
+         (select from tessera.owners o where (o.digest, o.owner) = (marked.digest, marked.owner))",
+    )
+    .bind(keys(owners.iter().map(|(digest, _)| digest)))
+    .bind(owners.iter().map(|(_, owner)| owner.as_bytes().as_slice()).collect::<Vec<_>>())
+    .fetch_all(pool)
+    .await?;
+    Ok(rows.into_iter().map(|(digest, owner)| (digest.into(), Owner::from_bytes(owner))).collect())
+}
+
 pub(super) async fn owned_bytes(work: &mut PgConnection, owner: Owner) -> BlobResult<u64> {
     let bytes = sqlx::query_scalar("select coalesce(sum(size), 0)::bigint from tessera.owners where owner = $1");
     Ok(count(bytes.bind(owner.as_bytes().as_slice()).fetch_one(work).await?))

@@ -1,12 +1,13 @@
 //! Uploads in the database.
 //!
-//! Purpose: when each was continued last, and [`show`]. Must not know: blobs, quotas, where bytes lie.
+//! Purpose: when each was continued last, how far it is ([`note`], [`advance`]), and [`show`]. Must not know: blobs, quotas, where bytes lie.
 
 use std::time::{Duration, SystemTime};
 
 use sqlx::{PgConnection, PgPool};
 
 use super::{BlobResult, count, key_of, micros, number};
+use crate::blob::index::Note;
 use crate::blob::{BlobError, NO_OWNER, Owner, UploadId};
 
 /// Chunks within this time are one sign that an upload goes on. Short against the time after which one is idle.
@@ -71,6 +72,52 @@ pub(super) async fn idle_time(pool: &PgPool, id: &UploadId) -> BlobResult<Option
     let idle = "select tessera.now_us() - touched from tessera.uploads where digest = $1 and size = $2 and owner = $3";
     let idle: Option<(i64,)> = of!(idle, id).fetch_optional(pool).await?;
     Ok(idle.map(|(idle,)| Duration::from_micros(count(idle))))
+}
+
+/// As [`crate::blob::index::UploadNotes::note`].
+pub(super) async fn note(pool: &PgPool, id: &UploadId) -> BlobResult<Option<Note>> {
+    let note = "select coalesce(multipart, ''), kept, coalesce(hash, ''), array(select content from tessera.upload_parts p \
+                where (p.digest, p.size, p.owner) = (u.digest, u.size, u.owner) order by number) \
+                from tessera.uploads u where digest = $1 and size = $2 and owner = $3";
+    let note: Option<(String, i64, String, Vec<String>)> = of!(note, id).fetch_optional(pool).await?;
+    Ok(note.map(|(multipart, kept, hash, parts)| Note { multipart, parts, bytes: count(kept), hash }))
+}
+
+/// As [`crate::blob::index::UploadNotes::advance`]. `to` has the parts of `from` and more, or none.
+pub(super) async fn advance(
+    work: &mut PgConnection,
+    id: &UploadId,
+    (from, to): (&Note, &Note),
+    process: i64,
+) -> BlobResult<bool> {
+    let advance = "update tessera.uploads set multipart = nullif($6, ''), kept = $7, hash = nullif($8, ''), \
+                   touched = tessera.now_us() where digest = $1 and size = $2 and owner = $3 \
+                   and coalesce(multipart, '') = $4 and kept = $5 and (showing <= tessera.now_ms() or shown_by = $9) \
+                   returning true";
+    let advanced: Option<(bool,)> = of!(advance, id)
+        .bind(&from.multipart)
+        .bind(number(from.bytes))
+        .bind(&to.multipart)
+        .bind(number(to.bytes))
+        .bind(&to.hash)
+        .bind(process)
+        .fetch_optional(&mut *work)
+        .await?;
+    if advanced.is_none() {
+        return Ok(false);
+    }
+    let parts = "with gone as (delete from tessera.upload_parts where digest = $1 and size = $2 and owner = $3 and number > $4) \
+                 insert into tessera.upload_parts (digest, size, owner, number, content) \
+                 select $1, $2, $3, number, content from unnest($5::text[]) with ordinality p (content, number) \
+                 where number > $6 returning true";
+    let kept = from.parts.len().min(to.parts.len());
+    let _parts: Vec<(bool,)> = of!(parts, id)
+        .bind(i32::try_from(kept).unwrap_or(i32::MAX))
+        .bind(&to.parts)
+        .bind(kept as i64)
+        .fetch_all(work)
+        .await?;
+    Ok(true)
 }
 
 pub(super) async fn idle(pool: &PgPool, time: Duration) -> BlobResult<Vec<UploadId>> {

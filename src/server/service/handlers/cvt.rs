@@ -4,9 +4,11 @@
 //! server ends sessions that wait for a command, and lets a command end.
 
 use std::sync::Arc;
+use std::time::Duration;
 
 use super::*;
 pub(super) use ::jobs::Timed;
+use ::jobs::blob::put_of;
 use ::jobs::executor::prepared::Prepared;
 pub(super) use ::jobs::executor::session::CvtSession;
 use wire::WireError;
@@ -15,6 +17,9 @@ use wire::proto::{CvtDone, CvtEdit, CvtEdited, CvtRequest, CvtResponse, CvtStep,
 use wire::proto::{cvt_request as request, cvt_response as response};
 
 wraps!(CvtResponse);
+
+/// How long it may take to keep the seeds of a session that ends with the server.
+const LEAVE: Duration = Duration::from_secs(2);
 
 pub(super) async fn handle(
     shared: Arc<Shared>,
@@ -44,7 +49,7 @@ pub(super) async fn handle(
     loop {
         let message = tokio::select! {
             message = inbox.next(shared.limits.session_idle) => message?,
-            () = shared.gate.reached(Phase::Draining) => return Err(RequestError::Draining),
+            () = shared.leaves() => return Err(talk.leave(&shared, &tenant).await),
         };
         match message.map(|m| m.message) {
             Some(Some(request::Message::Step(step))) => talk.step(step).await?,
@@ -104,6 +109,21 @@ impl Talk {
             send_seeds(&self.outbox, &seeds.value, wrap_chunk).await?;
         }
         Ok(())
+    }
+
+    /// Keeps the seeds, so that a session elsewhere can begin with them.
+    async fn leave(mut self, shared: &Shared, tenant: &str) -> RequestError {
+        let Some(jobs) = &shared.jobs else { return RequestError::Draining };
+        let kept = async {
+            let seeds = self.session.seeds().await.ok()?.value;
+            let bytes: Vec<u8> = seeds.iter().flat_map(|seed| seed.to_array()).flat_map(f64::to_le_bytes).collect();
+            put_of(&*jobs.blobs, tenant, None, bytes.into()).await.ok()
+        };
+        // Within the time that a shutdown has.
+        match tokio::time::timeout(LEAVE, kept).await {
+            Ok(Some(info)) => RequestError::SessionEnded { seeds: info.digest },
+            _ => RequestError::Draining,
+        }
     }
 
     async fn end(mut self) -> Result<(), RequestError> {

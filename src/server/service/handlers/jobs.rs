@@ -67,7 +67,10 @@ impl proto::job_service_server::JobService for Jobs {
     async fn get_job(&self, request: Request<proto::GetJobRequest>) -> Reply<proto::GetJobResponse> {
         self.ask("GetJob", request, |message, tenant, api| async move {
             let found = api.get(&tenant, job_id(&message.id)?).await?;
-            let unschedulable = api.unschedulable(&found).await?.unwrap_or_default();
+            let unschedulable = match api.cluster() {
+                Some(cluster) => cluster.unschedulable(&found).await?.unwrap_or_default(),
+                None => String::new(),
+            };
             Ok(proto::GetJobResponse { job: Some(proto::Job { unschedulable, ..convert::message(&found) }) })
         })
         .await

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 
 from .. import meshes
 from .._engine import InputError
-from ..calls import OPTIONS, remesh_options, to_remesh
+from ..calls import OPTIONS, remesh_options, rvd_options, to_remesh
 from ..meshes import Attributes, Surface
 from ..progress import Engine, ProgressLike, listener
 from ..results import CvtStep, Remesh, Rvd
@@ -261,7 +261,7 @@ class AsyncClient:
         """As `tessera_remesh.rvd`, by this server."""
         surface = meshes.surface(mesh, faces)
         given = {"seeds": None, "points": None, "seed": None, "weights": None, "pieces": True, **options}
-        given["seeds"], given["weights"] = meshes._floats(given["seeds"]), meshes._floats(given["weights"])
+        given = rvd_options(surface, given)
         started: list[str] = []
         return Rvd(**await self._job(flows.rvd(surface, given, started.append, self._patience), started))
 

@@ -8,7 +8,7 @@ use glam::{DVec2, DVec3};
 use super::header::{Element, FACES, Header, Property};
 use crate::mesh::attributes::{ColourDepth, Colours, Normals, PerCorner, Scalar};
 use crate::mesh::io::held::{Raw, firsts, numbered};
-use crate::mesh::io::numbers::{Kind, plain};
+use crate::mesh::io::numbers::{Encoding, Kind, Order, numbers, plain};
 
 /// Names of what is no scalar; a scalar of such a name is written with [`PREFIX`].
 pub(super) const TAKEN: [&str; 16] =
@@ -45,8 +45,11 @@ impl Carried {
         let is_column =
             |p: &&Property| p.length.is_none() && p.odd.is_none() && !matches!(p.name.as_str(), "x" | "y" | "z");
         let columns = header.element("vertex").map(|vertex| vertex.properties.iter().filter(is_column).map(column));
-        let has_wedges = header.element("face").is_some_and(|face| face.properties.iter().any(is_wedges));
-        Self { columns: columns.into_iter().flatten().collect(), wedges: has_wedges.then(Wedges::default) }
+        let wedges = header.element("face").and_then(|face| face.properties.iter().find(|p| is_wedges(p)));
+        // A text may have more digits than its type holds.
+        let kind = |p: &Property| if header.encoding == Encoding::Text { Kind::F64 } else { p.item };
+        let wedges = wedges.map(|p| Wedges { kind: kind(p), ..Wedges::default() });
+        Self { columns: columns.into_iter().flatten().collect(), wedges }
     }
 
     pub(super) fn role(&self, element: &Element, property: &Property) -> Role {
@@ -62,17 +65,27 @@ impl Carried {
         }
     }
 
-    pub(super) fn push(&mut self, to: Role, value: f64) {
-        match (to, &mut self.wedges) {
-            (Role::Column(column), _) => self.columns[column].values.push(value),
-            (Role::Wedges, Some(wedges)) => wedges.face.push(value),
-            _ => {}
-        }
+    /// Makes room for the scalars of so many vertices.
+    pub(super) fn reserve(&mut self, vertices: usize) {
+        self.columns.iter_mut().for_each(|column| column.values.reserve_exact(vertices));
+    }
+
+    pub(super) fn push(&mut self, column: usize, value: f64) {
+        self.columns[column].values.push(value);
+    }
+
+    /// Takes so many numbers of the corners of a face.
+    pub(super) fn wedges<E>(&mut self, count: usize, mut next: impl FnMut() -> Result<f64, E>) -> Result<(), E> {
+        self.wedges.as_mut().map_or(Ok(()), |wedges| {
+            wedges.reserve(count);
+            (0..count)
+                .try_for_each(|_| next().map(|number| wedges.kind.put(number, Order::Little, &mut wedges.numbers)))
+        })
     }
 
     pub(super) fn end_face(&mut self, corners: usize) {
         if let Some(wedges) = &mut self.wedges {
-            wedges.push_face(corners);
+            wedges.end_face(corners);
         }
     }
 
@@ -112,8 +125,7 @@ impl Carried {
             let values = u.values.iter().zip(&v.values).map(|(&u, &v)| DVec2::new(u, v));
             PerCorner { values: values.collect(), corners: facets.to_vec() }
         });
-        let wedges = self.wedges.filter(|w| w.any).map(|w| PerCorner { values: w.values, corners: w.corners });
-        raw.texture = wedges.map(|wedges| shared(facets, wedges)).or(per_vertex);
+        raw.texture = self.wedges.and_then(|wedges| wedges.finish(facets)).or(per_vertex);
         let plain = |name: String| match name.strip_prefix(PREFIX) {
             Some(rest) if TAKEN.contains(&rest) => rest.to_owned(),
             _ => name,
@@ -173,48 +185,82 @@ fn colours(rgb: &[Column; 3], alpha: Option<&Column>) -> Colours {
     Colours { values: values.collect(), depth: if eight { ColourDepth::Eight } else { ColourDepth::Float } }
 }
 
+/// Texture coordinates of faces' corners. Lists of them and of vertices may be bytes: nothing here takes many times as much.
 #[derive(Default)]
 struct Wedges {
-    /// Numbers of the current face.
-    face: Vec<f64>,
-    values: Vec<DVec2>,
-    corners: Vec<[u32; 3]>,
-    any: bool,
+    /// The type of the numbers.
+    kind: Kind,
+    /// Two for each corner of the faces that have a pair for each corner, and those of the current face.
+    numbers: Vec<u8>,
+    /// Bytes of the faces before the current one.
+    before: usize,
+    /// The first facet of each of these faces, and its corners.
+    faces: Vec<(u32, u32)>,
+    facets: usize,
 }
 
 impl Wedges {
-    /// A fan, as the surface has it. A face without texture has (0, 0) everywhere.
-    fn push_face(&mut self, corners: usize) {
-        let is_whole = corners > 0 && self.face.len() == 2 * corners;
-        self.any |= is_whole;
-        let first = u32::try_from(self.values.len()).unwrap_or(u32::MAX);
-        let pairs = self.face.as_chunks::<2>().0;
-        if is_whole {
-            self.values.extend(pairs.iter().map(|&[u, v]| DVec2::new(u, v)));
-        } else {
-            self.values.push(DVec2::ZERO);
+    /// The list grows by half, and for a large face by no more than that needs.
+    fn reserve(&mut self, count: usize) {
+        let more = count.saturating_mul(self.kind.bytes());
+        if self.numbers.capacity() - self.numbers.len() < more {
+            self.numbers.reserve_exact(more.max(self.numbers.len() / 2));
         }
-        for k in 1..corners.saturating_sub(1) {
-            // Corners beyond 32 bits are refused as too many values.
-            let k = if is_whole { u32::try_from(k).unwrap_or(u32::MAX) } else { 0 };
-            let next = if is_whole { k.saturating_add(1) } else { 0 };
-            self.corners.push([first, first.saturating_add(k), first.saturating_add(next)]);
+    }
+
+    fn end_face(&mut self, corners: usize) {
+        let count = (self.numbers.len() - self.before) / self.kind.bytes();
+        let facets = corners.saturating_sub(2);
+        // Facets beyond 32 bits are refused later.
+        match (u32::try_from(self.facets), u32::try_from(corners)) {
+            (Ok(first), Ok(corners)) if facets > 0 && count == 2 * corners as usize => {
+                self.faces.push((first, corners))
+            }
+            _ => self.numbers.truncate(self.before),
         }
-        self.face.clear();
+        self.before = self.numbers.len();
+        self.facets += facets;
+    }
+
+    /// Fans, as the surface has them. Corners of one vertex with the same bits name the same value, and those of faces without
+    /// texture (0, 0).
+    fn finish(self, facets: &[[u32; 3]]) -> Option<PerCorner<DVec2>> {
+        if self.faces.is_empty() || self.facets != facets.len() {
+            return None;
+        }
+        let Self { kind, numbers, faces, .. } = self;
+        let of_face = |&(first, corners): &(u32, u32)| &facets[first as usize..][..corners as usize - 2];
+        let ring = |face| {
+            let fan: &[[u32; 3]] = of_face(face);
+            fan[0][..2].iter().copied().chain(fan.iter().map(|facet| facet[2]))
+        };
+        let total = faces.iter().map(|(_, corners)| *corners as usize).sum();
+        let mut vertices = Vec::with_capacity(total);
+        vertices.extend(faces.iter().flat_map(ring));
+        let pair = 2 * kind.bytes();
+        let firsts = firsts(total, |wedge| (vertices[wedge], &numbers[wedge * pair..][..pair]));
+        drop(vertices);
+        let is_bare = faces.iter().map(|(_, corners)| *corners as usize - 2).sum::<usize>() < facets.len();
+        let count = firsts.iter().zip(0..).filter(|(first, wedge)| *first == wedge).count();
+        let mut values = Vec::with_capacity(count + usize::from(is_bare));
+        values.extend(is_bare.then_some(DVec2::ZERO));
+        let number = |at: usize| numbers!(kind, f64, number(&numbers, at));
+        let named = numbered(firsts, values.len(), |wedge| {
+            values.push(DVec2::new(number(wedge * pair), number(wedge * pair + kind.bytes())));
+        });
+        let mut corners = vec![[0; 3]; facets.len()];
+        let mut rest = named.as_slice();
+        for &(first, count) in &faces {
+            let (ring, after) = rest.split_at(count as usize);
+            rest = after;
+            let fan = corners[first as usize..].iter_mut().zip(ring[1..].windows(2));
+            fan.for_each(|(facet, next)| *facet = [ring[0], next[0], next[1]]);
+        }
+        Some(PerCorner { values, corners })
     }
 }
 
-/// Corners of one vertex with the same bits name the same value.
-fn shared(facets: &[[u32; 3]], given: PerCorner<DVec2>) -> PerCorner<DVec2> {
-    if given.corners.len() != facets.len() {
-        return given;
-    }
-    let index = |corner: usize| given.corners.as_flattened()[corner] as usize;
-    let bits = |corner: usize| given.values.get(index(corner)).map(|uv| uv.to_array().map(f64::to_bits));
-    let vertices = facets.as_flattened();
-    let mut values = Vec::new();
-    let corners = numbered(firsts(vertices.len(), |corner| (vertices[corner], bits(corner))), 0, |corner| {
-        values.push(given.values.get(index(corner)).copied().unwrap_or(DVec2::NAN));
-    });
-    PerCorner { values, corners: corners.as_chunks::<3>().0.to_vec() }
+/// The number at a byte, which is there.
+fn number<const N: usize>(bytes: &[u8], at: usize, of: impl Fn([u8; N]) -> f64) -> f64 {
+    bytes[at..].first_chunk().map_or(f64::NAN, |bytes| of(*bytes))
 }

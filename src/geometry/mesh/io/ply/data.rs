@@ -32,7 +32,11 @@ pub(super) fn read(header: &Header<'_>, carried: &mut Carried) -> Result<Soup, D
         // Two bytes a number, at the least, or four a face.
         let (most, count) = (rows.cursor.rest.len(), element.count);
         match element.name.as_str() {
-            "vertex" => rows.soup.positions.reserve_exact(count.min(most / 3 + 1)),
+            "vertex" => {
+                // Each has three coordinates, and a byte of each column.
+                rows.soup.positions.reserve_exact(count.min(most / 3 + 1));
+                rows.carried.reserve(count.min(most / 3 + 1));
+            }
             "face" => rows.soup.facets.reserve(count.min(most / 4 + 1)),
             _ => {}
         }
@@ -106,10 +110,10 @@ impl Rows<'_> {
                         }
                     }
                 }
-                to @ (Role::Column(_) | Role::Wedges) => {
-                    for _ in 0..count {
-                        carried.push(to, cursor.any_float(property.item, "a property")?);
-                    }
+                Role::Column(column) => carried.push(column, cursor.any_float(property.item, "a property")?),
+                Role::Wedges => {
+                    cursor.check(count, property.item, "texture coordinates")?;
+                    carried.wedges(count, || cursor.any_float(property.item, "a property"))?;
                 }
                 Role::Skipped => cursor.pass(count, property.item, "a property")?,
             }

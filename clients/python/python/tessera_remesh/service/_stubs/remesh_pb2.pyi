@@ -311,28 +311,32 @@ class RemeshOptions(_message.Message):
     def __init__(self, points: _Optional[int] = ..., seed: _Optional[int] = ..., density: _Optional[_Union[Density, _Mapping]] = ..., lloyd: _Optional[int] = ..., newton: _Optional[int] = ..., projection: _Optional[_Union[Projection, str]] = ..., placement: _Optional[_Union[Placement, str]] = ..., crease_angle: _Optional[float] = ..., boundaries: _Optional[_Union[BoundaryRule, str]] = ..., thin: _Optional[_Union[ThinRule, str]] = ..., max_deviation: _Optional[float] = ..., max_deviation_length: _Optional[float] = ..., max_points: _Optional[int] = ..., measure: _Optional[_Union[Measure, str]] = ..., points_percent: _Optional[float] = ..., facets: _Optional[int] = ...) -> None: ...
 
 class DiagramOptions(_message.Message):
-    __slots__ = ("points", "seed", "outputs")
+    __slots__ = ("points", "seed", "outputs", "points_percent")
     POINTS_FIELD_NUMBER: _ClassVar[int]
     SEED_FIELD_NUMBER: _ClassVar[int]
     OUTPUTS_FIELD_NUMBER: _ClassVar[int]
+    POINTS_PERCENT_FIELD_NUMBER: _ClassVar[int]
     points: int
     seed: int
     outputs: _containers.RepeatedScalarFieldContainer[RvdOutput]
-    def __init__(self, points: _Optional[int] = ..., seed: _Optional[int] = ..., outputs: _Optional[_Iterable[_Union[RvdOutput, str]]] = ...) -> None: ...
+    points_percent: float
+    def __init__(self, points: _Optional[int] = ..., seed: _Optional[int] = ..., outputs: _Optional[_Iterable[_Union[RvdOutput, str]]] = ..., points_percent: _Optional[float] = ...) -> None: ...
 
 class CvtOptions(_message.Message):
-    __slots__ = ("points", "seed", "density", "projection", "max_seeds")
+    __slots__ = ("points", "seed", "density", "projection", "max_seeds", "points_percent")
     POINTS_FIELD_NUMBER: _ClassVar[int]
     SEED_FIELD_NUMBER: _ClassVar[int]
     DENSITY_FIELD_NUMBER: _ClassVar[int]
     PROJECTION_FIELD_NUMBER: _ClassVar[int]
     MAX_SEEDS_FIELD_NUMBER: _ClassVar[int]
+    POINTS_PERCENT_FIELD_NUMBER: _ClassVar[int]
     points: int
     seed: int
     density: Density
     projection: Projection
     max_seeds: int
-    def __init__(self, points: _Optional[int] = ..., seed: _Optional[int] = ..., density: _Optional[_Union[Density, _Mapping]] = ..., projection: _Optional[_Union[Projection, str]] = ..., max_seeds: _Optional[int] = ...) -> None: ...
+    points_percent: float
+    def __init__(self, points: _Optional[int] = ..., seed: _Optional[int] = ..., density: _Optional[_Union[Density, _Mapping]] = ..., projection: _Optional[_Union[Projection, str]] = ..., max_seeds: _Optional[int] = ..., points_percent: _Optional[float] = ...) -> None: ...
 
 class Finish(_message.Message):
     __slots__ = ()
