@@ -59,6 +59,7 @@ fn variable(key: &str) -> String {
 fn values(key: &str, default: Option<&str>) -> [String; 3] {
     let all = match default {
         _ if key == "on_device_loss" => ["\"exit\"", "\"cpu\"", "\"exit\""],
+        _ if key == "role" => ["\"gateway\"", "\"worker\"", "\"all\""],
         _ if key == "public_host" => ["[\"a\"]", "[\"b\"]", "[\"c\"]"],
         _ if key == "cors_origin" => ["[\"http://a\"]", "[\"http://b\"]", "[\"http://c\"]"],
         _ if key == "backend" => ["\"gpu\"", "\"serial\"", "\"parallel\""],
