@@ -16,7 +16,7 @@ use geometry::cvt::density::{Count, DensityOptions, Expected};
 use glam::DVec3;
 use jobs::admission::estimate::{Counts, Kind, need};
 use jobs::blob::{BlobOptions, Owner, put_of};
-use jobs::executor::api::JobApi;
+use jobs::executor::api::{JobApi, Reuse};
 use jobs::record::Spec;
 use jobs::record::state::State;
 use jobs::{Backends, Engine, EngineOptions, Executor, ExecutorOptions, JobError, PoolFactory, Stores};
@@ -128,7 +128,7 @@ impl Server {
         }
         MEMORY.reset_peak_usage();
         let (before, begin, cpu) = (MEMORY.current_usage(), Instant::now(), cpu_s());
-        let id = self.runtime.block_on(self.executor.create(spec("t"))).unwrap().job.id;
+        let id = self.runtime.block_on(self.executor.create(spec("t"), Reuse::Never)).unwrap().job.id;
         let mut planned = estimate.host_bytes;
         let state = loop {
             planned = planned.max(self.engine.planned().host);
@@ -576,7 +576,7 @@ fn attacks() {
         let blobs = spec.task().blobs();
         let owner = Owner::of(tenant);
         server.runtime.block_on(server.stores.blobs.claim(owner, &blobs)).unwrap();
-        server.runtime.block_on(server.executor.create(spec)).unwrap().job.id
+        server.runtime.block_on(server.executor.create(spec, Reuse::Never)).unwrap().job.id
     };
     let long = job_spec_of(server.mesh(&strip(20_000)), usual(2000));
     let jobs = ["a", "b", "c"].map(|tenant| (tenant, create(tenant, &long)));

@@ -25,7 +25,7 @@ use fetch::FetchArgs;
 use geometry::remesh::RemeshOptions;
 pub(crate) use server::config::count;
 use spec::{Asked, RemeshWork, RvdWork};
-use wire::proto::{CreateJobRequest, EstimateJobRequest, Job, JobState, ListJobsRequest, job_spec};
+use wire::proto::{CreateJobRequest, EstimateJobRequest, Job, JobState, ListJobsRequest, ReusePolicy, job_spec};
 
 pub(crate) use spec::digest;
 
@@ -97,6 +97,9 @@ struct HowArgs {
     /// The same id with the same job gives the same job again, so that a submit can be repeated safely.
     #[arg(long, value_name = "ID", value_parser = request_id)]
     request_id: Option<String>,
+    /// Whether an earlier job of the same tenant with the same result may be the answer.
+    #[arg(long, default_value = "never", value_parser = words(REUSES))]
+    reuse: ReusePolicy,
     /// Jobs with a higher priority go first: -100 to 100 [default: 0].
     #[arg(long, value_name = "N", allow_negative_numbers = true, value_parser = clap::value_parser!(i32).range(-100..=100))]
     priority: Option<i32>,
@@ -148,6 +151,11 @@ const STATES: Words<JobState> = &[
     ("failed", "It has no result", JobState::Failed),
     ("cancelled", "Its caller ended it", JobState::Cancelled),
     ("expired", "A deadline passed, or its result is no longer kept", JobState::Expired),
+];
+
+const REUSES: Words<ReusePolicy> = &[
+    ("never", "Each submit makes a job", ReusePolicy::Never),
+    ("same-bits", "If its result is kept and has the same bits", ReusePolicy::SameBits),
 ];
 
 fn id(text: &str) -> Result<String, String> {
@@ -216,7 +224,11 @@ fn submit(asked: impl FnOnce() -> Result<Asked>, how: &HowArgs, server: &ServerA
     let message = |span: Option<Duration>| span.and_then(|span| prost_types::Duration::try_from(span).ok());
     (spec.labels, spec.priority) = (labels, how.priority);
     (spec.queue_deadline, spec.run_deadline) = (message(how.queue_deadline_s), message(how.deadline_s));
-    let request = CreateJobRequest { spec: Some(spec), request_id: how.request_id.clone().unwrap_or_default() };
+    let request = CreateJobRequest {
+        spec: Some(spec),
+        request_id: how.request_id.clone().unwrap_or_default(),
+        reuse: how.reuse.into(),
+    };
     let progress = transfer(input.as_ref().map(|(path, _)| path.as_path()), server, "upload");
     let created = session(server, async |session| {
         session.upload(&sources, &progress).await?;
@@ -228,6 +240,7 @@ fn submit(asked: impl FnOnce() -> Result<Asked>, how: &HowArgs, server: &ServerA
     let json = || {
         let mut told = show::json_of(&job);
         told["existed"] = created.existed.into();
+        told["reused"] = created.reused.into();
         told
     };
     server.tell(json, || vec![job.id.clone()])

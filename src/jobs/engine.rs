@@ -114,6 +114,10 @@ impl Engine {
         self.shared.current().1.choose(choice).map(|backend| BackendInfo::of(backend.as_ref()))
     }
 
+    pub(crate) fn observer(&self) -> &dyn Observer {
+        self.shared.observer.as_ref()
+    }
+
     pub fn losses(&self) -> u64 {
         self.shared.losses.load(Ordering::Relaxed)
     }

@@ -10,6 +10,7 @@
 pub mod api;
 mod cluster;
 pub mod diagram;
+mod fingerprint;
 mod input;
 mod perform;
 pub mod prepared;
@@ -32,11 +33,11 @@ use crate::admission::estimate::{Counts, Need};
 use crate::admission::forecast::{Forecast, must_fit};
 use crate::blob::{BlobError, BlobOptions, BlobStore, ObjectBlobs, Owner};
 use crate::engine::{AdmissionRequest, Engine};
-use crate::executor::api::{ClusterApi, Estimate, JobApi, JobApiError};
+use crate::executor::api::{ClusterApi, Estimate, JobApi, JobApiError, Reuse};
 use crate::observe::preview::{PreviewReceiver, Previews};
 use crate::places::may_take;
 use crate::record::event::{Events, Progress};
-use crate::record::{Change, FailureKind, Job, JobId, Spec};
+use crate::record::{Change, FailureKind, Job, JobId, Outcome, Spec};
 use crate::store::shared::{Overview, Unschedulable};
 use crate::store::{
     Cost, Created, JobStore, MAX_CRASHES, MemoryStore, NewJob, Orphans, Page, Query, RedbOptions, RedbStore, Retention,
@@ -44,6 +45,7 @@ use crate::store::{
 };
 use crate::{JobError, admission, lock};
 pub use cluster::{NodeOptions, host_name};
+use fingerprint::fingerprint;
 use geometry::token::Token;
 use sharing::{Leases, Numbers};
 use storage::Storage;
@@ -505,14 +507,14 @@ impl Inner {
         if may_take(own, waiting, self.options.waiting_jobs) { Ok(()) } else { Err(full.into()) }
     }
 
-    /// What must be known before the input is looked at: the job, if its request came before. Errors: as [`Self::has_place`]; in a
+    /// What must be known before the input is looked at: an earlier job that is the answer. Errors: as [`Self::has_place`]; in a
     /// shared store `Blob` if blobs cannot be stored now.
-    async fn begin_create(&self, spec: &Spec) -> Result<Option<Job>, JobApiError> {
+    async fn begin_create(&self, spec: &Spec, reuse: Reuse) -> Result<Option<Created>, JobApiError> {
         // Its input may be gone by now, and is not needed.
         if !spec.request_id.is_empty()
             && let Some(job) = self.stores.jobs.requested(spec.clone()).await?
         {
-            return Ok(Some(job));
+            return Ok(Some(Created::before(job)));
         }
         // Servers that share a bucket know within seconds that it is away.
         if self.shared().is_some()
@@ -520,7 +522,26 @@ impl Inner {
         {
             return Err(error.into());
         }
+        if reuse == Reuse::SameBits
+            && let Some(job) = self.same(spec).await?
+        {
+            self.engine.observer().reused(spec.task().operation.kind());
+            return Ok(Some(Created::reused(job)));
+        }
         self.has_place(&spec.tenant).await.map(|()| None)
+    }
+
+    /// A job of the tenant whose whole result is kept, and is what this one's would be if it was done here.
+    async fn same(&self, spec: &Spec) -> Result<Option<Job>, JobApiError> {
+        // Without the backend the job is refused, or done elsewhere.
+        let Ok(backend) = self.engine.backend(spec.task().backend) else { return Ok(None) };
+        let wanted = fingerprint(spec.message(), &backend, &self.options.bounds);
+        let Some(job) = self.stores.jobs.same(spec.tenant.clone(), wanted).await? else { return Ok(None) };
+        let Some(Outcome::Succeeded(result)) = &job.status.outcome else { return Ok(None) };
+        // A blob that was found damaged is gone.
+        let blobs: Vec<_> = result.blobs.values().copied().collect();
+        let missing = self.stores.blobs.find_missing_of(Owner::of(&spec.tenant), &blobs).await?;
+        Ok(missing.is_empty().then_some(job))
     }
 
     /// Checks all that can be checked before a job is kept; gives the memory that it needs.
@@ -549,17 +570,17 @@ impl JobApi for Executor {
         self.inner.shared().map(|_| self as &dyn ClusterApi)
     }
 
-    async fn create(&self, spec: Spec) -> Result<Created, JobApiError> {
+    async fn create(&self, spec: Spec, reuse: Reuse) -> Result<Created, JobApiError> {
         let this = &self.inner;
         let begun = match this.shared() {
-            None => this.begin_create(&spec).await?,
-            Some(_) => tokio::time::timeout(PATIENCE, this.begin_create(&spec)).await.map_err(|_| {
+            None => this.begin_create(&spec, reuse).await?,
+            Some(_) => tokio::time::timeout(PATIENCE, this.begin_create(&spec, reuse)).await.map_err(|_| {
                 let cause = format!("no answer within {} s", PATIENCE.as_secs_f64());
                 StoreError::Unavailable { cause }
             })??,
         };
-        if let Some(job) = begun {
-            return Ok(Created { job, existed: true });
+        if let Some(earlier) = begun {
+            return Ok(earlier);
         }
         this.check_input(&spec).await?;
         let need = this.admit(&spec).await?;

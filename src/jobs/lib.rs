@@ -95,12 +95,15 @@ impl Backends {
 pub struct BackendInfo {
     pub kind: BackendKind,
     pub adapter: Option<String>,
+    /// Of a GPU: its interface and its driver.
+    pub driver: Option<String>,
     pub threads: usize,
 }
 
 impl BackendInfo {
     pub fn of(backend: &dyn Backend) -> Self {
-        Self { kind: backend.kind(), adapter: backend.adapter(), threads: backend.threads() }
+        let driver = backend.device_facts().map(|facts| format!("{} {}", facts.api, facts.driver));
+        Self { kind: backend.kind(), adapter: backend.adapter(), driver, threads: backend.threads() }
     }
 }
 

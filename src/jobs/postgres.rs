@@ -28,6 +28,7 @@ pub use operator::{Checked, Operator};
 pub use pool::PostgresOptions;
 
 use crate::beside::Beside;
+use crate::blob::Digest;
 use crate::blob::index::BlobIndex;
 use crate::lock;
 use crate::record::event::{Events, Progress};
@@ -135,6 +136,10 @@ impl JobStore for PostgresStore {
 
     fn requested(&self, spec: Spec) -> Answer<'_, Option<Job>> {
         connection!(self, |connection| jobs::requested(connection, &spec))
+    }
+
+    fn same(&self, tenant: String, fingerprint: Digest) -> Answer<'_, Option<Job>> {
+        connection!(self, |connection| jobs::same(connection, &tenant, fingerprint))
     }
 
     fn get(&self, id: JobId) -> Answer<'_, Job> {

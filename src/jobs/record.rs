@@ -158,6 +158,9 @@ pub enum Outcome {
 pub struct ResultSet {
     /// Each under its name, such as "mesh.ply", "seeds" or "report".
     pub blobs: std::collections::BTreeMap<String, Digest>,
+    /// Digest of all that decides their bits. Results of earlier releases have none.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub fingerprint: Option<Digest>,
 }
 
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -229,6 +232,14 @@ impl Status {
             due: deadlines.queue.map(|limit| now.after(limit)),
             holder: None,
             outcome: None,
+        }
+    }
+
+    /// The fingerprint of the result, while it is kept.
+    pub fn fingerprint(&self) -> Option<Digest> {
+        match &self.outcome {
+            Some(Outcome::Succeeded(result)) => result.fingerprint,
+            _ => None,
         }
     }
 

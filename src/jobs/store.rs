@@ -58,6 +58,9 @@ pub trait JobStore: Send + Sync {
     /// Errors: `AlreadyExists` if that request had another body.
     fn requested(&self, spec: Spec) -> Answer<'_, Option<Job>>;
 
+    /// The newest job of a tenant whose result has this fingerprint and is still kept.
+    fn same(&self, tenant: String, fingerprint: Digest) -> Answer<'_, Option<Job>>;
+
     fn get(&self, id: JobId) -> Answer<'_, Job>;
 
     /// Jobs, the newest first.
@@ -202,7 +205,25 @@ impl fmt::Debug for Clock {
 #[derive(Clone, Debug, PartialEq)]
 pub struct Created {
     pub job: Job,
+    /// Whether its request came before, or it is reused.
     pub existed: bool,
+    /// Whether it is an earlier job with the same result.
+    pub reused: bool,
+}
+
+impl Created {
+    pub fn new(job: Job) -> Self {
+        Self { job, existed: false, reused: false }
+    }
+
+    /// The job of a request that came before.
+    pub fn before(job: Job) -> Self {
+        Self { job, existed: true, reused: false }
+    }
+
+    pub fn reused(job: Job) -> Self {
+        Self { job, existed: true, reused: true }
+    }
 }
 
 #[derive(Clone, Debug, Default)]

@@ -149,11 +149,16 @@ pub const ROUTES: &[Route] = &[
         id: "createJob",
         summary: "Create a job",
         description: "The body is an object with the options of `/v1/remesh`, the digest of the mesh (`mesh`) and its `format`; or \
-                      a whole specification, as in `spec` of a job, with `request_id` beside it.",
+                      a whole specification, as in `spec` of a job, with `request_id` and `reuse` beside it.",
         body: Content::json(jobs::request),
         answers: &[
             Answer::new(201, "Created.", JOB).with(&[LOCATION]),
-            Answer::new(200, "An earlier request with this `request_id` created it.", JOB).with(&[LOCATION]),
+            Answer::new(
+                200,
+                "An earlier request created it: one with this `request_id`, or by `reuse` one with the same result.",
+                JOB,
+            )
+            .with(&[LOCATION]),
         ],
         ..route("POST", "/v1/jobs", Role::Submit, Kind::Call, || post(jobs::create))
     },

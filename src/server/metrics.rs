@@ -51,6 +51,7 @@ struct Inner {
     open_connections: Gauge,
     jobs: Family<Labels<2>, Gauge>,
     jobs_ended: Family<Labels<2>, Counter>,
+    jobs_reused: Family<Labels<1>, Counter>,
     queue: Histograms<Labels<1>>,
     stages: Histograms<Labels<2>>,
     passes: Family<Labels<1>, Counter>,
@@ -130,6 +131,11 @@ impl Metrics {
             open_connections: plain(r, "tessera_open_connections", "Connections that are open"),
             jobs: plain(r, "tessera_jobs", "Jobs that wait or are at work"),
             jobs_ended: plain(r, "tessera_jobs_ended", "Jobs that left the engine, by how they ended"),
+            jobs_reused: plain(
+                r,
+                "tessera_jobs_reused",
+                "Jobs that were answered with an earlier one of the same result",
+            ),
             queue: add(r, "tessera_queue", s(), "How long jobs waited for their turn", work_seconds()),
             stages: add(r, "tessera_stage", s(), "How long stages of jobs took", work_seconds()),
             passes: plain(r, "tessera_passes", "Passes of the diagram over a surface"),
@@ -184,6 +190,7 @@ impl Metrics {
                 let _ = inner.jobs_ended.get_or_create(&[("outcome", outcome), ("kind", kind)]);
             }
             let _ = inner.queue.get_or_create(&[("kind", kind)]);
+            let _ = inner.jobs_reused.get_or_create(&[("kind", kind)]);
         }
         for kind in ["planned", "used"] {
             let _ = inner.device_bytes.get_or_create(&[("kind", kind)]);
@@ -374,6 +381,10 @@ impl Observer for Metrics {
             self.0.facets.inc_by(origin.facets);
             self.0.seeds.inc_by(origin.seeds);
         }
+    }
+
+    fn reused(&self, kind: Kind) {
+        self.0.jobs_reused.get_or_create(&[("kind", kind.name())]).inc();
     }
 
     fn stage(&self, stage: &'static str, backend: BackendKind, took: Duration) {

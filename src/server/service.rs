@@ -28,7 +28,7 @@ use tonic::service::Routes;
 
 use self::access::Guarded;
 pub(crate) use self::access::{Caller, Pass, Refusal};
-pub(crate) use self::convert::job_id;
+pub(crate) use self::convert::{job_id, reuse};
 pub(crate) use self::desk::{DESK_TIME, Desk, EmptyUpload, check_owned, create, follow, tenant_of, timely, to_the_end};
 pub(crate) use self::fault::{Detail, Fault, Kind as FaultKind};
 use self::health::Told;

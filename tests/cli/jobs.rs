@@ -161,13 +161,14 @@ fn every_option_arrives() {
     file("seeds.xyz", "0 0 0\n");
     let line = "jobs submit remesh in.off --points 9 --sizes sizes.txt --creases creases.txt --gradation 0.3 --adaptivity 1 \
         --max-deviation 0.5 --max-points 20 --crease-angle 30 --boundaries keep --thin even --placement fitted --lloyd 5 \
-        --newton 0 --projection surface --seed 0 --backend serial --no-attributes --format stl --request-id r1 --priority -3 \
+        --newton 0 --projection surface --seed 0 --backend serial --no-attributes --format stl --request-id r1 --reuse same-bits --priority -3 \
         --deadline-s 1.5 --queue-deadline-s 60 --label team=a=b --label x= --tenant t1 --json";
     let told: Value = serde_json::from_str(&stage.ok(line)).unwrap();
     assert_eq!((&told["id"], &told["existed"]), (&ID.into(), &false.into()));
     assert_eq!((&told["state"], &told["labels"]["team"]), (&"queued".into(), &"a=b".into()));
     let (request, tenant) = stage.fake.created();
     assert_eq!((request.request_id.as_str(), tenant.as_deref()), ("r1", Some("t1")));
+    assert_eq!((request.reuse(), &told["reused"]), (proto::ReusePolicy::SameBits, &false.into()));
     let spec = request.spec.unwrap();
     let Some(job_spec::Work::Remesh(work)) = &spec.work else { panic!("{spec:?}") };
     let density = work.density.as_ref().unwrap();

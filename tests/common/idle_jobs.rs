@@ -4,7 +4,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use jobs::blob::{BlobError, BlobStore, Digest};
-use jobs::executor::api::{Estimate, JobApi, JobApiError, Preview};
+use jobs::executor::api::{Estimate, JobApi, JobApiError, Preview, Reuse};
 use jobs::record::event::Events;
 use jobs::record::*;
 use jobs::store::*;
@@ -42,7 +42,7 @@ impl Idle {
 
 #[tonic::async_trait]
 impl JobApi for Idle {
-    async fn create(&self, spec: Spec) -> Result<Created, JobApiError> {
+    async fn create(&self, spec: Spec, _: Reuse) -> Result<Created, JobApiError> {
         for blob in Self::input(&spec) {
             self.blobs.stat(blob).await?;
         }

@@ -112,7 +112,8 @@ impl House {
             })
         };
         let options = EngineOptions { jobs_at_once: 1, ..EngineOptions::default() };
-        let (engine, worker) = Engine::start(factory, options).unwrap();
+        let metrics = Metrics::default();
+        let (engine, worker) = Engine::start_observed(factory, options, Arc::new(metrics.clone())).unwrap();
         let Limits { max_vertices, max_facets, max_seeds, max_iterations, .. } = limits;
         let bounds = wire::counts::Bounds { max_vertices, max_facets, max_seeds, max_iterations };
         let stores = Stores::ephemeral(BlobOptions::default());
@@ -122,7 +123,6 @@ impl House {
         let beside = TcpListener::bind("127.0.0.1:0").await.unwrap();
         let http = beside.local_addr().unwrap();
         let (stop, stopped) = oneshot::channel();
-        let metrics = Metrics::default();
         let parts = Parts {
             engine,
             worker,

@@ -232,6 +232,29 @@ async fn a_job_is_created_watched_and_read() {
     let other = again.header("location").unwrap().to_owned();
     let _ = get(&house, &format!("{other}/events"), &[]).await;
     assert_eq!(get(&house, &other, &[]).await.json()["results"]["mesh"], job["results"]["mesh"]);
+    // Both ways of asking give the earlier one on request; the newest counts.
+    let with = |mut body: Value, word: &str| {
+        body["reuse"] = word.into();
+        body.to_string()
+    };
+    for (body, earlier) in [(spec.clone(), &other), (job["spec"].clone(), &other)] {
+        let reused = post(&house, "/v1/jobs", &[], with(body, "same_bits").as_bytes()).await;
+        assert_eq!((reused.status, reused.header("location")), (200, Some(&**earlier)), "{reused:?}");
+        assert_eq!(reused.json()["state"], "succeeded");
+    }
+    let counted = house.metrics.text(server::metrics::Format::Text);
+    assert!(counted.contains("tessera_jobs_reused_total{kind=\"remesh\"} 2\n"), "{counted}");
+    let never = post(&house, "/v1/jobs", &[], with(spec.clone(), "never").as_bytes()).await;
+    assert_eq!(never.status, 201);
+    for word in ["always", "unspecified", ""] {
+        let refused = post(&house, "/v1/jobs", &[], with(spec.clone(), word).as_bytes()).await;
+        assert_eq!(
+            (refused.status, &refused.json()["field_violations"][0]["field"]),
+            (400, &json!("reuse")),
+            "{refused:?}"
+        );
+    }
+    assert_eq!(post(&house, "/v1/remesh?points=9&reuse=same_bits", &[], &file).await.status, 400);
     for path in [path, other] {
         assert_eq!(ask(&house, "DELETE", &path, &[], b"").await.status, 204);
         assert_eq!(get(&house, &path, &[]).await.status, 404);

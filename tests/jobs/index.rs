@@ -26,7 +26,7 @@ fn upload(name: &str, size_bytes: u64, owner: &str) -> UploadId {
 }
 
 fn result() -> ResultSet {
-    ResultSet { blobs: [("mesh".to_owned(), blob("result"))].into() }
+    ResultSet { blobs: [("mesh".to_owned(), blob("result"))].into(), ..ResultSet::default() }
 }
 
 fn new(number: u128) -> NewJob {

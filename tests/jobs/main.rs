@@ -29,6 +29,7 @@ mod outage;
 #[cfg(all(unix, feature = "postgres"))]
 mod postgres;
 mod random;
+mod reuse;
 #[cfg(all(unix, feature = "postgres"))]
 mod scaling;
 #[cfg(all(unix, feature = "postgres"))]

@@ -26,7 +26,12 @@ fn input(body: u64) -> Digest {
 /// What a job of the model results in.
 pub fn result(body: u64) -> ResultSet {
     let digest = blobs()[(BODIES + body) as usize].0;
-    ResultSet { blobs: [("mesh".to_owned(), digest)].into() }
+    ResultSet { blobs: [("mesh".to_owned(), digest)].into(), fingerprint: fingerprint(body) }
+}
+
+/// What decides the bits of a result; some results do not say.
+fn fingerprint(body: u64) -> Option<Digest> {
+    (body != 2).then(|| [0x70 + body as u8; 32].into())
 }
 
 /// A job, as the model sees it.
@@ -120,6 +125,15 @@ impl Model {
             _ => 0,
         });
         bits.fold(0, |all, bit| all | bit)
+    }
+
+    /// Each fingerprint, with the newest job whose kept result has it.
+    pub fn same(&self) -> Vec<(Digest, Option<JobId>)> {
+        let newest = |body| {
+            let mut jobs = self.jobs.iter().rev();
+            jobs.find(|(_, job)| job.state == State::Succeeded && job.body == body).map(|(id, _)| *id)
+        };
+        (0..BODIES).filter_map(|body| Some((fingerprint(body)?, newest(body)))).collect()
     }
 
     /// Does a step at a time.

@@ -4,7 +4,7 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use jobs::blob::{BlobOptions, ObjectBlobs, put_of};
-use jobs::executor::api::JobApi;
+use jobs::executor::api::{JobApi, Reuse};
 use jobs::postgres::{PostgresOptions, PostgresStore};
 use jobs::record::Spec;
 use jobs::record::state::State;
@@ -52,7 +52,7 @@ fn a_job_outlives_an_outage_of_the_database() {
             ..JobSpec::default()
         };
         let spec = Spec::new(spec, "t".to_owned(), "r".to_owned()).unwrap();
-        let id = executor.create(spec).await.unwrap().job.id;
+        let id = executor.create(spec, Reuse::Never).await.unwrap().job.id;
         while jobs.get(id).await.unwrap().status.state == State::Queued {
             tokio::time::sleep(Duration::from_millis(5)).await;
         }

@@ -358,6 +358,10 @@ impl<M: Medium> Trial<M> {
         let store = Arc::clone(self.store());
         let pinned = wait(store.index().usage()).unwrap().pinned_bytes;
         assert_eq!(pinned, self.model.pinned(), "{pinned:b}");
+        for (fingerprint, newest) in self.model.same() {
+            let same = |tenant: &str| wait(store.same(tenant.to_owned(), fingerprint)).unwrap().map(|job| job.id);
+            assert_eq!((same("t"), same("u")), (newest, None), "{fingerprint}");
+        }
         for state in State::ALL {
             let query = Query { states: vec![state], ..Query::default() };
             let listed: Vec<JobId> = wait(store.list(query)).unwrap().jobs.iter().map(|job| job.id).collect();

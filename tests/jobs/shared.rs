@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 
 use futures_util::{StreamExt, TryStreamExt};
 use jobs::blob::{BlobOptions, BlobStore, Digest, ObjectBlobs, put, put_of};
-use jobs::executor::api::{JobApi, JobApiError};
+use jobs::executor::api::{JobApi, JobApiError, Reuse};
 use jobs::postgres::PostgresStore;
 use jobs::record::state::State;
 use jobs::record::{Change, Job, JobId, Outcome, Spec};
@@ -80,7 +80,7 @@ impl Node {
             ..JobSpec::default()
         };
         let spec = Spec::new(spec, TENANT.to_owned(), String::new()).unwrap();
-        self.executor.create(spec).await.unwrap().job.id
+        self.executor.create(spec, Reuse::Never).await.unwrap().job.id
     }
 
     pub async fn get(&self, id: JobId) -> Job {
@@ -322,13 +322,13 @@ fn too_many_waiting_jobs_are_refused_and_a_database_that_is_away_is_said_soon() 
         let spec = a.get(first).await.spec;
         let mut refused = None;
         for _ in 0..4 {
-            refused = a.executor.create(spec.clone()).await.err().or(refused);
+            refused = a.executor.create(spec.clone(), Reuse::Never).await.err().or(refused);
         }
         assert!(matches!(&refused, Some(JobApiError::Job(jobs::JobError::QueueFull { .. }))), "{refused:?}");
         database.cluster.stop_immediate();
         tokio::time::sleep(Duration::from_millis(1500)).await;
         let begin = Instant::now();
-        let away = a.executor.create(spec).await.unwrap_err();
+        let away = a.executor.create(spec, Reuse::Never).await.unwrap_err();
         assert!(matches!(away, JobApiError::Store(StoreError::Unavailable { .. })), "{away}");
         assert!(begin.elapsed() < Duration::from_secs(10), "{:?}", begin.elapsed());
         database.cluster.start();

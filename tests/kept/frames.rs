@@ -137,7 +137,7 @@ fn hostile() -> Vec<Case> {
     for digest in digests.map(str::to_owned) {
         let stat = framed(&StatRequest { digest: digest.clone() });
         all.push(case(format!("digest {digest:?}"), "BlobService/Stat", stat, Code::InvalidArgument));
-        let job = framed(&CreateJobRequest { spec: Some(remesh(&digest, 10, 0)), request_id: String::new() });
+        let job = framed(&CreateJobRequest { spec: Some(remesh(&digest, 10, 0)), ..CreateJobRequest::default() });
         all.push(case(format!("digest {digest:?}"), "JobService/CreateJob", job, Code::InvalidArgument));
     }
     let data = b"other bytes";
@@ -164,7 +164,7 @@ fn hostile() -> Vec<Case> {
     }
     let mut unknown = remesh(&"a".repeat(64), 10, 0);
     unknown.backend = 99;
-    let create = CreateJobRequest { spec: Some(unknown), request_id: String::new() };
+    let create = CreateJobRequest { spec: Some(unknown), ..CreateJobRequest::default() };
     all.push(case("an unknown backend", "JobService/CreateJob", framed(&create), Code::InvalidArgument));
     let list = ListJobsRequest { states: vec![99], ..ListJobsRequest::default() };
     all.push(case("an unknown state", "JobService/ListJobs", framed(&list), Code::InvalidArgument));

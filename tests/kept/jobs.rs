@@ -205,6 +205,73 @@ async fn what_cannot_be_done_says_why_and_leaves_nothing() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn a_job_with_the_same_result_is_answered_with_the_earlier_one() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut program = Program::start(folder.path(), &[]);
+    let mut client = program.client().await;
+    let digest = client.put_mesh(&Shape::Torus.build(2_000)).await;
+    let wanted = || remesh(&digest, 200, 3);
+    let first = client.create_or_reuse(wanted()).await;
+    let first_id = first.job.unwrap().id;
+    assert!(!first.existed && !first.reused);
+    let done = client.end(&first_id, LIMIT).await;
+
+    // What changes no bits changes nothing here, and the input is not needed any more.
+    client.blobs.delete(DeleteRequest { digest: digest.clone() }).await.unwrap();
+    let mut alike = wanted();
+    alike.labels = [("night".to_owned(), "7".to_owned())].into();
+    (alike.priority, alike.backend) = (Some(9), BackendChoice::Parallel.into());
+    for spec in [wanted(), alike] {
+        let again = client.create_or_reuse(spec).await;
+        assert!(again.existed && again.reused);
+        assert_eq!(again.job.unwrap(), done);
+    }
+    client.put_mesh(&Shape::Torus.build(2_000)).await;
+
+    // Other options, another backend, another tenant, and callers that do not ask for it have jobs of their own.
+    let new = |answer: CreateJobResponse| {
+        assert!(!answer.existed && !answer.reused, "{answer:?}");
+        answer.job.unwrap().id
+    };
+    let mut fewer = wanted();
+    fewer.result = Some(ResultFormat { form: Some(result_format::Form::File(MeshFormat::Stl.into())) });
+    let mut serial = wanted();
+    serial.backend = BackendChoice::Serial.into();
+    for other in [remesh(&digest, 201, 3), remesh(&digest, 200, 4), fewer, serial] {
+        new(client.create_or_reuse(other).await);
+    }
+    let mut other = client.of("somebody-else");
+    other.put_mesh(&Shape::Torus.build(2_000)).await;
+    new(other.create_or_reuse(wanted()).await);
+    let own = new(client.create(wanted(), "").await.unwrap());
+    let own_done = client.end(&own, LIMIT).await;
+    assert_eq!(part(&own_done, "mesh"), part(&done, "mesh"), "the bits are the same");
+
+    // A request that came before goes first.
+    let request = |request_id: &str| CreateJobRequest {
+        spec: Some(wanted()),
+        request_id: request_id.to_owned(),
+        reuse: ReusePolicy::SameBits.into(),
+    };
+    let named = new(client.create(wanted(), "mine").await.unwrap());
+    let again = client.jobs.create_job(client.request(request("mine"))).await.unwrap().into_inner();
+    assert_eq!((again.existed, again.reused, again.job.unwrap().id), (true, false, named.clone()));
+    client.end(&named, LIMIT).await;
+
+    // After a restart as well; and once the results are deleted, a new job.
+    program.kill();
+    let mut program = Program::start(folder.path(), &[]);
+    let mut client = program.client().await;
+    let again = client.create_or_reuse(wanted()).await;
+    assert!(again.reused);
+    for id in [first_id, own, named] {
+        client.jobs.delete_job(client.request(DeleteJobRequest { id })).await.unwrap();
+    }
+    new(client.create_or_reuse(wanted()).await);
+    program.stop();
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn a_result_and_the_input_of_a_job_are_never_evicted() {
     let folder = tempfile::tempdir().unwrap();
     let program = Program::start(folder.path(), &["--blobs-mib", "1", "--jobs-at-once", "1"]);

@@ -195,8 +195,19 @@ impl Client {
     }
 
     pub async fn create(&mut self, spec: JobSpec, request_id: &str) -> Result<CreateJobResponse, tonic::Status> {
-        let request = self.request(CreateJobRequest { spec: Some(spec), request_id: request_id.to_owned() });
+        let request = self.request(CreateJobRequest {
+            spec: Some(spec),
+            request_id: request_id.to_owned(),
+            ..CreateJobRequest::default()
+        });
         Ok(self.jobs.create_job(request).await?.into_inner())
+    }
+
+    /// The answer to a new job, or an earlier one with the same result.
+    pub async fn create_or_reuse(&mut self, spec: JobSpec) -> CreateJobResponse {
+        let reuse = ReusePolicy::SameBits.into();
+        let request = self.request(CreateJobRequest { spec: Some(spec), reuse, ..CreateJobRequest::default() });
+        self.jobs.create_job(request).await.unwrap().into_inner()
     }
 
     /// A new job's name.

@@ -68,7 +68,8 @@ async fn counters_are_what_the_client_counted() {
     let absent = jobs.get_job(GetJobRequest { id: "0".repeat(32) }).await.unwrap_err();
     assert_eq!(absent.code(), Code::NotFound);
     tally.add("tessera.v1.JobService/GetJob", "NOT_FOUND");
-    let huge = jobs.create_job(CreateJobRequest { spec: Some(remesh(&digest, u32::MAX)), request_id: String::new() });
+    let huge =
+        jobs.create_job(CreateJobRequest { spec: Some(remesh(&digest, u32::MAX)), ..CreateJobRequest::default() });
     assert_eq!(huge.await.unwrap_err().code(), Code::InvalidArgument);
     tally.add("tessera.v1.JobService/CreateJob", "INVALID_ARGUMENT");
     // A method that is not there.

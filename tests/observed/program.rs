@@ -167,7 +167,7 @@ pub fn remesh(digest: &str, points: u32) -> JobSpec {
 
 /// Creates a job with metadata; its name.
 pub async fn create(channel: &Channel, spec: JobSpec, metadata: &[(&'static str, &str)]) -> String {
-    let mut request = tonic::Request::new(CreateJobRequest { spec: Some(spec), request_id: String::new() });
+    let mut request = tonic::Request::new(CreateJobRequest { spec: Some(spec), ..CreateJobRequest::default() });
     for (name, value) in metadata {
         request.metadata_mut().insert(*name, value.parse().unwrap());
     }

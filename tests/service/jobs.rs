@@ -52,7 +52,7 @@ pub fn by<T>(tenant: &str, message: T) -> Request<T> {
 }
 
 fn asked(points: u32, request_id: &str) -> CreateJobRequest {
-    CreateJobRequest { spec: Some(wanted(points)), request_id: request_id.to_owned() }
+    CreateJobRequest { spec: Some(wanted(points)), request_id: request_id.to_owned(), ..CreateJobRequest::default() }
 }
 
 async fn create(client: &mut Jobs, points: u32) -> Job {
@@ -130,7 +130,7 @@ async fn a_job_is_told_as_it_was_given_and_made_once() {
     let at = claim(&server, &job).await;
     let digest = Digest::of(b"result");
     let blobs = [("mesh".to_owned(), digest)].into();
-    change(&server, &job, at, Change::Succeed(ResultSet { blobs })).await;
+    change(&server, &job, at, Change::Succeed(ResultSet { blobs, ..ResultSet::default() })).await;
     let told = client.get_job(by("t", GetJobRequest { id: job.id.clone() })).await.unwrap().into_inner().job.unwrap();
     assert_eq!((told.state(), told.attempts), (JobState::Succeeded, 1));
     assert_eq!(told.results, [ResultBlob { name: "mesh".to_owned(), digest: digest.to_string() }]);
@@ -267,7 +267,7 @@ async fn lists_come_in_pages_that_fit_into_a_message() {
     let mut made = Vec::new();
     for k in 0..60 {
         let spec = if k % 3 == 0 { wanted(k + 1) } else { large.clone() };
-        let request = CreateJobRequest { spec: Some(spec), request_id: String::new() };
+        let request = CreateJobRequest { spec: Some(spec), ..CreateJobRequest::default() };
         made.push(client.create_job(by("t", request)).await.unwrap().into_inner().job.unwrap().id);
     }
     made.sort_unstable_by(|a, b| b.cmp(a));

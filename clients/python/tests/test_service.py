@@ -177,6 +177,9 @@ def test_jobs_outlive_the_connection(surface, endpoint):
     with Client(endpoint) as client:
         result = client.result(job)
         assert client.state(job) == "succeeded"
+        assert client.submit(*surface, 300, reuse="same_bits") == job
+        with pytest.raises(tessera_remesh.InputError, match="reuse"):
+            client.submit(*surface, 300, reuse="always")
         client.delete(job)
         with pytest.raises(ServerError, match="NOT_FOUND"):
             client.state(job)

@@ -22,9 +22,9 @@ use crate::store::{Created, Page, Query};
 /// be run to its end, even if the caller is gone. Every call may fail with `Store`.
 #[async_trait]
 pub trait JobApi: Send + Sync {
-    /// Keeps a job and queues it. Errors: `Input`, `TooLarge`, `Packed`; `Blob`, or `InputMissing` in `Store`, if its input is not stored; `Store` if
+    /// Keeps a job and queues it, unless an earlier one is the answer by `reuse`. Errors: `Input`, `TooLarge`, `Packed`; `Blob`, or `InputMissing` in `Store`, if its input is not stored; `Store` if
     /// the request came before with another body; `Job` if the queue is full or the server drains.
-    async fn create(&self, spec: Spec) -> Result<Created, JobApiError>;
+    async fn create(&self, spec: Spec, reuse: Reuse) -> Result<Created, JobApiError>;
 
     async fn get(&self, tenant: &str, id: JobId) -> Result<Job, JobApiError>;
 
@@ -90,6 +90,15 @@ pub trait ClusterApi: Send + Sync {
 
     /// Whether an operator wants this server to take no more work.
     fn drained(&self) -> watch::Receiver<bool>;
+}
+
+/// Whether a new job may be answered with an earlier one.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Reuse {
+    #[default]
+    Never,
+    /// With one whose result is kept and has the same bits, but for times in the report.
+    SameBits,
 }
 
 #[derive(Clone, Debug, Default, PartialEq)]

@@ -11,7 +11,7 @@ use std::time::{Duration, Instant};
 use glam::DVec3;
 
 use super::storage::{RETRY_PERIOD, StorageError};
-use super::{Inner, ProgressCommand, failed, is_outdated};
+use super::{Inner, ProgressCommand, failed, fingerprint, is_outdated};
 use crate::admission::forecast::{must_end, must_fit};
 use crate::blob::{BlobError, Owner, put};
 use crate::engine::worker::{Device, WorkContext, text};
@@ -22,7 +22,7 @@ use crate::record::event::Progress;
 use crate::record::state::State;
 use crate::record::{Cause, Change, FailureKind, Job, JobId, ResultSet};
 use crate::store::{Offer, StoreError, result_pin};
-use crate::{Backends, JobError, lock};
+use crate::{BackendInfo, Backends, JobError, lock};
 use geometry::cvt::Iteration;
 use geometry::cvt::density::Expected;
 use geometry::remesh::RemeshError;
@@ -236,7 +236,9 @@ impl AtWork {
             (WorkError::Failure(_), Some(reason)) => WorkError::from(reason),
             (trouble, _) => trouble,
         })?;
-        self.keep(parts)
+        let by = BackendInfo::of(backends.choose(job.spec.task().backend)?.as_ref());
+        let fingerprint = Some(fingerprint(job.spec.message(), &by, bounds));
+        Ok(ResultSet { fingerprint, ..self.keep(parts)? })
     }
 
     /// Counts alone do not tell of needles, fans and soups, nor of points that lengths imply: now they are known. A job that

@@ -53,6 +53,8 @@ pub trait Observer: Send + Sync {
     /// A job began after it waited for so long.
     fn began(&self, _kind: Kind, _waited: Duration) {}
     fn ended(&self, _origin: &Origin, _how: JobOutcome) {}
+    /// An earlier job was the answer to a new one.
+    fn reused(&self, _kind: Kind) {}
     fn stage(&self, _stage: &'static str, _backend: BackendKind, _took: Duration) {}
     fn iterated(&self, _steps: u64) {}
     /// A pass ended, for which a backend was busy so long.

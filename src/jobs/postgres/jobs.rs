@@ -67,7 +67,7 @@ impl Work {
     pub(super) async fn create(&mut self, new: NewJob) -> StoreResult<Created> {
         let NewJob { random, spec, needs, cost } = new;
         if let Some(job) = requested(self.connection(), &spec).await? {
-            return Ok(Created { job, existed: true });
+            return Ok(Created::before(job));
         }
         let now = self.now().await?;
         let id = JobId::new(now, random);
@@ -84,7 +84,7 @@ impl Work {
             if kept.rows_affected() == 0 {
                 let gone = || StoreError::Unavailable { cause: "the same request was deleted meanwhile".to_owned() };
                 let job = requested(self.connection(), &spec).await?.ok_or_else(gone)?;
-                return Ok(Created { job, existed: true });
+                return Ok(Created::before(job));
             }
         }
         let (status, log) = rules::begun(&spec, now);
@@ -120,7 +120,7 @@ impl Work {
         self.hold(Owner::of(&spec.tenant), &input_pin(id), &spec.task().blobs()).await?;
         self.touched.push(id);
         self.queued = true;
-        Ok(Created { job: Job { id, spec, status }, existed: false })
+        Ok(Created::new(Job { id, spec, status }))
     }
 
     /// Pins blobs, or none. Errors: `InputMissing`: the first that is not stored.
@@ -177,7 +177,8 @@ impl Work {
         }
         log.push(rules::state_event(&status, event, now));
         sqlx::query(
-            "update tessera.jobs set state = $2, version = $3, changed = $4, due = $5, status = $6, log = $7 where id = $1",
+            "update tessera.jobs set state = $2, version = $3, changed = $4, due = $5, status = $6, log = $7, \
+             fingerprint = $8 where id = $1",
         )
         .bind(id.0.as_slice())
         .bind(status.state as i16)
@@ -186,6 +187,7 @@ impl Work {
         .bind(status.due.map(|due| number(due.0)))
         .bind(to_json("the status", &status)?)
         .bind(to_json("the log", &log)?)
+        .bind(status.fingerprint().map(|fingerprint| fingerprint.as_bytes().to_vec()))
         .execute(self.connection())
         .await?;
         if let Some(holder) = &status.holder {
@@ -338,6 +340,23 @@ pub(super) async fn requested(connection: impl PgExecutor<'_>, wanted: &Spec) ->
         true => Ok(Some(job)),
         false => Err(StoreError::AlreadyExists { request_id: wanted.request_id.clone(), id: job.id }),
     }
+}
+
+pub(super) async fn same(
+    connection: impl PgExecutor<'_>,
+    tenant: &str,
+    fingerprint: Digest,
+) -> StoreResult<Option<Job>> {
+    // A job that has ended has no lease.
+    let row: Option<JobRow> = sqlx::query_as(
+        "select id, spec, status, null::bigint as until from tessera.jobs \
+         where tenant = $1 and fingerprint = $2 and state = 2 order by id desc limit 1",
+    )
+    .bind(tenant)
+    .bind(fingerprint.as_bytes().as_slice())
+    .fetch_optional(connection)
+    .await?;
+    row.map(JobRow::job).transpose()
 }
 
 pub(super) async fn get(connection: impl PgExecutor<'_>, id: JobId) -> StoreResult<Job> {

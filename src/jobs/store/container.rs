@@ -15,6 +15,7 @@ use super::{
     operations as ops,
 };
 use crate::beside::Beside;
+use crate::blob::Digest;
 use crate::blob::index::{BlobIndex, LocalIndex};
 use crate::lock;
 use crate::record::event::{Events, Log, Progress};
@@ -54,6 +55,10 @@ impl<C: Container> JobStore for C {
 
     fn requested(&self, spec: Spec) -> Answer<'_, Option<Job>> {
         self.read(None, move |tables, _| ops::requested(tables, &spec))
+    }
+
+    fn same(&self, tenant: String, fingerprint: Digest) -> Answer<'_, Option<Job>> {
+        self.read(None, move |tables, _| ops::same(tables, &tenant, fingerprint))
     }
 
     fn get(&self, id: JobId) -> Answer<'_, Job> {

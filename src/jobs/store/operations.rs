@@ -1,7 +1,7 @@
 //! What can be done with jobs, on tables.
 //!
 //! Purpose: one implementation for the stores of one process. Invariant: an operation reads and decides before it writes, so
-//! that one that is refused has written and pinned nothing; the indexes (`states`, `due`, `ended`, `terms`, `requests`) say the same as the heads.
+//! that one that is refused has written and pinned nothing; the indexes (`states`, `due`, `ended`, `terms`, `requests`, `same`) say the same as the heads.
 //! Must not know: files, threads, clocks.
 
 mod upkeep;
@@ -15,6 +15,7 @@ pub(crate) use upkeep::{expire, recover};
 use super::codec::{Head, decode, encode};
 use super::tables::{Entry, Live, Order, Table, Tables, TablesMut};
 use super::{Created, NewJob, Offer, Page, Query, StoreError, rules};
+use crate::blob::Digest;
 use crate::record::event::{Event, Events, Log, Progress, What};
 use crate::record::state::State;
 use crate::record::{Bytes, Change, Holder, Job, JobId, Spec, Status, Time};
@@ -44,6 +45,10 @@ fn line_key(spec: &Spec, id: JobId) -> Vec<u8> {
 
 fn request_key(tenant: &str, request_id: &str) -> Vec<u8> {
     [tenant.as_bytes(), &[0], request_id.as_bytes()].concat()
+}
+
+fn same_key(tenant: &str, fingerprint: Digest, id: JobId) -> Vec<u8> {
+    [tenant.as_bytes(), &[0], fingerprint.as_bytes(), &id.0].concat()
 }
 
 /// What a list looks for: neither labels nor tenants hold a 0.
@@ -93,8 +98,11 @@ fn put_head(tables: &mut dyn TablesMut, id: JobId, head: &Head) -> StoreResult<(
     tables.put(Table::Heads, &id.0, &encode("head", head)?)
 }
 
-/// Writes where the indexes say that a job with this status is.
-fn index(tables: &mut dyn TablesMut, id: JobId, status: &Status) -> StoreResult<()> {
+/// Writes where the indexes say that a job of a tenant with this status is.
+fn index(tables: &mut dyn TablesMut, id: JobId, tenant: &str, status: &Status) -> StoreResult<()> {
+    if let Some(fingerprint) = status.fingerprint() {
+        tables.put(Table::Same, &same_key(tenant, fingerprint, id), &[])?;
+    }
     tables.put(Table::States, &state_key(status.state, id), &[])?;
     if let Some(due) = status.due {
         tables.put(Table::Due, &time_key(due, id), &[])?;
@@ -106,7 +114,10 @@ fn index(tables: &mut dyn TablesMut, id: JobId, status: &Status) -> StoreResult<
     Ok(())
 }
 
-fn unindex(tables: &mut dyn TablesMut, id: JobId, status: &Status) -> StoreResult<()> {
+fn unindex(tables: &mut dyn TablesMut, id: JobId, tenant: &str, status: &Status) -> StoreResult<()> {
+    if let Some(fingerprint) = status.fingerprint() {
+        tables.remove(Table::Same, &same_key(tenant, fingerprint, id))?;
+    }
     tables.remove(Table::States, &state_key(status.state, id))?;
     if let Some(due) = status.due {
         tables.remove(Table::Due, &time_key(due, id))?;
@@ -121,7 +132,7 @@ pub(crate) fn create(tables: &mut dyn TablesMut, live: &mut Live, new: NewJob, n
     let NewJob { random, spec: wanted, needs, cost: _ } = new;
     let id = JobId::new(now, random);
     if let Some(job) = requested(tables, &wanted)? {
-        return Ok(Created { job, existed: true });
+        return Ok(Created::before(job));
     }
     if tables.get(Table::Heads, &id.0)?.is_some() {
         return Err(StoreError::NameTaken { id });
@@ -141,7 +152,7 @@ pub(crate) fn create(tables: &mut dyn TablesMut, live: &mut Live, new: NewJob, n
     adopt(tables, id, &head, &spec, &log)?;
     tables.put(Table::Line, &line_key(&wanted, id), &[])?;
     live.touched.push(id);
-    Ok(Created { job: Job { id, spec: wanted, status: head.status }, existed: false })
+    Ok(Created::new(Job { id, spec: wanted, status: head.status }))
 }
 
 /// Writes a job with all its indexes but its place in the line.
@@ -155,7 +166,7 @@ pub(crate) fn adopt(tables: &mut dyn TablesMut, id: JobId, head: &Head, spec: &[
     for term in terms(head, id) {
         tables.put(Table::Terms, &term, &[])?;
     }
-    index(tables, id, &head.status)
+    index(tables, id, &head.tenant, &head.status)
 }
 
 pub(crate) fn requested(tables: &(impl Tables + ?Sized), wanted: &Spec) -> StoreResult<Option<Job>> {
@@ -170,6 +181,16 @@ pub(crate) fn requested(tables: &(impl Tables + ?Sized), wanted: &Spec) -> Store
         true => Ok(Some(job)),
         false => Err(StoreError::AlreadyExists { request_id: wanted.request_id.clone(), id: job.id }),
     }
+}
+
+pub(crate) fn same(tables: &dyn Tables, tenant: &str, fingerprint: Digest) -> StoreResult<Option<Job>> {
+    let key = |id| same_key(tenant, fingerprint, JobId(id));
+    let mut newest = None;
+    tables.visit(Table::Same, (&key([0; 16]), &key([0xff; 16])), Order::Down, &mut |key, _| {
+        newest = Some(id_of(Table::Same, key)?);
+        Ok(ControlFlow::Break(()))
+    })?;
+    newest.map(|id| get(tables, id)).transpose()
 }
 
 pub(crate) fn get(tables: &(impl Tables + ?Sized), id: JobId) -> StoreResult<Job> {
@@ -256,8 +277,8 @@ pub(crate) fn change(
     }
     live.touched.push(id);
     let encoded = encode("log", &log)?;
-    unindex(tables, id, &before.status)?;
-    index(tables, id, &status)?;
+    unindex(tables, id, &before.tenant, &before.status)?;
+    index(tables, id, &before.tenant, &status)?;
     match status.state {
         State::Queued => tables.put(Table::Line, &line_key(&spec, id), &[])?,
         _ if before.status.state == State::Queued => tables.remove(Table::Line, &line_key(&spec, id))?,
@@ -369,7 +390,7 @@ pub(crate) fn delete(tables: &mut dyn TablesMut, live: &mut Live, id: JobId) -> 
     if !state.is_ended() {
         return Err(StoreError::NotEnded { id, state });
     }
-    unindex(tables, id, &head.status)?;
+    unindex(tables, id, &head.tenant, &head.status)?;
     if !head.request_id.is_empty() {
         tables.remove(Table::Requests, &request_key(&head.tenant, &head.request_id))?;
     }

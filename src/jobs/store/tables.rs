@@ -11,6 +11,7 @@
 //! | ended | time, job | 1 if there is a result: jobs that have ended |
 //! | line | priority, job | nothing: jobs that wait |
 //! | terms | label or tenant, job | nothing: for lists |
+//! | same | tenant, 0, fingerprint, job | nothing: results that are kept |
 //!
 //! Purpose: [`Tables`], so that the stores of one process share their operations; [`Live`]: iterations come often and matter
 //! little, so they are kept in memory until the state changes; pins follow from the tables. Invariant: keys are in the order of their bytes. An entry of
@@ -44,6 +45,7 @@ pub(crate) enum Table {
     Ended,
     Terms,
     Line,
+    Same,
 }
 
 impl Table {

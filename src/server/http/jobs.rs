@@ -26,13 +26,15 @@ use super::schema::{BYTES, EVENTS, JSON, digest, job_id as job_id_schema, named,
 use super::warnings::{REPORT, WARNING, warnings};
 use crate::service::{self, Caller, Desk, Detail, Fault, FaultKind, RequestError, job_id, to_the_end};
 use jobs::blob::Digest;
+use jobs::executor::api::Reuse;
 use jobs::record::event::{Event, Progress, What};
 use jobs::record::state::State as JobState;
 use jobs::record::{Cause, Failure, FailureKind, Job, JobId, Outcome, ResultFormat, Spec};
 use jobs::store::Query;
 use telemetry::trace;
 use transport::Phase;
-use wire::{fields, proto};
+use wire::fields;
+use wire::proto::{self, ReusePolicy};
 
 /// The longest specification, bytes.
 const SPEC_BYTES: usize = 1 << 20;
@@ -149,8 +151,8 @@ pub(super) async fn create(State(desk): State<Desk>, Extension(client): Whose, r
     let bytes = to_bytes(request.into_body(), SPEC_BYTES)
         .await
         .map_err(|_| wrong("body", format!("did not come, or has more than {SPEC_BYTES} bytes")))?;
-    let spec = specification(&bytes, &client.tenant)?;
-    let created = service::create(desk.api.clone(), &*desk.blobs, client.bytes, spec).await?;
+    let wanted = specification(&bytes, &client.tenant)?;
+    let created = service::create(desk.api.clone(), &*desk.blobs, client.bytes, wanted).await?;
     let status = if created.existed { StatusCode::OK } else { StatusCode::CREATED };
     let mut response = answer(status, &JobBody::of(&created.job));
     if let Ok(place) = format!("/v1/jobs/{}", created.job.id).parse() {
@@ -161,10 +163,19 @@ pub(super) async fn create(State(desk): State<Desk>, Extension(client): Whose, r
 
 /// What a job is asked to do: the options of a remesh with the digest of its surface, or a whole specification as jobs are
 /// answered with.
-fn specification(bytes: &[u8], tenant: &str) -> Result<Spec, RequestError> {
+fn specification(bytes: &[u8], tenant: &str) -> Result<(Spec, Reuse), RequestError> {
     let body = |error: &dyn Display| wrong("body", format!("cannot be read: {error}"));
     let Value::Object(mut object) = serde_json::from_slice(bytes).map_err(|error| body(&error))? else {
         return Err(wrong("body", "is no object of JSON"));
+    };
+    let reuse = match object.shift_remove("reuse") {
+        None | Some(Value::Null) => Reuse::Never,
+        Some(word) => {
+            let named = |word: &str| ReusePolicy::from_str_name(&format!("REUSE_POLICY_{}", word.to_ascii_uppercase()));
+            let policy = word.as_str().and_then(named).filter(|policy| *policy != ReusePolicy::Unspecified);
+            let policy = policy.ok_or_else(|| wrong("reuse", format!("is {word}; it must be never or same_bits")))?;
+            service::reuse(policy.into())?
+        }
     };
     let (message, request_id) = if object.get("mesh").is_some_and(Value::is_object) {
         let request_id = match object.shift_remove("request_id") {
@@ -184,7 +195,7 @@ fn specification(bytes: &[u8], tenant: &str) -> Result<Spec, RequestError> {
         let to = asked.format("to")?.unwrap_or(format);
         asked.remesh(mesh, format, to)?
     };
-    Ok(Spec::new(message, tenant.to_owned(), request_id)?)
+    Ok((Spec::new(message, tenant.to_owned(), request_id)?, reuse))
 }
 
 pub(super) async fn list(State(desk): State<Desk>, Extension(client): Whose, request: Request) -> Answered {

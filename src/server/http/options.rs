@@ -195,6 +195,7 @@ pub(super) fn schema() -> Value {
     let mut options = all();
     let labels = fields::schema::<JobSpec>("labels")["description"].take();
     options.insert("mesh".to_owned(), named("Digest").into());
+    options.insert("reuse".to_owned(), fields::schema::<CreateJobRequest>("reuse"));
     options.insert(
         "labels".to_owned(),
         json!({ "type": "object", "additionalProperties": { "type": "string" }, "description": labels }),

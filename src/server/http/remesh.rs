@@ -22,7 +22,7 @@ use super::problem::{Answered, wrong};
 use crate::service::{self, Caller, Desk, RequestError};
 use geometry::mesh::io::Format;
 use jobs::blob::Digest;
-use jobs::executor::api::JobApi;
+use jobs::executor::api::{JobApi, Reuse};
 use jobs::record::state::State as JobState;
 use jobs::record::{Job, JobId, Spec};
 use transport::Phase;
@@ -34,7 +34,7 @@ pub(super) async fn remesh(State(desk): State<Desk>, Extension(client): Whose, r
     let (info, bytes) = store(&desk, &client, &parts.headers, body).await?;
     let spec = wanted.of(info.digest, &bytes)?;
     drop(bytes);
-    let created = service::create(Arc::clone(&desk.api), &*desk.blobs, client.bytes, spec).await?;
+    let created = service::create(Arc::clone(&desk.api), &*desk.blobs, client.bytes, (spec, Reuse::Never)).await?;
     let mine = Mine { api: Arc::clone(&desk.api), tenant: client.tenant.clone(), id: created.job.id };
     let job = ended(&desk, &client.tenant, created.job.id).await?;
     send_result(&desk, &client, &job, MESH, &HeaderMap::new(), mine).await

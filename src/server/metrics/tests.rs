@@ -22,6 +22,7 @@ fn work_is_counted_as_it_is_told() {
     metrics.began(Kind::Remesh, Duration::from_millis(20));
     metrics.stage("dual", BackendKind::Parallel, Duration::from_secs(2));
     metrics.iterated(35);
+    metrics.reused(Kind::Remesh);
     metrics.ended(&origin(), JobOutcome::Succeeded);
     metrics.ended(&origin(), JobOutcome::Failed);
     metrics.moved(Kind::Remesh, Some(Phase::Running), None);
@@ -30,6 +31,8 @@ fn work_is_counted_as_it_is_told() {
         r#"tessera_jobs{state="running",kind="remesh"} 0"#,
         r#"tessera_jobs_ended_total{outcome="done",kind="remesh"} 1"#,
         r#"tessera_jobs_ended_total{outcome="failed",kind="remesh"} 1"#,
+        r#"tessera_jobs_reused_total{kind="remesh"} 1"#,
+        r#"tessera_jobs_reused_total{kind="rvd"} 0"#,
         r#"tessera_queue_seconds_sum{kind="remesh"} 0.02"#,
         r#"tessera_stage_seconds_sum{stage="dual",backend="parallel"} 2.0"#,
         r#"tessera_stage_seconds_bucket{le="3.0",stage="dual",backend="parallel"} 1"#,

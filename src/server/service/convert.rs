@@ -10,12 +10,13 @@ mod tests;
 use prost::Message as _;
 
 use jobs::blob::{Digest, DigestError};
-use jobs::executor::api::Estimate;
+use jobs::executor::api::{Estimate, Reuse};
 use jobs::record::event::{Event, Progress, What};
 use jobs::record::state::State;
 use jobs::record::{Cause, Failure, FailureKind, Job, JobId, JobIdError, Outcome, ResultSet, Status, Time};
 use jobs::store::{Page, Query};
 use wire::codec::{NANOS, milliseconds};
+use wire::options::choice;
 use wire::{WireError, proto};
 
 /// The states of both sides have the same names.
@@ -87,7 +88,7 @@ pub(super) fn message(job: &Job) -> proto::Job {
     let (mut failure, mut results, mut expired_by) = (None, Vec::new(), String::new());
     match outcome {
         None => {}
-        Some(Outcome::Succeeded(ResultSet { blobs })) => {
+        Some(Outcome::Succeeded(ResultSet { blobs, fingerprint: _ })) => {
             let blob = |(name, digest): (&String, &jobs::blob::Digest)| proto::ResultBlob {
                 name: name.clone(),
                 digest: digest.to_string(),
@@ -114,6 +115,14 @@ pub(super) fn message(job: &Job) -> proto::Job {
         request_id: job.spec.request_id.clone(),
         unschedulable: String::new(),
     }
+}
+
+/// Errors: `Field` for a number that is no policy.
+pub(crate) fn reuse(policy: i32) -> Result<Reuse, WireError> {
+    Ok(match choice("reuse", policy)? {
+        proto::ReusePolicy::Unspecified | proto::ReusePolicy::Never => Reuse::Never,
+        proto::ReusePolicy::SameBits => Reuse::SameBits,
+    })
 }
 
 fn cause_name(cause: Cause) -> &'static str {

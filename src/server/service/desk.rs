@@ -18,7 +18,7 @@ use crate::config::Limits;
 use crate::metrics::Metrics;
 use jobs::JobError;
 use jobs::blob::{BlobError, BlobStore, Digest, Owner, UploadId, UploadStatus};
-use jobs::executor::api::{JobApi, JobApiError};
+use jobs::executor::api::{JobApi, JobApiError, Reuse};
 use jobs::record::event::{Event, What};
 use jobs::record::{JobId, Spec};
 use jobs::store::Created;
@@ -56,7 +56,7 @@ pub(crate) async fn create(
     api: Arc<dyn JobApi>,
     blobs: &dyn BlobStore,
     most: Option<u64>,
-    wanted: Spec,
+    (wanted, reuse): (Spec, Reuse),
 ) -> Result<Created, RequestError> {
     if let Some(limit_bytes) = most {
         // Results are kept whatever their size: a tenant at its limit gets no more of them.
@@ -65,7 +65,7 @@ pub(crate) async fn create(
             return Err(Refusal::Bytes { used_bytes, limit_bytes }.into());
         }
     }
-    to_the_end(async move { api.create(wanted).await }).await
+    to_the_end(async move { api.create(wanted, reuse).await }).await
 }
 
 /// Runs a change to its end, even if the caller goes away: half of one would leave blobs pinned for no job.

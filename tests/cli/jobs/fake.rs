@@ -349,7 +349,7 @@ impl JobService for Fake {
         };
         self.lose().await;
         let job = Job { spec: request.spec, ..job(JobState::Queued) };
-        Ok(Response::new(proto::CreateJobResponse { job: Some(job), existed }))
+        Ok(Response::new(proto::CreateJobResponse { job: Some(job), existed, reused: false }))
     }
 
     async fn get_job(&self, request: Request<proto::GetJobRequest>) -> Result<Response<proto::GetJobResponse>, Status> {

@@ -56,7 +56,7 @@ impl At<'_> {
             }
             false => self.surface.digest.clone(),
         };
-        let request = CreateJobRequest { spec: Some(self.spec(kind, digest)), request_id: String::new() };
+        let request = CreateJobRequest { spec: Some(self.spec(kind, digest)), ..CreateJobRequest::default() };
         let call = tally.begin("tessera.v1.JobService/CreateJob");
         let created = unary(call, self.ends, jobs(self.door.clone()).create_job(request)).await?;
         let Some(Job { id, .. }) = created.job else { return Err(End::Wrong("there is no job in it".to_owned())) };

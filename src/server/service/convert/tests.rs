@@ -73,7 +73,7 @@ fn an_end_is_told_with_its_reason() {
     let failure = told(Some(Outcome::Failed(failure))).failure.unwrap();
     assert_eq!((failure.kind(), &failure.message[..]), (proto::JobFailureKind::Crashed, "m"));
     let blobs = [("mesh".to_owned(), Digest::from([1; 32]))].into();
-    let results = told(Some(Outcome::Succeeded(ResultSet { blobs }))).results;
+    let results = told(Some(Outcome::Succeeded(ResultSet { blobs, ..ResultSet::default() }))).results;
     assert_eq!((&results[0].name[..], &results[0].digest), ("mesh", &"01".repeat(32)));
 }
 

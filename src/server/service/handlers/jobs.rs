@@ -17,6 +17,7 @@ use jobs::blob::BlobStore;
 use jobs::executor::api::JobApi;
 use jobs::record::Spec;
 use jobs::record::event::Event;
+use jobs::store::Created;
 use transport::{Budget, Phase};
 use wire::{WireError, proto};
 
@@ -55,9 +56,10 @@ impl proto::job_service_server::JobService for Jobs {
         let most = request.extensions().get::<Caller>().and_then(|caller| caller.bytes);
         let blobs = Arc::clone(&self.blobs);
         self.ask("CreateJob", request, |message, tenant, api| async move {
+            let reuse = convert::reuse(message.reuse)?;
             let wanted = spec(message.spec, tenant, message.request_id)?;
-            let created = desk::create(api, &*blobs, most, wanted).await?;
-            Ok(proto::CreateJobResponse { job: Some(convert::message(&created.job)), existed: created.existed })
+            let Created { job, existed, reused } = desk::create(api, &*blobs, most, (wanted, reuse)).await?;
+            Ok(proto::CreateJobResponse { job: Some(convert::message(&job)), existed, reused })
         })
         .await
     }

@@ -117,12 +117,13 @@ class Client:
     def submit(self, mesh: Any, faces: ArrayLike | None = None, points: float | str | None = None, **options: Any) -> str:
         """Begins a remesh as a job that outlives this connection, and gives its id. `result` fetches it.
 
-        The options are those of `remesh`, and `request_id`: the same id with the same job gives the job that is there.
+        The options are those of `remesh`, and two more. `request_id`: the same id with the same job gives the job that is there.
+        `reuse`: "same_bits" gives an earlier job with the same result, if there is one; "never" is the default.
         """
-        request_id = str(options.pop("request_id", ""))
+        request_id, reuse = str(options.pop("request_id", "")), str(options.pop("reuse", "never"))
         surface, given, carried, _ = _remesh_arguments(mesh, faces, points, options)
         spec = self._run(flows.remesh_spec(surface, given, carried, self._patience))
-        return str(self._run(flows.create(spec, request_id, self._patience)).id)
+        return str(self._run(flows.create(spec, request_id, self._patience, reuse)).id)
 
     def state(self, job: str) -> str:
         """ "queued", "running", "succeeded", "failed", "cancelled" or "expired"."""
@@ -274,10 +275,10 @@ class AsyncClient:
 
     async def submit(self, mesh: Any, faces: ArrayLike | None = None, points: float | str | None = None, **options: Any) -> str:
         """As `Client.submit`."""
-        request_id = str(options.pop("request_id", ""))
+        request_id, reuse = str(options.pop("request_id", "")), str(options.pop("reuse", "never"))
         surface, given, carried, _ = _remesh_arguments(mesh, faces, points, options)
         spec = await self._run(flows.remesh_spec(surface, given, carried, self._patience))
-        return str((await self._run(flows.create(spec, request_id, self._patience))).id)
+        return str((await self._run(flows.create(spec, request_id, self._patience, reuse))).id)
 
     async def state(self, job: str) -> str:
         """As `Client.state`."""

@@ -24,6 +24,8 @@ from .errors import ConnectionLost, JobFailed, ServerError, by_keyword
 PIECE_BYTES = 1 << 20
 #: Waits between tries where the server does not say how long.
 FIRST_WAIT_S, LONGEST_WAIT_S = 0.2, 5.0
+#: Whether an earlier job may be the answer to a new one.
+REUSES = ("never", "same_bits")
 
 
 @dataclass
@@ -129,9 +131,13 @@ def read(digest: str, patience: float) -> Flow:
     return (yield from again(flow, patience))
 
 
-def create(spec: Any, request_id: str, patience: float) -> Flow:
+def create(spec: Any, request_id: str, patience: float, reuse: str = "never") -> Flow:
     """Creates a job and gives it. Where the answer is lost, the same job is asked for again."""
-    request = job_pb2.CreateJobRequest(spec=spec, request_id=request_id or secrets.token_hex(16))
+    if reuse not in REUSES:
+        raise InputError(f"reuse is {reuse!r}; it must be {' or '.join(REUSES)}")
+    request = job_pb2.CreateJobRequest(
+        spec=spec, request_id=request_id or secrets.token_hex(16), reuse=f"REUSE_POLICY_{reuse.upper()}"
+    )
     answer = yield from again(lambda: _unary("CreateJob", request, job_pb2.CreateJobResponse), patience)
     return answer.job
 

@@ -54,6 +54,12 @@ class ArrayForm(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
     ARRAY_FORM_U64: _ClassVar[ArrayForm]
     ARRAY_FORM_I64: _ClassVar[ArrayForm]
 
+class ReusePolicy(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
+    __slots__ = ()
+    REUSE_POLICY_UNSPECIFIED: _ClassVar[ReusePolicy]
+    REUSE_POLICY_NEVER: _ClassVar[ReusePolicy]
+    REUSE_POLICY_SAME_BITS: _ClassVar[ReusePolicy]
+
 class JobFailureKind(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
     __slots__ = ()
     JOB_FAILURE_KIND_UNSPECIFIED: _ClassVar[JobFailureKind]
@@ -96,6 +102,9 @@ ARRAY_FORM_I16: ArrayForm
 ARRAY_FORM_I32: ArrayForm
 ARRAY_FORM_U64: ArrayForm
 ARRAY_FORM_I64: ArrayForm
+REUSE_POLICY_UNSPECIFIED: ReusePolicy
+REUSE_POLICY_NEVER: ReusePolicy
+REUSE_POLICY_SAME_BITS: ReusePolicy
 JOB_FAILURE_KIND_UNSPECIFIED: JobFailureKind
 JOB_FAILURE_KIND_BAD_INPUT: JobFailureKind
 JOB_FAILURE_KIND_MISSING_INPUT: JobFailureKind
@@ -272,20 +281,24 @@ class Job(_message.Message):
     def __init__(self, id: _Optional[str] = ..., spec: _Optional[_Union[JobSpec, _Mapping]] = ..., state: _Optional[_Union[JobState, str]] = ..., created: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., started: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., changed: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., attempts: _Optional[int] = ..., crashes: _Optional[int] = ..., failure: _Optional[_Union[JobFailure, _Mapping]] = ..., results: _Optional[_Iterable[_Union[ResultBlob, _Mapping]]] = ..., expired_by: _Optional[str] = ..., request_id: _Optional[str] = ..., unschedulable: _Optional[str] = ...) -> None: ...
 
 class CreateJobRequest(_message.Message):
-    __slots__ = ("spec", "request_id")
+    __slots__ = ("spec", "request_id", "reuse")
     SPEC_FIELD_NUMBER: _ClassVar[int]
     REQUEST_ID_FIELD_NUMBER: _ClassVar[int]
+    REUSE_FIELD_NUMBER: _ClassVar[int]
     spec: JobSpec
     request_id: str
-    def __init__(self, spec: _Optional[_Union[JobSpec, _Mapping]] = ..., request_id: _Optional[str] = ...) -> None: ...
+    reuse: ReusePolicy
+    def __init__(self, spec: _Optional[_Union[JobSpec, _Mapping]] = ..., request_id: _Optional[str] = ..., reuse: _Optional[_Union[ReusePolicy, str]] = ...) -> None: ...
 
 class CreateJobResponse(_message.Message):
-    __slots__ = ("job", "existed")
+    __slots__ = ("job", "existed", "reused")
     JOB_FIELD_NUMBER: _ClassVar[int]
     EXISTED_FIELD_NUMBER: _ClassVar[int]
+    REUSED_FIELD_NUMBER: _ClassVar[int]
     job: Job
     existed: bool
-    def __init__(self, job: _Optional[_Union[Job, _Mapping]] = ..., existed: bool = ...) -> None: ...
+    reused: bool
+    def __init__(self, job: _Optional[_Union[Job, _Mapping]] = ..., existed: bool = ..., reused: bool = ...) -> None: ...
 
 class GetJobRequest(_message.Message):
     __slots__ = ("id",)
