@@ -114,12 +114,12 @@ impl Place {
         .map_err(told)
     }
 
-    fn change<R>(&self, mut change: impl FnMut(&mut KeySet) -> Result<R, KeysError>) -> Result<R> {
+    fn change<R>(&self, change: impl FnMut(&mut KeySet) -> Result<R, KeysError>) -> Result<R> {
         match self {
             Self::File(file) => file.change(change),
             #[cfg(feature = "postgres")]
             Self::Database(options) => {
-                super::cluster::run(async { change_shared(&operator(options).await?, &mut change).await })?
+                super::cluster::run(async { change_shared(&operator(options).await?, change).await })?
             }
         }
         .map_err(told)

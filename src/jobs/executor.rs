@@ -53,8 +53,10 @@ use wire::counts::Bounds;
 
 /// How often jobs that are over are looked for.
 const SWEEP: Duration = Duration::from_secs(1);
-/// How often a storage that is well is checked, in sweeps.
-const STORAGE_CHECK: u32 = 5;
+/// Between two checks of a storage that is well, and how long one may take: new jobs of servers that share a bucket are to be
+/// refused soon after it hangs, while a disk may be slow for a moment.
+const STORAGE_CHECK: (Duration, Duration) = (Duration::from_secs(5), Duration::from_secs(10));
+const BUCKET_CHECK: (Duration, Duration) = (Duration::from_secs(2), Duration::from_secs(2));
 /// Sweeps between two looks for abandoned uploads.
 const SWEEP_UPLOADS: u32 = 600;
 /// Jobs that one sweep removes at most.
@@ -265,6 +267,7 @@ impl Executor {
         inner.recover().await?;
         tokio::spawn(record_progress((Arc::clone(&inner.stores.jobs), Arc::downgrade(&inner)), commands));
         tokio::spawn(sweep(Arc::downgrade(&inner)));
+        tokio::spawn(check_storage(Arc::downgrade(&inner)));
         if is_shared {
             tokio::spawn(sharing::pull(Arc::downgrade(&inner)));
             tokio::spawn(sharing::renew(Arc::downgrade(&inner)));
@@ -294,6 +297,18 @@ async fn record_progress(
     }
 }
 
+/// Checks the storage of blobs, for as long as the executor lives. Nothing else waits for a bucket that hangs.
+async fn check_storage(inner: Weak<Inner>) {
+    let mut pause = SWEEP;
+    loop {
+        tokio::time::sleep(pause).await;
+        let Some(inner) = inner.upgrade() else { return };
+        let (usual, limit) = if inner.shared().is_some() { BUCKET_CHECK } else { STORAGE_CHECK };
+        inner.storage.check(inner.stores.blobs.as_ref(), limit).await;
+        pause = if inner.storage.is_down() { SWEEP } else { usual };
+    }
+}
+
 /// Lets go of what is over, again and again.
 async fn sweep(inner: Weak<Inner>) {
     let (mut sweeps, mut recovered, mut is_away) = (0u32, Instant::now(), false);
@@ -301,9 +316,6 @@ async fn sweep(inner: Weak<Inner>) {
         tokio::time::sleep(SWEEP).await;
         let Some(inner) = inner.upgrade() else { return };
         sweeps = sweeps.wrapping_add(1);
-        if sweeps.is_multiple_of(STORAGE_CHECK) || inner.storage.is_down() {
-            inner.storage.check(inner.stores.blobs.as_ref()).await;
-        }
         if sweeps.is_multiple_of(SWEEP_UPLOADS)
             && let Err(error) = inner.stores.blobs.sweep().await
         {

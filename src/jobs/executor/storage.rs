@@ -58,8 +58,10 @@ impl Storage {
         });
     }
 
-    pub(super) async fn check(&self, blobs: &dyn BlobStore) {
-        self.note(blobs.check().await.err());
+    pub(super) async fn check(&self, blobs: &dyn BlobStore, limit: Duration) {
+        let late = || BlobError::Unavailable(format!("no answer within {} s", limit.as_secs()));
+        let checked = tokio::time::timeout(limit, blobs.check()).await;
+        self.note(checked.unwrap_or_else(|_| Err(late())).err());
     }
 
     /// Does `call` until it succeeds or fails for good, or `token` is stopped.
@@ -109,8 +111,8 @@ mod tests {
         assert!(matches!(stored, Ok(7)));
         assert!(storage.is_down(), "until somebody looks: the next may be larger");
         let blobs = crate::blob::ObjectBlobs::in_memory(crate::blob::BlobOptions::default());
-        let runtime = tokio::runtime::Builder::new_current_thread().build().unwrap();
-        runtime.block_on(storage.check(&blobs));
+        let runtime = tokio::runtime::Builder::new_current_thread().enable_time().build().unwrap();
+        runtime.block_on(storage.check(&blobs, RETRY_PERIOD));
         assert!(!storage.is_down());
     }
 
