@@ -23,6 +23,7 @@ import time
 import urllib.request
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 SMALL_DISK = "192m"
 BUCKET = "trial"
@@ -50,7 +51,7 @@ class Folder:
         self._mounts: list[Path] = []
 
     def start(
-        self, command: list[object], log: str, said: Path | None = None, last: signal.Signals = signal.SIGKILL, **options: object
+        self, command: list[object], log: str, said: Path | None = None, last: signal.Signals = signal.SIGKILL, **options: Any
     ) -> subprocess.Popen[bytes]:
         """Starts a process in a session of its own. Its errors are appended to the log, and its output too, unless there is a
         file for it. `last` ends it when the folder is closed."""
@@ -71,7 +72,7 @@ class Folder:
         except subprocess.TimeoutExpired:
             process.kill()
             process.wait()
-            raise RuntimeError(f"{process.args} did not end within {patience} s of {by.name}") from None
+            raise RuntimeError(f"{process.args!r} did not end within {patience} s of {by.name}") from None
         finally:
             self._running.pop(process.pid, None)
 
@@ -130,7 +131,7 @@ class Postgres:
         if not found and not on_path:
             raise RuntimeError("PostgreSQL is not installed (Debian: postgresql)")
         self.programs = found[-1] if found else Path(str(on_path)).resolve().parent
-        self.user = {}
+        self.user: dict[str, Any] = {}
         if os.geteuid() == 0:
             user = pwd.getpwnam("postgres")
             self.user = {"user": user.pw_uid, "group": user.pw_gid, "extra_groups": []}
@@ -274,7 +275,7 @@ class Bucket:
         self.ports = free_ports(8)
         # With keys, so that signatures and their times are checked. Requests without a signature may do the same.
         key = {"accessKey": self.KEYS["AWS_ACCESS_KEY_ID"], "secretKey": self.KEYS["AWS_SECRET_ACCESS_KEY"]}
-        users = [{"name": "trial", "credentials": [key]}, {"name": "anonymous"}]
+        users: list[dict[str, Any]] = [{"name": "trial", "credentials": [key]}, {"name": "anonymous"}]
         self.keys = folder.path / "keys.json"
         self.keys.write_text(json.dumps({"identities": [{**user, "actions": ["Admin"]} for user in users]}))
         self.begin()

@@ -14,7 +14,7 @@ const STEPS: [(&str, &str); 4] = [
     ("jobs", include_str!("migrations/0001_jobs.sql")),
     ("blobs", include_str!("migrations/0002_blobs.sql")),
     ("cluster", include_str!("migrations/0003_cluster.sql")),
-    ("reuse", include_str!("migrations/0005_reuse.sql")),
+    ("reuse", include_str!("migrations/0004_reuse.sql")),
 ];
 
 /// Does the steps that the database lacks. The caller closes the connection. Errors: `UnknownVersion` if its schema needs a later program; `Unavailable`; `Unusable`.

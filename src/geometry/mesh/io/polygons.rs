@@ -280,7 +280,7 @@ mod tests {
         let spikes = |n: usize| -> Vec<[f64; 2]> {
             let spike = |k: usize| {
                 let angle = std::f64::consts::TAU * k as f64 / n as f64;
-                let r = if k % 2 == 0 { 1.0 } else { 0.5 };
+                let r = if k.is_multiple_of(2) { 1.0 } else { 0.5 };
                 [r * angle.cos(), r * angle.sin()]
             };
             (0..n).map(spike).collect()
