@@ -109,8 +109,8 @@ impl Job {
 /// Names of executors that went away with a job, as far as they are kept.
 const KEPT_CRASHES: usize = 8;
 
+/// Where a job is in its life. Fields that a later release adds are passed over: servers of two releases may share a database.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
 pub struct Status {
     pub state: State,
     /// Rises with every change of the state. A change names the version that it has seen.
@@ -152,9 +152,8 @@ pub enum Outcome {
     Expired(Cause),
 }
 
-/// What a job gives: blobs.
+/// What a job gives: blobs. Fields of a later release are passed over, as in [`Status`].
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
 pub struct ResultSet {
     /// Each under its name, such as "mesh.ply", "seeds" or "report".
     pub blobs: std::collections::BTreeMap<String, Digest>,
