@@ -222,7 +222,7 @@ impl SharedStore for PostgresStore {
 
     fn beat(&self, node: Node) -> Answer<'_, bool> {
         connection!(self, |connection| async {
-            let (drain, others) = cluster::beat(connection, &self.holder, &node).await?;
+            let (drain, others) = cluster::beat(connection, (&self.holder, self.index.process), &node).await?;
             self.others.store(others, Ordering::Relaxed);
             Ok(drain)
         })

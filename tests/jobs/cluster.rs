@@ -6,6 +6,7 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use jobs::ExecutorOptions;
+use jobs::blob::{BlobError, UploadId};
 use jobs::executor::NodeOptions;
 use jobs::executor::api::JobApi;
 use jobs::postgres::{Operator, PostgresStore};
@@ -360,4 +361,26 @@ fn gateways_and_drained_servers_do_no_work() {
         worker.executor.drain().await;
         assert_eq!(operator.overview().await.unwrap().members.len(), 1, "it left");
     });
+}
+
+/// A server that went down while it stored a blob keeps others from it no longer than it counts as alive.
+#[needs(postgres)]
+#[test]
+fn a_server_that_is_away_shows_no_bytes() {
+    let database = server::database();
+    let [a, b] = ["a", "b"].map(|holder| open(&database, holder));
+    let upload = UploadId { digest: [9; 32].into(), size_bytes: 1, owner: None };
+    database.sql(&format!(
+        "insert into tessera.uploads (digest, size, owner, touched) values ('\\x{}', 1, '\\x{}', tessera.now_us())",
+        "09".repeat(32),
+        "00".repeat(16)
+    ));
+    for (store, name) in [(&a, "a"), (&b, "b")] {
+        wait(store.shared().unwrap().beat(node(name))).unwrap();
+    }
+    wait(a.index().showing(upload)).unwrap();
+    assert!(matches!(wait(b.index().showing(upload)), Err(BlobError::Busy { .. })));
+    database.sql("update tessera.nodes set seen = seen - 20000 where holder = 'a'");
+    wait(b.index().showing(upload)).unwrap();
+    assert!(matches!(wait(a.index().showing(upload)), Err(BlobError::Busy { .. })), "now it is b's");
 }

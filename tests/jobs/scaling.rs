@@ -3,6 +3,7 @@
 //! Servers that only wait, each with a store of its own, claim and end jobs without doing them. The environment variables
 //! `TESSERA_SCALING_NODES` and `TESSERA_SCALING_JOBS` set their numbers. The answer is JSON.
 
+use std::ops::Range;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
@@ -14,10 +15,20 @@ use jobs::store::*;
 use needs::needs;
 use serde_json::json;
 
-use crate::postgres_server::{self as server, Database};
-use crate::{input, message};
+use glam::DVec3;
 use jobs::blob::BlobInfo;
 use jobs::blob::index::Stored;
+use jobs::executor::api::JobApi;
+use jobs::{Backends, JobError};
+use object_store::memory::InMemory;
+use tessera::rvd::{
+    Backend, BackendChoice, BackendKind, CellSums, PassStats, PieceBatch, RvdError, Serial, Session, SessionOptions,
+    Surface,
+};
+use tessera::token::Token;
+
+use crate::postgres_server::{self as server, Database};
+use crate::{input, message, shared};
 
 const LEASE: Duration = Duration::from_secs(60);
 const ROOM: Bytes = Bytes { host: 1 << 30, device: 0 };
@@ -149,4 +160,77 @@ fn scaling_figures() {
         });
         println!("{figures:#}");
     });
+}
+
+/// A device that takes its time and no host's: each pass waits, and then does its small work.
+#[derive(Debug)]
+struct Device;
+
+const PASS: Duration = Duration::from_millis(40);
+
+struct OnDevice(Box<dyn Session>);
+
+impl Backend for Device {
+    fn kind(&self) -> BackendKind {
+        BackendKind::Parallel
+    }
+    fn threads(&self) -> usize {
+        1
+    }
+    fn session(&self, surface: Arc<Surface>, options: SessionOptions) -> Result<Box<dyn Session>, RvdError> {
+        Ok(Box::new(OnDevice(Serial.session(surface, options)?)))
+    }
+}
+
+impl Session for OnDevice {
+    fn set_seeds(&mut self, seeds: &[DVec3]) -> Result<(), RvdError> {
+        self.0.set_seeds(seeds)
+    }
+    fn sums(&mut self, out: &mut CellSums, token: &Token) -> Result<PassStats, RvdError> {
+        std::thread::sleep(PASS);
+        self.0.sums(out, token)
+    }
+    fn pieces(&mut self, facets: Range<u32>, out: &mut PieceBatch, token: &Token) -> Result<PassStats, RvdError> {
+        std::thread::sleep(PASS);
+        self.0.pieces(facets, out, token)
+    }
+}
+
+fn devices() -> Result<Backends, JobError> {
+    let device: Arc<dyn Backend> = Arc::new(Device);
+    let (parallel, serial) = (Arc::clone(&device), device);
+    Ok(Backends { gpu: Err("none".to_owned()), parallel, serial, default: BackendChoice::Auto, pools: None })
+}
+
+/// Two servers beside one, whose devices do the work.
+#[needs(postgres)]
+#[test]
+#[ignore = "figures, not a test"]
+fn scaling_of_two_servers() {
+    const JOBS: usize = 24;
+    let time = |servers: usize| {
+        let (database, bucket) = (server::database(), Arc::new(InMemory::new()));
+        shared::runtime().block_on(async {
+            let mut nodes = Vec::new();
+            for name in ["a", "b"].into_iter().take(servers) {
+                let node = shared::Node::shared_with(name, (&database, &bucket), shared::options(), devices);
+                nodes.push(node.await);
+            }
+            let begin = Instant::now();
+            let mut ids = Vec::new();
+            for _ in 0..JOBS {
+                ids.push(nodes[0].create((100, 40)).await);
+            }
+            for id in ids {
+                nodes[0].ended(id).await;
+            }
+            let took = begin.elapsed().as_secs_f64();
+            for node in &nodes {
+                node.executor.drain().await;
+            }
+            took
+        })
+    };
+    let (one, two) = (time(1), time(2));
+    println!("{:#}", json!({ "jobs": JOBS, "one_server_s": one, "two_servers_s": two, "ratio": one / two }));
 }

@@ -33,6 +33,9 @@ const LEASE: Duration = Duration::from_secs(1);
 /// A job of a few seconds.
 const LONG: (usize, u32) = (40_000, 20_000);
 
+/// What makes the backends of a server.
+pub type Factory = fn() -> Result<jobs::Backends, jobs::JobError>;
+
 /// A server without its ports.
 pub struct Node {
     pub executor: Executor,
@@ -47,17 +50,31 @@ pub fn options() -> ExecutorOptions {
 
 impl Node {
     async fn start(stores: Stores, options: ExecutorOptions) -> Self {
+        Self::with(stores, options, backends).await
+    }
+
+    /// With these backends, one job at once.
+    async fn with(stores: Stores, options: ExecutorOptions, factory: Factory) -> Self {
         let engine_options = EngineOptions { jobs_at_once: 1, ..EngineOptions::default() };
-        let (engine, thread) = Engine::start(backends, engine_options).unwrap();
+        let (engine, thread) = Engine::start(factory, engine_options).unwrap();
         let executor = Executor::start(engine.clone(), stores.clone(), options).await.unwrap();
         Self { executor, engine, stores, _thread: thread }
     }
 
     pub async fn shared(name: &str, database: &Database, bucket: &Arc<InMemory>, options: ExecutorOptions) -> Self {
+        Self::shared_with(name, (database, bucket), options, backends).await
+    }
+
+    pub async fn shared_with(
+        name: &str,
+        (database, bucket): (&Database, &Arc<InMemory>),
+        options: ExecutorOptions,
+        factory: Factory,
+    ) -> Self {
         let store = PostgresStore::open(database.options(name)).await.unwrap();
         let blobs = ObjectBlobs::shared_with(store.index(), Arc::clone(bucket), BlobOptions::default());
         let blobs = Arc::new(blobs.await.unwrap());
-        Self::start(Stores { jobs: Arc::new(store), blobs }, options).await
+        Self::with(Stores { jobs: Arc::new(store), blobs }, options, factory).await
     }
 
     /// Takes its one place until what this gives is dropped.

@@ -57,6 +57,8 @@ pub enum BlobError {
     StorageFull,
     #[error("the blob storage failed: {0}; try again, and look at the server's log if it stays so")]
     Unavailable(String),
+    #[error("another server stores or removes blob {digest}; try again")]
+    Busy { digest: Digest },
     #[error("the database does not answer: {0}; try again, and look at the server's log if it stays so")]
     Database(String),
 }
@@ -72,6 +74,7 @@ impl BlobError {
                 | Self::StorageFull
                 | Self::Unavailable(_)
                 | Self::Database(_)
+                | Self::Busy { .. }
         )
     }
 

@@ -77,9 +77,11 @@ impl Storage {
                     error @ (BlobError::StorageFull
                     | BlobError::Unavailable(_)
                     | BlobError::Database(_)
+                    | BlobError::Busy { .. }
                     | BlobError::UploadNotFound { .. }),
                 ) => {
-                    if !matches!(error, BlobError::UploadNotFound { .. }) {
+                    // The others say nothing of the storage.
+                    if matches!(error, BlobError::StorageFull | BlobError::Unavailable(_)) {
                         self.note(Some(error));
                     }
                     let next = Instant::now() + RETRY_PERIOD;

@@ -30,11 +30,15 @@ fn whole(value: u32) -> i32 {
 }
 
 /// Gives whether an operator wants this process to take no more work, and how many are alive beside it.
-pub(super) async fn beat(connection: impl PgExecutor<'_>, holder: &str, node: &Node) -> StoreResult<(bool, u32)> {
+pub(super) async fn beat(
+    connection: impl PgExecutor<'_>,
+    (holder, process): (&str, i64),
+    node: &Node,
+) -> StoreResult<(bool, u32)> {
     let (drain, others): (bool, i64) = sqlx::query_as(
         "insert into tessera.nodes as n (holder, name, role, version, address, class, places, host_bytes, device_bytes, \
-         at_work, host_planned, device_planned, started, seen) \
-         values ($1, $2, $3, $4, $5, $6, $7, $8, $9, $10, $11, $12, tessera.now_ms(), tessera.now_ms()) \
+         at_work, host_planned, device_planned, process, started, seen) \
+         values ($1, $2, $3, $4, $5, $6, $7, $8, $9, $10, $11, $12, $14, tessera.now_ms(), tessera.now_ms()) \
          on conflict (holder) do update set class = excluded.class, places = excluded.places, \
          host_bytes = excluded.host_bytes, device_bytes = excluded.device_bytes, at_work = excluded.at_work, \
          host_planned = excluded.host_planned, device_planned = excluded.device_planned, seen = excluded.seen \
@@ -53,6 +57,7 @@ pub(super) async fn beat(connection: impl PgExecutor<'_>, holder: &str, node: &N
     .bind(number(node.planned.host))
     .bind(number(node.planned.device))
     .bind(away_ms())
+    .bind(process)
     .fetch_one(connection)
     .await?;
     Ok((drain, u32::try_from(others).unwrap_or(u32::MAX)))

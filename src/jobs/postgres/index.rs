@@ -34,7 +34,7 @@ pub(super) struct PostgresIndex {
     /// Uses of a blob within this time are one use.
     same_use: Duration,
     /// This process, among those that show bytes.
-    process: i64,
+    pub(super) process: i64,
 }
 
 impl PostgresIndex {
@@ -179,7 +179,7 @@ impl BlobIndex for PostgresIndex {
             tokio::time::sleep(uploads::LOOK).await;
         }
         let digest = upload.digest;
-        Err(BlobError::Unavailable(format!("another process shows or removes the bytes of blob {digest}")))
+        Err(BlobError::Busy { digest })
     }
 
     async fn get(&self, digest: Digest) -> BlobResult<Option<BlobInfo>> {

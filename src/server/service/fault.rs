@@ -305,6 +305,7 @@ fn of_blob(error: &BlobError) -> Fault {
             return retry(Kind::Unavailable, text, Duration::from_secs(5));
         }
         BlobError::Database(_) => return away(&text),
+        BlobError::Busy { .. } => return retry(Kind::Unavailable, text, Duration::from_secs(1)),
     };
     invalid(text.clone(), path.to_owned(), text)
 }

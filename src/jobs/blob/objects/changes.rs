@@ -470,9 +470,7 @@ impl Inner {
                     BlobError::WrongOffset { expected, .. } if expected < id.size_bytes => {
                         BlobError::Incomplete { kept_bytes: expected, size_bytes: id.size_bytes }
                     }
-                    BlobError::WrongOffset { .. } => {
-                        BlobError::Unavailable(format!("another process ends the upload of {digest}"))
-                    }
+                    BlobError::WrongOffset { .. } => BlobError::Busy { digest },
                     error => error,
                 });
             }

@@ -115,7 +115,7 @@ pub(super) async fn found(work: &mut PgConnection, blob: BlobInfo, stamp: u64) -
     let enter = sqlx::query(
         "insert into tessera.blobs (digest, size, used) select $1, $2, $3 \
          where not exists (select from tessera.gone where digest = $1) and not exists \
-         (select from tessera.uploads where digest = $1 and showing > tessera.now_ms()) on conflict do nothing",
+         (select from tessera.uploads where digest = $1 and not tessera.is_free(showing, shown_by)) on conflict do nothing",
     );
     let enter = enter.bind(blob.digest.as_bytes().as_slice()).bind(number(blob.size_bytes)).bind(number(stamp));
     enter.execute(&mut *work).await?;
@@ -183,7 +183,7 @@ pub(super) async fn removing(work: &mut PgConnection, blob: BlobInfo) -> BlobRes
         "insert into tessera.gone as g (digest, size, since, removing) \
          select $1, $2, tessera.now_ms(), tessera.now_ms() + $3 \
          where not exists (select from tessera.blobs where digest = $1) and not exists \
-         (select from tessera.uploads where digest = $1 and showing > tessera.now_ms()) \
+         (select from tessera.uploads where digest = $1 and not tessera.is_free(showing, shown_by)) \
          on conflict (digest) do update set removing = excluded.removing, done = false where g.removing <= tessera.now_ms() returning true",
     )
     .bind(blob.digest.as_bytes().as_slice())

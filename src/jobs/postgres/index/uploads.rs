@@ -55,7 +55,7 @@ pub(super) async fn touch(pool: &PgPool, id: &UploadId, process: i64) -> BlobRes
 /// Not what another process shows: its room becomes the blob's.
 pub(super) async fn end(pool: &PgPool, id: &UploadId, process: i64) -> BlobResult<()> {
     let end = "delete from tessera.uploads where digest = $1 and size = $2 and owner = $3 \
-               and (showing <= tessera.now_ms() or shown_by = $4) returning true";
+               and (shown_by = $4 or tessera.is_free(showing, shown_by)) returning true";
     let _ended: Option<(bool,)> = of!(end, id).bind(process).fetch_optional(pool).await?;
     Ok(())
 }
@@ -92,7 +92,7 @@ pub(super) async fn advance(
 ) -> BlobResult<bool> {
     let advance = "update tessera.uploads set multipart = nullif($6, ''), kept = $7, hash = nullif($8, ''), \
                    touched = tessera.now_us() where digest = $1 and size = $2 and owner = $3 \
-                   and coalesce(multipart, '') = $4 and kept = $5 and (showing <= tessera.now_ms() or shown_by = $9) \
+                   and coalesce(multipart, '') = $4 and kept = $5 and (shown_by = $9 or tessera.is_free(showing, shown_by)) \
                    returning true";
     let advanced: Option<(bool,)> = of!(advance, id)
         .bind(&from.multipart)
@@ -139,7 +139,7 @@ pub(super) async fn stalest(pool: &PgPool, upload: &UploadId, time: Duration) ->
 pub(super) async fn show(work: &mut PgConnection, id: &UploadId, process: i64) -> BlobResult<bool> {
     super::blobs::lock(work, &id.digest).await?;
     let free: Option<(bool, bool)> = of!(
-        "select showing <= tessera.now_ms() or shown_by = $4, not exists \
+        "select shown_by = $4 or tessera.is_free(showing, shown_by), not exists \
          (select from tessera.gone where digest = $1 and removing > tessera.now_ms()) \
          from tessera.uploads where digest = $1 and size = $2 and owner = $3 for no key update",
         id

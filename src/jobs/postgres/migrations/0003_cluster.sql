@@ -4,6 +4,8 @@
 create table tessera.nodes (
     -- As in leases: no other process has this name.
     holder text collate "C" primary key,
+    -- As in uploads.shown_by.
+    process bigint not null,
     -- As operators call it.
     name text collate "C" not null,
     -- 0: takes calls and does work; 1: takes calls alone; 2: does work alone.
@@ -28,6 +30,11 @@ create table tessera.nodes (
     -- An operator wants it to take no more work.
     drain boolean not null default false
 ) with (fillfactor = 50, autovacuum_vacuum_scale_factor = 0.0, autovacuum_vacuum_threshold = 500);
+
+-- Whether no process may be showing the bytes of an upload: its time is over, or the process was not heard of for a while.
+create function tessera.is_free(showing bigint, shown_by bigint) returns boolean language sql volatile
+    as $$ select showing <= tessera.now_ms() or exists (
+        select from tessera.nodes n where n.process = shown_by and n.seen <= tessera.now_ms() - 15000) $$;
 
 -- What all servers read and operators change, such as the keys of callers. A change names the version that it has seen.
 create table tessera.documents (name text collate "C" primary key, version bigint not null, content text not null);
