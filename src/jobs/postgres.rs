@@ -76,8 +76,8 @@ impl PostgresStore {
         let work = Arc::new(watch::Sender::new(()));
         let others = Arc::<AtomicU32>::default();
         let ears = Ears { waiters: Arc::clone(&waiters), work: Arc::clone(&work), others: Arc::clone(&others) };
-        let listener = tokio::spawn(listen::listen(Database::apart(&options)?, ears));
-        let voice = Voice::new(database.pool().clone(), Arc::clone(&waiters), Arc::clone(&work));
+        let listener = tokio::spawn(listen::listen(Database::apart(&options)?, ears.clone()));
+        let voice = Voice::new(database.pool().clone(), ears);
         let PostgresOptions { holder, silence, .. } = options;
         let days = Mutex::new(Instant::now());
         Ok(Self { database, index, holder, silence, waiters, work, voice, others, listener, days })

@@ -9,6 +9,7 @@ use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
 
 use jobs::postgres::{PostgresOptions, PostgresStore};
+use jobs::record::state::State;
 use jobs::record::{Bytes, Change, Spec};
 use jobs::store::shared::Node;
 use jobs::store::*;
@@ -22,8 +23,8 @@ use jobs::executor::api::JobApi;
 use jobs::{Backends, JobError};
 use object_store::memory::InMemory;
 use tessera::rvd::{
-    Backend, BackendChoice, BackendKind, CellSums, PassStats, PieceBatch, RvdError, Serial, Session, SessionOptions,
-    Surface,
+    Backend, BackendChoice, BackendKind, CellSums, PassStats, PieceBatch, Resident, RvdError, Serial, Session,
+    SessionOptions, Surface,
 };
 use tessera::token::Token;
 
@@ -166,13 +167,13 @@ fn scaling_figures() {
 #[derive(Debug)]
 struct Device;
 
-const PASS: Duration = Duration::from_millis(40);
+const PASS: Duration = Duration::from_millis(5);
 
 struct OnDevice(Box<dyn Session>);
 
 impl Backend for Device {
     fn kind(&self) -> BackendKind {
-        BackendKind::Parallel
+        BackendKind::Serial
     }
     fn threads(&self) -> usize {
         1
@@ -193,6 +194,10 @@ impl Session for OnDevice {
     fn pieces(&mut self, facets: Range<u32>, out: &mut PieceBatch, token: &Token) -> Result<PassStats, RvdError> {
         std::thread::sleep(PASS);
         self.0.pieces(facets, out, token)
+    }
+    fn resident(&mut self) -> Option<&mut dyn Resident> {
+        std::thread::sleep(PASS);
+        self.0.resident()
     }
 }
 
@@ -222,7 +227,8 @@ fn scaling_of_two_servers() {
                 ids.push(nodes[0].create((100, 40)).await);
             }
             for id in ids {
-                nodes[0].ended(id).await;
+                let job = nodes[0].ended(id).await;
+                assert_eq!(job.status.state, State::Succeeded, "{:?}", job.status);
             }
             let took = begin.elapsed().as_secs_f64();
             for node in &nodes {

@@ -28,9 +28,11 @@ const MOST_NAMES: usize = 200;
 const WAITING: usize = 1024;
 /// Between two notifications of this process.
 const MOMENT: Duration = Duration::from_millis(20);
-/// Processes that look at once for each job that came to wait, of many: that none does has a chance of `e^-8`, and then one looks
-/// within a second.
-const LOOKERS: f64 = 8.0;
+/// Of many processes, those that look at once for jobs that came to wait, besides one for each job. For one job the chance that none
+/// looks is `e^-6`; then one does within a second. A process that has found a job looks again.
+const LOOKERS: f64 = 5.0;
+/// Other processes from which on only jobs that came to wait are said.
+const MANY: u32 = 16;
 /// Between attempts to connect.
 const PAUSE: Duration = Duration::from_secs(1);
 
@@ -47,9 +49,9 @@ type Said = (Vec<JobId>, bool);
 
 impl Voice {
     /// To be called within a runtime.
-    pub(super) fn new(pool: PgPool, waiters: Arc<Waiters>, work: Arc<watch::Sender<()>>) -> Self {
+    pub(super) fn new(pool: PgPool, Ears { waiters, work, others }: Ears) -> Self {
         let (said, waiting) = mpsc::channel(WAITING);
-        tokio::spawn(speak(pool, waiting));
+        tokio::spawn(speak(pool, waiting, others));
         Self { waiters, work, said }
     }
 
@@ -65,10 +67,15 @@ impl Voice {
     }
 }
 
-async fn speak(pool: PgPool, mut waiting: mpsc::Receiver<Said>) {
+async fn speak(pool: PgPool, mut waiting: mpsc::Receiver<Said>, others: Arc<AtomicU32>) {
     let mut moment = Vec::new();
     while waiting.recv_many(&mut moment, WAITING).await > 0 {
         let has_work = moment.iter().any(|(_, queued)| *queued);
+        // All processes hear what any of them says. Of many, waits find it when they poll.
+        if !has_work && others.load(Ordering::Relaxed) >= MANY {
+            moment.clear();
+            continue;
+        }
         let mut jobs: Vec<JobId> = moment.drain(..).flat_map(|(jobs, _)| jobs).collect();
         jobs.sort_unstable();
         jobs.dedup();
@@ -84,6 +91,7 @@ async fn speak(pool: PgPool, mut waiting: mpsc::Receiver<Said>) {
 }
 
 /// What hears of changes.
+#[derive(Clone)]
 pub(super) struct Ears {
     pub waiters: Arc<Waiters>,
     pub work: Arc<watch::Sender<()>>,
@@ -127,7 +135,7 @@ async fn hear(pool: &PgPool, Ears { waiters, work, others }: &Ears) -> Result<()
         let all = f64::from(others.load(Ordering::Relaxed)) + 1.0;
         // From 0 to 1, another one in each process.
         let draw = dice.hash_one(payload) as f64 / u64::MAX as f64;
-        if has_work && draw * all < LOOKERS * jobs as f64 {
+        if has_work && draw * all < LOOKERS + jobs as f64 {
             work.send_replace(());
         }
     }

@@ -120,9 +120,10 @@ begin
                 where j.state = 0 and j.class <= best and (j.class, j.tenant) > (h.class, h.tenant)
                 order by j.class, j.tenant, j.priority desc, j.id limit 1) n
         ), turns as materialized (select c.class, tessera.turn(c.class) as turn from (select distinct class from heads) c)
-        select h.class, h.tenant, t.turn, tessera.share(h.class, h.tenant) as had
+        select h.class, h.tenant, t.turn, s.had
             from heads h join turns t on t.class = h.class
-            order by greatest(tessera.share(h.class, h.tenant) - t.turn, 0), h.priority desc, h.id
+            cross join lateral (select tessera.share(h.class, h.tenant) as had) s
+            order by greatest(s.had - t.turn, 0), h.priority desc, h.id
     loop
         select id, cost, weight, host_bytes, device_bytes, passed into job from tessera.jobs
             where state = 0 and class = line.class and tenant = line.tenant
