@@ -250,7 +250,7 @@ fn a_removal_and_an_upload_of_the_same_blob_exclude_each_other() {
         one.showing(first).await.unwrap();
         one.showing(first).await.unwrap();
         let taken = two.showing(first).await.unwrap_err();
-        assert!(matches!(taken, BlobError::Unavailable(_)), "{taken}");
+        assert!(matches!(taken, BlobError::Busy { .. }), "{taken}");
         two.end_upload(first).await.unwrap();
         two.touch_upload(first).await.unwrap();
         one.touch_upload(first).await.unwrap();
