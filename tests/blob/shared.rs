@@ -290,7 +290,7 @@ mod one_index {
                                 | BlobError::Incomplete { .. }
                                 | BlobError::DigestMismatch { .. },
                             ) => {}
-                            Err(BlobError::Unavailable(why)) if why.contains("another process") => {}
+                            Err(BlobError::Busy { .. }) => {}
                             Err(error) => panic!("{error}"),
                         }
                         tokio::time::sleep(Duration::from_millis(client as u64)).await;
