@@ -288,9 +288,9 @@ mod one_index {
                                 BlobError::WrongOffset { .. }
                                 | BlobError::UploadNotFound { .. }
                                 | BlobError::Incomplete { .. }
-                                | BlobError::DigestMismatch { .. },
+                                | BlobError::DigestMismatch { .. }
+                                | BlobError::Busy { .. },
                             ) => {}
-                            Err(BlobError::Busy { .. }) => {}
                             Err(error) => panic!("{error}"),
                         }
                         tokio::time::sleep(Duration::from_millis(client as u64)).await;
