@@ -42,7 +42,8 @@ class Lost(Exception):
 
 
 def call(
-    address: str, method: str, path: str, body: bytes | Any = None, tenant: str = "trial", timeout: float = 30
+    address: str, method: str, path: str, body: bytes | Any = None, tenant: str = "trial", timeout: float = 30,
+    key: str | None = None,
 ) -> Answer:
     """One request on a connection of its own. A body that is not bytes is sent as JSON."""
     if not address:
@@ -50,9 +51,10 @@ def call(
     host, port = address.rsplit(":", 1)
     connection = http.client.HTTPConnection(host, int(port), timeout=timeout)
     data = body if body is None or isinstance(body, bytes) else json.dumps(body).encode()
+    headers = {"tessera-tenant": tenant, **({"authorization": f"Bearer {key}"} if key else {})}
     begin = time.monotonic()
     try:
-        connection.request(method, path, data, {"tessera-tenant": tenant})
+        connection.request(method, path, data, headers)
         answer = connection.getresponse()
         return Answer(
             answer.status, {name.lower(): value for name, value in answer.getheaders()}, answer.read(),

@@ -105,13 +105,14 @@ class Trial:
     def number(self, query: str) -> int:
         return int(self.sql(query))
 
-    def operate(self, *words: str) -> None:
-        """A command of operators, which must succeed."""
+    def operate(self, *words: str) -> str:
+        """A command of operators, which must succeed. Gives what it prints."""
         url = f"postgres://tessera@127.0.0.1:{self.switch.port}/trial"
         done = subprocess.run(
             [self.program, *words, "--store", url], capture_output=True, text=True, timeout=60, check=False
         )
         self.check(done.returncode == 0, f"{' '.join(words)}: {done.returncode} {done.stdout}{done.stderr}")
+        return done.stdout
 
     def work(self, name: str, tenants: list[str] | None = None) -> Work:
         work = Work(name, lambda: [server.http for server in self.servers], self.mesh, tenants or ["trial"])
@@ -756,8 +757,25 @@ def upload(trial: Trial) -> dict[str, Any]:
     return {"bytes": len(data), "sent_before": half, "kept_before": before, "kept_after": kept, "sent_again": half - kept}
 
 
+def keys(trial: Trial) -> dict[str, Any]:
+    """A key that is made or revoked in the database counts at all servers soon."""
+
+    def all_answer(status: int, key: str | None = None) -> bool:
+        answers = [call(server.http, "GET", "/v1/jobs", tenant="keyed", key=key).status for server in trial.servers]
+        return answers == [status] * len(answers)
+
+    trial.check(all_answer(200), "a tenant without a key was refused")
+    key = trial.operate("keys", "add", "keyed", "--role", "read").strip()
+    # The tenant cannot be named without its key from now on.
+    made = wait_for("the key counts", lambda: all_answer(401))
+    trial.check(all_answer(200, key), "the key was refused")
+    trial.operate("keys", "revoke", "keyed")
+    revoked = wait_for("the key is revoked", lambda: all_answer(401, key))
+    return {"seconds_until_made": round(made, 1), "seconds_until_revoked": round(revoked, 1)}
+
+
 CASES: list[Callable[[Trial], dict[str, Any]]] = [
-    mixed, kill, database, away, standby, frozen, clock, twice, disk, rolling, hostile, upload,
+    mixed, kill, database, away, standby, frozen, clock, twice, disk, rolling, hostile, upload, keys,
 ]  # fmt: skip
 
 

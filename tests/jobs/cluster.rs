@@ -384,3 +384,52 @@ fn a_server_that_is_away_shows_no_bytes() {
     wait(b.index().showing(upload)).unwrap();
     assert!(matches!(wait(a.index().showing(upload)), Err(BlobError::Busy { .. })), "now it is b's");
 }
+
+/// Leases of a server that went down end one after the other, and each of its jobs counts as having been at work beside the others.
+#[needs(postgres)]
+#[test]
+fn jobs_of_a_server_that_went_down_are_taken_back_together() {
+    let database = server::database();
+    let (gone, store) = (opened(&database, "gone"), open(&database, "b"));
+    let ids = [1, 2].map(|random| wait(store.create(job(random, "t", 1, (1.0, 1.0)))).unwrap().job.id);
+    for (server, name) in [(&gone, "gone"), (&store, "b")] {
+        wait(server.shared().unwrap().beat(node(name))).unwrap();
+        claim(server, name, 100).unwrap();
+    }
+    let third = wait(store.create(job(3, "t", 1, (1.0, 1.0)))).unwrap().job.id;
+    assert_eq!(claim(&gone, "gone", 100).unwrap().id, third);
+    // One of its two leases is over, and it is not alive.
+    database.sql(&format!("update tessera.leases set until = 0, length = 0 where job = '\\x{}'", ids[0]));
+    database.sql("update tessera.nodes set seen = seen - 20000 where holder = 'gone'");
+    let recovered = wait(store.recover(Orphans::LeaseOver, 1)).unwrap();
+    assert_eq!((recovered.requeued, recovered.failed), (vec![ids[0], third], vec![]));
+    assert_eq!(wait(store.get(ids[1])).unwrap().status.state, State::Running, "the other server has it");
+}
+
+#[needs(postgres)]
+#[test]
+fn open_calls_and_documents_are_seen_by_all_servers() {
+    let database = server::database();
+    let [a, b] = ["a", "b"].map(|holder| open(&database, holder));
+    let open_calls = |calls: &[(&str, u32)]| calls.iter().map(|(key, open)| ((*key).to_owned(), *open)).collect();
+    for (store, name) in [(&a, "a"), (&b, "b")] {
+        wait(store.shared().unwrap().beat(node(name))).unwrap();
+    }
+    let share = |store: &PostgresStore, calls| wait(store.shared().unwrap().share_calls(open_calls(calls))).unwrap();
+    assert_eq!(share(&a, &[("k", 2), ("l", 1)]), BTreeMap::new());
+    assert_eq!(share(&b, &[("k", 3)]), open_calls(&[("k", 2), ("l", 1)]));
+    assert_eq!(share(&a, &[]), open_calls(&[("k", 3)]));
+    database.sql("update tessera.nodes set seen = seen - 20000 where holder = 'b'");
+    assert_eq!(share(&a, &[]), BTreeMap::new(), "what is away has no calls");
+    // A text is changed from the version that was seen, or not at all.
+    let operator = wait(Operator::connect(&database.options("operator"))).unwrap();
+    let read = || wait(a.shared().unwrap().document("keys")).unwrap();
+    assert_eq!(read(), None);
+    assert!(
+        wait(operator.replace("keys", None, "one")).unwrap() && !wait(operator.replace("keys", None, "two")).unwrap()
+    );
+    let seen = read().unwrap();
+    assert!(wait(operator.replace("keys", Some(seen.version), "three")).unwrap());
+    assert!(!wait(operator.replace("keys", Some(seen.version), "four")).unwrap());
+    assert_eq!(read().unwrap().content, "three");
+}

@@ -132,7 +132,8 @@ pub(super) async fn replace(
     Ok(done.rows_affected() > 0)
 }
 
-fn away_ms() -> i64 {
+/// As [`AWAY`].
+pub(super) fn away_ms() -> i64 {
     i64::try_from(AWAY.as_millis()).unwrap_or(i64::MAX)
 }
 

@@ -7,6 +7,7 @@
 
 use std::time::Duration;
 
+use super::cluster::away_ms;
 use super::jobs::{Work, ids};
 use super::pool::Database;
 use super::rows::{id_of, number, text};
@@ -95,21 +96,26 @@ impl Work {
     ) -> Result<Recovered, StoreError> {
         let own = (orphans == Orphans::All).then(|| text(own));
         let now = self.now().await?;
-        // Of several pieces of work of a process any one may be the cause: each job is tried once more, alone.
-        let orphaned: Vec<(Vec<u8>, bool)> = sqlx::query_as(
-            "select job, is_alone from (select *, count(*) over (partition by holder) = 1 as is_alone from tessera.leases) l \
-             where (until <= $1 and length <= $1 - $3) or holder = $2 order by job",
+        // Of several pieces of work of a process any one may be the cause: each job is tried once more, alone. So all leases of a process
+        // that is away are taken at once, though they end one after the other.
+        let orphaned: Vec<(Vec<u8>, bool, bool)> = sqlx::query_as(
+            "with l as (select job, holder, (until <= $1 and length <= $1 - $3) or holder is not distinct from $2 as is_over, \
+             count(*) over (partition by holder) = 1 as is_alone from tessera.leases), \
+             away as (select holder from tessera.nodes where seen <= $1 - $4 intersect select holder from l where is_over) \
+             select job, is_alone, holder in (select holder from away) from l \
+             where is_over or holder in (select holder from away) order by job",
         )
         .bind(number(now.0))
         .bind(&own)
         .bind(since)
+        .bind(away_ms())
         .fetch_all(self.connection())
         .await?;
         let mut recovered = Recovered::default();
-        for (id, is_alone) in orphaned {
+        for (id, is_alone, is_away) in orphaned {
             let id = id_of(&id)?;
             let Some(job) = self.lock_free(id).await? else { continue };
-            if !self.is_orphaned(id, number(now.0), own.as_deref()).await? {
+            if !self.is_orphaned(id, (number(now.0), is_away), own.as_deref()).await? {
                 continue;
             }
             let log = self.with_progress(&job).await?;
@@ -127,13 +133,19 @@ impl Work {
     }
 
     /// Locks the lease, so that it is not renewed meanwhile.
-    async fn is_orphaned(&mut self, id: JobId, now: i64, own: Option<&str>) -> Result<bool, StoreError> {
+    async fn is_orphaned(
+        &mut self,
+        id: JobId,
+        (now, is_away): (i64, bool),
+        own: Option<&str>,
+    ) -> Result<bool, StoreError> {
         let lease: Option<i64> = sqlx::query_scalar(
-            "select until from tessera.leases where job = $1 and (until <= $2 or holder = $3) for update",
+            "select until from tessera.leases where job = $1 and (until <= $2 or holder = $3 or $4) for update",
         )
         .bind(id.0.as_slice())
         .bind(now)
         .bind(own)
+        .bind(is_away)
         .fetch_optional(self.connection())
         .await?;
         Ok(lease.is_some())
