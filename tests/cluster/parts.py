@@ -20,6 +20,7 @@ import sys
 import tempfile
 import threading
 import time
+import urllib.error
 import urllib.request
 from collections.abc import Callable
 from pathlib import Path
@@ -332,8 +333,14 @@ class Bucket:
     def _names(self, folder: str) -> list[str]:
         url = f"http://127.0.0.1:{self.ports[4]}/buckets/{BUCKET}/{folder}/?limit=100000"
         request = urllib.request.Request(url, headers={"Accept": "application/json"})
-        with urllib.request.urlopen(request, timeout=10) as answer:
-            return [Path(entry["FullPath"]).name for entry in json.load(answer)["Entries"] or []]
+        try:
+            with urllib.request.urlopen(request, timeout=10) as answer:
+                return [Path(entry["FullPath"]).name for entry in json.load(answer)["Entries"] or []]
+        except urllib.error.HTTPError as error:
+            if error.code == 404:
+                # Nothing was stored yet.
+                return []
+            raise
 
 
 class Server:
