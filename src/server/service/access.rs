@@ -287,6 +287,9 @@ impl Access {
     /// Hears how many calls of each key are open at other servers.
     async fn share_calls(&self, api: &dyn JobApi) {
         let Some(cluster) = api.cluster() else { return };
+        if !self.table().limits_calls() {
+            return;
+        }
         let open = self.table().open_calls();
         let elsewhere = cluster.share_calls(open).await;
         self.table().set_elsewhere(&elsewhere);

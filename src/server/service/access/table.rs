@@ -90,6 +90,11 @@ impl Table {
         weights
     }
 
+    /// Whether a key limits its open calls.
+    pub(super) fn limits_calls(&self) -> bool {
+        self.keys.values().any(|entry| entry.key.limits.in_flight.is_some())
+    }
+
     /// Open calls here of keys that limit them.
     pub(super) fn open_calls(&self) -> BTreeMap<String, u32> {
         let limited = self.keys.iter().filter(|(_, entry)| entry.key.limits.in_flight.is_some());
@@ -269,6 +274,7 @@ mod tests {
         assert!(matches!(next.find(&secret, now()).unwrap().open(), Err(Refusal::InFlight { .. })));
         assert!(matches!(next.find(&secret, now()).unwrap().take_turn(), Err(Refusal::Rate { .. })));
         drop(open);
+        assert!(next.limits_calls() && !Table::default().limits_calls());
         assert!(next.find(&secret, now()).unwrap().open().is_ok());
         // One call at another server takes the place, until it is heard that it has ended.
         next.set_elsewhere(&BTreeMap::from([(secret.id().to_owned(), 1)]));
