@@ -47,6 +47,10 @@ impl Keys {
         let new = NewKey { name: name.to_owned(), role, lasts: None, limits, is_second: false };
         self.file.change(|keys| keys.add(new)).unwrap().1
     }
+
+    pub fn revoke(&self, name: &str) {
+        self.file.change(|keys| keys.revoke(name)).unwrap();
+    }
 }
 
 impl House {

@@ -409,6 +409,32 @@ async fn keys_are_those_of_the_service() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn a_call_whose_key_is_revoked_gets_a_whole_answer() {
+    let (house, keys) = House::with_keys().await;
+    let (house, keys) = (Arc::new(house), Arc::new(keys));
+    let header =
+        |name| format!("Authorization: Bearer {}", keys.add(name, Role::Submit, KeyLimits::default()).reveal());
+    let (caller, eye) = (header("caller"), header("eye"));
+    house.reload().await;
+    let waiting = {
+        let (house, caller) = (Arc::clone(&house), caller.clone());
+        tokio::spawn(async move { post(&house, "/v1/remesh?points=20000&lloyd=2000", &[&caller], &torus(200)).await })
+    };
+    for _ in 0..500 {
+        let jobs = get(&house, "/v1/jobs?states=running", &[&caller]).await.json();
+        if !jobs["jobs"].as_array().unwrap().is_empty() {
+            break;
+        }
+        tokio::time::sleep(Duration::from_millis(20)).await;
+    }
+    keys.revoke("caller");
+    let answer = waiting.await.unwrap();
+    assert_eq!((answer.status, answer.json()["reason"].as_str()), (401, Some("unauthenticated")));
+    assert_eq!(get(&house, "/v1/jobs", &[&eye]).await.status, 200);
+    Arc::into_inner(house).unwrap().stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn pages_of_other_sites_use_no_server_without_keys() {
     let house = House::with_host("proxy.example", "https://app.example").await;
     let page = [format!("Host: {}", house.http), format!("Origin: http://{}", house.http)];

@@ -86,10 +86,14 @@ pub(super) async fn guard(State(guard): State<Guard>, request: Request, next: Ne
         }
         Err(error) => (None, None, Err(error)),
     };
+    // A refusal is not cut: what ends the call may be its very reason.
+    let cut: Cut = match &answered {
+        Ok(_) => Box::pin(until_cut(&desk, pass.as_ref())),
+        Err(_) => Box::pin(std::future::pending()),
+    };
     let response = answered.unwrap_or_else(|error| Problem::from(error).into_response());
     counted.answered(&response);
-    let cut = until_cut(&desk, pass.as_ref());
-    response.map(|body| Body::new(Held { body, cut: Box::pin(cut), _pass: pass, _place: place, _counted: counted }))
+    response.map(|body| Body::new(Held { body, cut, _pass: pass, _place: place, _counted: counted }))
 }
 
 /// What the guard of a path that is open to everybody knows.
@@ -148,6 +152,9 @@ fn enter(desk: &Desk, route: Route, mut request: Request) -> Result<Entered, Req
     request.extensions_mut().insert(Caller { tenant, bytes });
     Ok((request, place, pass))
 }
+
+/// Ready once an answer has to end early.
+type Cut = Pin<Box<dyn Future<Output = RequestError> + Send>>;
 
 /// Waits for an answer, as long as that may take.
 async fn answer(
@@ -217,7 +224,7 @@ fn matches(route: &str, path: &str) -> bool {
 /// The body of an answer, with what is held until it has left.
 struct Held {
     body: Body,
-    cut: Pin<Box<dyn Future<Output = RequestError> + Send>>,
+    cut: Cut,
     _pass: Option<Pass>,
     _place: Option<Place>,
     _counted: Counted,
