@@ -143,6 +143,20 @@ pub struct Holder {
     pub until: Time,
 }
 
+impl Holder {
+    /// The name of a process of the server `server`.
+    pub fn name(server: &str, process: u32, unique: u32) -> String {
+        format!("{server}{OF_SERVER}{process} {unique:08x}")
+    }
+
+    /// The server, by its operator's name, if [`Self::name`] made the name of the process.
+    pub fn server(&self) -> Option<&str> {
+        self.name.rsplit_once(OF_SERVER).map(|(server, _)| server)
+    }
+}
+
+const OF_SERVER: &str = " process ";
+
 /// How a job ended. A cancelled one has none.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case", deny_unknown_fields)]

@@ -433,6 +433,8 @@ def frozen(trial: Trial) -> dict[str, Any]:
     work = trial.work("frozen")
     given = work.submit(trial.longer)
     server = trial.at_work(given)
+    shown = call(trial.servers[0].http, "GET", f"/v1/jobs/{given.id}", tenant=given.tenant).json()["server"]
+    trial.check(shown == server.name, f"the job is shown at {shown}, and is at {server.name}")
     time.sleep(0.3)
     server.process.send_signal(signal.SIGSTOP)
     trial.age_leases(server)

@@ -19,6 +19,8 @@ export interface Job {
   readonly failure: { readonly kind: string; readonly message: string } | null;
   readonly results: Readonly<Record<string, string>>;
   readonly expired_by: string | null;
+  /** Of several servers, the one that runs it. */
+  readonly server: string | null;
 }
 
 /** What the page reads of the message `JobSpec`. Formats are as "MESH_FORMAT_PLY". */

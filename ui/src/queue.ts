@@ -77,14 +77,15 @@ export class Queue {
     const name = job.spec.labels?.["file"] ?? `job ${job.id.slice(0, 8)}`;
     const points = pointsOf(job);
     const took = job.started_ms !== null && job.state === "succeeded" ? `, ${duration(job.changed_ms - job.started_ms)}` : "";
-    const key = [name, job.state, points, took, ago(job.created_ms)].join("|");
+    const more = [points, ago(job.created_ms) + took, job.server === null ? "" : `at ${job.server}`].filter((part) => part !== "").join(", ");
+    const key = [name, job.state, more].join("|");
     const link = row.firstElementChild as HTMLAnchorElement;
     if (row.dataset["key"] === key) return;
     row.dataset["key"] = key;
     link.replaceChildren(
       make("span", { class: "queue-name" }, name),
       make("span", { class: `badge badge-${job.state}` }, STATES[job.state]),
-      make("span", { class: "queue-more" }, `${points === "" ? "" : `${points}, `}${ago(job.created_ms)}${took}`),
+      make("span", { class: "queue-more" }, more),
     );
   }
 }

@@ -104,6 +104,7 @@ pub(super) fn json_of(job: &Job) -> Value {
         "expired_by": Some(&job.expired_by).filter(|by| !by.is_empty()),
         "results": results,
         "unschedulable": Some(&job.unschedulable).filter(|why| !why.is_empty()),
+        "server": Some(&job.server).filter(|name| !name.is_empty()),
         "request_id": Some(&job.request_id).filter(|id| !id.is_empty()),
         "labels": labels,
         "input": input,
@@ -140,6 +141,9 @@ pub(super) fn lines(job: &Job) -> Vec<String> {
     lines.push(format!("state     {}", why(job).unwrap_or_else(|| state(job.state))));
     if !job.unschedulable.is_empty() {
         lines.push(format!("waits     {}", plain(&job.unschedulable)));
+    }
+    if !job.server.is_empty() {
+        lines.push(format!("server    {}", plain(&job.server)));
     }
     for (name, at) in [("created", &job.created), ("started", &job.started), ("changed", &job.changed)] {
         lines.extend(moment(at.as_ref()).map(|at| format!("{name:9} {at}")));

@@ -58,7 +58,7 @@ pub fn host_name() -> String {
 /// A name for the holder of leases that no other process has.
 #[cfg(all(feature = "postgres", feature = "s3"))]
 pub(super) fn unique_name(node: &str) -> Result<String, crate::admission::JobApiError> {
-    Ok(format!("{node} process {} {:08x}", std::process::id(), super::getrandom_u128()? as u32))
+    Ok(crate::record::Holder::name(node, std::process::id(), super::getrandom_u128()? as u32))
 }
 
 #[async_trait]

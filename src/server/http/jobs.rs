@@ -29,7 +29,7 @@ use jobs::blob::Digest;
 use jobs::executor::api::Reuse;
 use jobs::record::event::{Event, Progress, What};
 use jobs::record::state::State as JobState;
-use jobs::record::{Cause, Failure, FailureKind, Job, JobId, Outcome, ResultFormat, Spec};
+use jobs::record::{Cause, Failure, FailureKind, Holder, Job, JobId, Outcome, ResultFormat, Spec};
 use jobs::store::Query;
 use telemetry::trace;
 use transport::Phase;
@@ -71,6 +71,7 @@ pub(super) struct JobBody<'a> {
     expired_by: Option<Cause>,
     request_id: &'a str,
     unschedulable: Option<String>,
+    server: Option<&'a str>,
 }
 
 #[derive(Serialize, JsonSchema)]
@@ -142,6 +143,7 @@ impl<'a> JobBody<'a> {
             expired_by,
             request_id: &job.spec.request_id,
             unschedulable: None,
+            server: status.holder.as_ref().and_then(Holder::server),
         }
     }
 }

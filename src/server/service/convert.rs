@@ -13,7 +13,7 @@ use jobs::blob::{Digest, DigestError};
 use jobs::executor::api::{Estimate, Reuse};
 use jobs::record::event::{Event, Progress, What};
 use jobs::record::state::State;
-use jobs::record::{Cause, Failure, FailureKind, Job, JobId, JobIdError, Outcome, ResultSet, Status, Time};
+use jobs::record::{Cause, Failure, FailureKind, Holder, Job, JobId, JobIdError, Outcome, ResultSet, Status, Time};
 use jobs::store::{Page, Query};
 use wire::codec::{NANOS, milliseconds};
 use wire::options::choice;
@@ -82,7 +82,7 @@ pub(super) fn message(job: &Job) -> proto::Job {
         crashes,
         crashed_on: _,
         due: _,
-        holder: _,
+        holder,
         outcome,
     } = &job.status;
     let (mut failure, mut results, mut expired_by) = (None, Vec::new(), String::new());
@@ -114,6 +114,7 @@ pub(super) fn message(job: &Job) -> proto::Job {
         expired_by,
         request_id: job.spec.request_id.clone(),
         unschedulable: String::new(),
+        server: holder.as_ref().and_then(Holder::server).unwrap_or_default().to_owned(),
     }
 }
 

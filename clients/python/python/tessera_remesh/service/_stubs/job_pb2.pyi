@@ -251,7 +251,7 @@ class ResultBlob(_message.Message):
     def __init__(self, name: _Optional[str] = ..., digest: _Optional[str] = ...) -> None: ...
 
 class Job(_message.Message):
-    __slots__ = ("id", "spec", "state", "created", "started", "changed", "attempts", "crashes", "failure", "results", "expired_by", "request_id", "unschedulable")
+    __slots__ = ("id", "spec", "state", "created", "started", "changed", "attempts", "crashes", "failure", "results", "expired_by", "request_id", "unschedulable", "server")
     ID_FIELD_NUMBER: _ClassVar[int]
     SPEC_FIELD_NUMBER: _ClassVar[int]
     STATE_FIELD_NUMBER: _ClassVar[int]
@@ -265,6 +265,7 @@ class Job(_message.Message):
     EXPIRED_BY_FIELD_NUMBER: _ClassVar[int]
     REQUEST_ID_FIELD_NUMBER: _ClassVar[int]
     UNSCHEDULABLE_FIELD_NUMBER: _ClassVar[int]
+    SERVER_FIELD_NUMBER: _ClassVar[int]
     id: str
     spec: JobSpec
     state: JobState
@@ -278,7 +279,8 @@ class Job(_message.Message):
     expired_by: str
     request_id: str
     unschedulable: str
-    def __init__(self, id: _Optional[str] = ..., spec: _Optional[_Union[JobSpec, _Mapping]] = ..., state: _Optional[_Union[JobState, str]] = ..., created: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., started: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., changed: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., attempts: _Optional[int] = ..., crashes: _Optional[int] = ..., failure: _Optional[_Union[JobFailure, _Mapping]] = ..., results: _Optional[_Iterable[_Union[ResultBlob, _Mapping]]] = ..., expired_by: _Optional[str] = ..., request_id: _Optional[str] = ..., unschedulable: _Optional[str] = ...) -> None: ...
+    server: str
+    def __init__(self, id: _Optional[str] = ..., spec: _Optional[_Union[JobSpec, _Mapping]] = ..., state: _Optional[_Union[JobState, str]] = ..., created: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., started: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., changed: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., attempts: _Optional[int] = ..., crashes: _Optional[int] = ..., failure: _Optional[_Union[JobFailure, _Mapping]] = ..., results: _Optional[_Iterable[_Union[ResultBlob, _Mapping]]] = ..., expired_by: _Optional[str] = ..., request_id: _Optional[str] = ..., unschedulable: _Optional[str] = ..., server: _Optional[str] = ...) -> None: ...
 
 class CreateJobRequest(_message.Message):
     __slots__ = ("spec", "request_id", "reuse")
