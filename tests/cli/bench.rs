@@ -290,6 +290,25 @@ fn reports_of_a_cpu_count_nothing() {
 
 #[needs(gpu)]
 #[test]
+fn jump_flooding_on_a_gpu_has_the_labels_of_the_cpu() {
+    if crate::gpu::device().is_none() {
+        return;
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    let line = "bench fig4 --facets 2000 --points 100 --iterations 5 --baseline jfa --voxels 37 --gpu-software --json out.json";
+    run(folder, line);
+    let report = json(folder, "out.json");
+    let row = |name: &str| report["baselines"].as_array().unwrap().iter().find(|row| row["method"] == name).unwrap();
+    for (cpu, gpu) in [("jfa", "jfa, GPU"), ("jfa, warm", "jfa, warm, GPU")] {
+        let [cpu, gpu] = [cpu, gpu].map(|name| row(name)["energy_ratio"].as_f64().unwrap());
+        assert!((cpu / gpu - 1.0).abs() < 0.01, "{cpu} {gpu}");
+        assert!(row("jfa, warm, GPU")["wrong_labels_percent"].as_f64() < Some(0.5), "{report}");
+    }
+}
+
+#[needs(gpu)]
+#[test]
 fn a_gpu_is_timed_by_its_clock_and_counted() {
     if crate::gpu::device().is_none() {
         return;

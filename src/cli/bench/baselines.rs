@@ -2,7 +2,8 @@
 //!
 //! Purpose: `--baseline`: jump flooding on voxels (\[RT06\]) and on a geometry image (\[RLW*11\]), and clusters of the voxels
 //! of a narrow band (\[LWH15\]); their times, memory, energies, errors and duals. Invariant: all begin at the same seeds and
-//! take steps by the library's own iteration, on the same threads; the exact diagram judges them. The library knows none of
+//! take steps by the library's own iteration, on the same threads; the exact diagram judges them. Of the three, jump flooding
+//! on voxels also runs on a GPU. The library knows none of
 //! them. Must not know: what the exact diagram is made of.
 
 mod band;
@@ -22,7 +23,7 @@ use serde_json::{Value, json};
 
 use self::band::Band;
 use self::compare::{Dual, Judge, Labels, Verdict};
-use self::flood::Flood;
+use self::flood::{Flood, OnDevice, OnHost};
 use self::image::Image;
 use self::session::{Baseline, Clustering};
 use self::voxels::{Grid, Voxels};
@@ -31,7 +32,7 @@ use super::measure::{Load, Timed};
 use crate::exit::Usage;
 use crate::given::{Words, words};
 use geometry::cvt::StepKind;
-use geometry::rvd::{Backend, BackendKind, elapsed_ms, on_threads_of};
+use geometry::rvd::{Backend, BackendKind, RvdError, elapsed_ms, on_threads_of};
 use geometry::token::Token;
 use server::config::whole;
 
@@ -134,7 +135,21 @@ impl BaselineArgs {
         let surface = &load.surface;
         if self.wants(Method::Flood) {
             for (name, warm) in [("jfa", false), ("jfa, warm", true)] {
-                rows.push(run.of(name, |run| Ok(Flood::new(self.voxels(run, flood::BYTES)?, surface, warm)), token)?);
+                let made = |run: &Run<'_>| -> Result<_> {
+                    let voxels = self.voxels(run, flood::BYTES)?;
+                    Ok(Flood::new(voxels, surface, warm, OnHost::new(self.voxels)))
+                };
+                rows.push(run.of(name, made, token)?);
+            }
+            let gpu = workers.iter().find_map(|worker| worker.gpu.as_ref());
+            for (name, warm) in [("jfa, GPU", false), ("jfa, warm, GPU", true)] {
+                let Some(gpu) = gpu else { break };
+                let made = |run: &Run<'_>| -> Result<_> {
+                    let voxels = self.voxels(run, 0)?;
+                    let labels = OnDevice::new(gpu.device(), self.voxels, &voxels.codes, load.seeds.len());
+                    Ok(Flood::new(voxels, surface, warm, labels.map_err(RvdError::from)?))
+                };
+                rows.push(run.of(name, made, token)?);
             }
         }
         if self.wants(Method::Band) {
@@ -326,7 +341,8 @@ mod tests {
         type Make = Box<dyn FnOnce(&Arc<dyn Backend>) -> Baseline>;
         let all = || -> Vec<Make> {
             let image = Image::new(&flat, 64, &Token::default()).unwrap().ok().unwrap();
-            let (flood, band) = (Flood::new(voxels(), &surface, true), Band::new(voxels(), &surface, 2));
+            let (flood, band) =
+                (Flood::new(voxels(), &surface, true, OnHost::new(32)), Band::new(voxels(), &surface, 2));
             vec![
                 Box::new(move |by| Baseline::new(flood, by)),
                 Box::new(move |by| Baseline::new(band, by)),
@@ -402,7 +418,8 @@ mod tests {
         assert!(needed > 8 << 30 && needed < 16 << 30, "{needed}");
         let error = check(needed, 1 << 30).unwrap_err();
         assert!(error.to_string().contains("--voxels"), "{error}");
-        let made = |n: u32| Flood::new(Voxels::new(&surface, Grid::new(&surface, n)), &surface, false).bytes();
+        let made =
+            |n: u32| Flood::new(Voxels::new(&surface, Grid::new(&surface, n)), &surface, false, OnHost::new(n)).bytes();
         assert!([16, 64].iter().all(|&n| made(n) <= Grid::new(&surface, n).plan(&surface, flood::BYTES)));
     }
 }

@@ -5,8 +5,11 @@
 //! near the surface; far from all seeds cells move farther than seeds do.
 //! Centroids are those of the surface in the surface's voxels, cut exactly: flooding says nothing of masses, and equal ones
 //! would count a slanted surface up to √3 times. Invariant: the labels depend on the seeds, and those of a warm start on the
-//! ones before; on no thread. Must not know: what moves seeds.
+//! ones before; on no thread. On a device, single precision may round otherwise. Must not know: what moves seeds.
 
+mod on_device;
+
+use std::collections::BTreeMap;
 use std::time::Instant;
 
 use glam::DVec3;
@@ -18,51 +21,87 @@ use super::voxels::Voxels;
 use geometry::mesh::closest_point::SurfacePoint;
 use geometry::rvd::{CellSums, PassStats, RvdError, Surface, elapsed_ms};
 use geometry::token::Token;
+pub(super) use on_device::OnDevice;
 
 /// Bytes of a voxel of the grid: two labels.
 pub(super) const BYTES: u64 = 8;
 
-pub(super) struct Flood {
+/// Labels of all voxels of a grid.
+pub(super) trait Labels: Send + Sync {
+    /// Floods from (voxel, seed) of each voxel that holds a seed, and from the labels that are there if they are `kept`. The
+    /// first distance is `step`; seeds are in units of a voxel.
+    fn flood(
+        &mut self,
+        seeds: &[[f32; 3]],
+        planted: &[[u32; 2]],
+        kept: bool,
+        step: u32,
+        token: &Token,
+    ) -> Result<(), RvdError>;
+
+    /// The label of voxel `code`, which is the `k`th of the surface's.
+    fn label(&self, k: usize, code: u32) -> u32;
+
+    /// Bytes that they take.
+    fn bytes(&self) -> u64;
+}
+
+pub(super) struct Flood<L> {
     voxels: Voxels,
     points: Points,
     warm: bool,
     /// Units of a voxel, those of the labels.
     seeds: Vec<[f32; 3]>,
+    labels: L,
+}
+
+impl<L: Labels> Flood<L> {
+    pub(super) fn new(voxels: Voxels, surface: &Surface, warm: bool, labels: L) -> Self {
+        let points = Points::new(surface.area(), voxels.parts.iter().copied());
+        Self { voxels, points, warm, seeds: Vec::new(), labels }
+    }
+
+    /// Takes new seeds. Returns each voxel that holds some with the nearest to its centre, whether the labels are kept, and
+    /// the first distance of the flood.
+    fn plant(&mut self, seeds: &[DVec3]) -> (Vec<[u32; 2]>, bool, u32) {
+        let grid = self.voxels.grid;
+        let places: Vec<[f32; 3]> = seeds.iter().map(|&p| grid.to_voxels(p).to_array().map(|x| x as f32)).collect();
+        let moves = self.seeds.iter().zip(&places).map(|(a, b)| squared(a, b)).fold(0.0, f32::max);
+        let kept = self.warm && self.seeds.len() == places.len() && moves.is_finite();
+        self.seeds = places;
+        let mut planted = BTreeMap::new();
+        for (i, &seed) in (0..).zip(seeds) {
+            let code = grid.code_of(seed);
+            let label = planted.entry(code).or_insert(i);
+            *label = nearer(&self.seeds, centre(grid.n, code), *label, i);
+        }
+        let most = grid.n.div_ceil(2).next_power_of_two();
+        let step =
+            if kept { (moves.sqrt().ceil().min(most as f32) as u32).next_power_of_two().min(most) } else { most };
+        (planted.into_iter().map(|(code, seed)| [code, seed]).collect(), kept, step)
+    }
+
+    fn label_of(&self, k: usize) -> u32 {
+        self.labels.label(k, self.voxels.codes[k])
+    }
+}
+
+/// Labels in the host's memory, on the threads of the present pool.
+pub(super) struct OnHost {
+    n: usize,
     labels: Vec<u32>,
     next: Vec<u32>,
 }
 
-impl Flood {
-    pub(super) fn new(voxels: Voxels, surface: &Surface, warm: bool) -> Self {
-        let points = Points::new(surface.area(), voxels.parts.iter().copied());
-        let all = (voxels.grid.n as usize).pow(3);
-        Self { voxels, points, warm, seeds: Vec::new(), labels: vec![NONE; all], next: vec![NONE; all] }
+impl OnHost {
+    pub(super) fn new(n: u32) -> Self {
+        let n = n as usize;
+        Self { n, labels: vec![NONE; n.pow(3)], next: vec![NONE; n.pow(3)] }
     }
 
-    /// Puts seeds into their voxels. Returns the first distance of the flood.
-    fn plant(&mut self, seeds: &[DVec3]) -> u32 {
-        let n = self.voxels.grid.n;
-        let places: Vec<[f32; 3]> =
-            seeds.iter().map(|&p| self.voxels.grid.to_voxels(p).to_array().map(|x| x as f32)).collect();
-        let moves = self.seeds.iter().zip(&places).map(|(a, b)| squared(a, b)).fold(0.0, f32::max);
-        let kept = self.warm && self.seeds.len() == places.len() && moves.is_finite();
-        self.seeds = places;
-        if !kept {
-            self.labels.par_iter_mut().for_each(|label| *label = NONE);
-        }
-        for (i, &seed) in (0..).zip(seeds) {
-            let code = self.voxels.grid.code_of(seed);
-            let at = centre(n, code);
-            let label = &mut self.labels[code as usize];
-            *label = nearer(&self.seeds, &at, *label, i);
-        }
-        let most = n.div_ceil(2).next_power_of_two();
-        if kept { (moves.sqrt().ceil().min(most as f32) as u32).next_power_of_two().min(most) } else { most }
-    }
-
-    fn pass(&mut self, step: usize, token: &Token) {
-        let Self { seeds, labels, next, voxels, .. } = self;
-        let n = voxels.grid.n as usize;
+    fn pass(&mut self, seeds: &[[f32; 3]], step: usize, token: &Token) {
+        let Self { n, labels, next } = self;
+        let n = *n;
         let beside = |x: usize| [x.checked_sub(step), Some(x), Some(x + step).filter(|&x| x < n)].into_iter().flatten();
         next.par_chunks_mut(n).enumerate().for_each_init(
             || vec![0.0; n],
@@ -103,9 +142,39 @@ impl Flood {
         );
         std::mem::swap(labels, next);
     }
+}
 
-    fn label_of(&self, k: usize) -> u32 {
-        self.labels[self.voxels.codes[k] as usize]
+impl Labels for OnHost {
+    fn flood(
+        &mut self,
+        seeds: &[[f32; 3]],
+        planted: &[[u32; 2]],
+        kept: bool,
+        step: u32,
+        token: &Token,
+    ) -> Result<(), RvdError> {
+        if !kept {
+            self.labels.par_iter_mut().for_each(|label| *label = NONE);
+        }
+        for &[code, seed] in planted {
+            let label = &mut self.labels[code as usize];
+            *label = nearer(seeds, centre(self.n as u32, code), *label, seed);
+        }
+        let mut step = step as usize;
+        while step > 0 {
+            self.pass(seeds, step, token);
+            token.check()?;
+            step /= 2;
+        }
+        Ok(())
+    }
+
+    fn label(&self, _: usize, code: u32) -> u32 {
+        self.labels[code as usize]
+    }
+
+    fn bytes(&self) -> u64 {
+        BYTES * self.labels.len() as u64
     }
 }
 
@@ -137,8 +206,8 @@ impl<'a> Best<'a> {
     }
 }
 
-fn nearer(seeds: &[[f32; 3]], at: &[f32; 3], a: u32, b: u32) -> u32 {
-    let mut best = Best::new(seeds, *at, a);
+fn nearer(seeds: &[[f32; 3]], at: [f32; 3], a: u32, b: u32) -> u32 {
+    let mut best = Best::new(seeds, at, a);
     best.hear(b);
     best.label
 }
@@ -154,20 +223,16 @@ fn centre(n: u32, code: u32) -> [f32; 3] {
     [code % n, code / n % n, code / n / n].map(|x| x as f32 + 0.5)
 }
 
-impl Clustering for Flood {
+impl<L: Labels> Clustering for Flood<L> {
     fn assign(&mut self, seeds: &[DVec3], token: &Token) -> Result<PassStats, RvdError> {
         let begin = Instant::now();
-        let mut step = self.plant(seeds) as usize;
+        let (planted, kept, step) = self.plant(seeds);
         let mut stats = PassStats { start_ms: elapsed_ms(begin), ..PassStats::default() };
         let begin = Instant::now();
-        while step > 0 {
-            self.pass(step, token);
-            if let Err(stopped) = token.check() {
-                // Some rows are of another pass: the next one must not begin with them.
-                self.seeds.clear();
-                return Err(stopped.into());
-            }
-            step /= 2;
+        if let Err(error) = self.labels.flood(&self.seeds, &planted, kept, step, token) {
+            // Some labels are of another pass: the next flood must not begin with them.
+            self.seeds.clear();
+            return Err(error);
         }
         stats.clip_ms = elapsed_ms(begin);
         Ok(stats)
@@ -191,7 +256,7 @@ impl Clustering for Flood {
     }
 
     fn bytes(&self) -> u64 {
-        self.voxels.bytes() + self.points.bytes() + BYTES * self.labels.len() as u64
+        self.voxels.bytes() + self.points.bytes() + self.labels.bytes()
     }
 }
 
@@ -203,19 +268,19 @@ mod tests {
 
     /// Share of some voxels whose label is not a nearest one of the seeds that have a voxel: of two in one voxel the flood
     /// knows one.
-    fn wrong(flood: &Flood, voxels: &[u32]) -> f64 {
+    fn wrong(flood: &Flood<OnHost>, voxels: &[u32]) -> f64 {
         let n = flood.voxels.grid.n;
         let at = |seed: &[f32; 3]| seed.map(|x| x as u32);
         let holds = |(i, seed): &(u32, &[f32; 3])| {
             let [x, y, z] = at(seed);
-            flood.labels[(x + n * (y + n * z)) as usize] == *i
+            flood.labels.labels[(x + n * (y + n * z)) as usize] == *i
         };
         let known: Vec<&[f32; 3]> = (0..).zip(&flood.seeds).filter(holds).map(|(_, seed)| seed).collect();
         assert!(known.len() + flood.seeds.len() / 10 > flood.seeds.len(), "{} hold a voxel", known.len());
         let wrong = voxels.iter().filter(|&&code| {
             let at = centre(n, code);
             let least = known.iter().map(|seed| squared(seed, &at)).fold(f32::INFINITY, f32::min);
-            squared(&flood.seeds[flood.labels[code as usize] as usize], &at) > least * (1.0 + 1e-6)
+            squared(&flood.seeds[flood.labels.labels[code as usize] as usize], &at) > least * (1.0 + 1e-6)
         });
         wrong.count() as f64 / voxels.len() as f64
     }
@@ -225,8 +290,8 @@ mod tests {
         for n in [24, 40] {
             let surface = Surface::new(&Shape::Torus.build(500), None).unwrap();
             let voxels = || Voxels::new(&surface, super::super::voxels::Grid::new(&surface, n));
-            let mut plain = Flood::new(voxels(), &surface, false);
-            let mut warm = Flood::new(voxels(), &surface, true);
+            let mut plain = Flood::new(voxels(), &surface, false, OnHost::new(n));
+            let mut warm = Flood::new(voxels(), &surface, true, OnHost::new(n));
             let mut seeds = seeds_on(&surface, 60);
             for round in 0..4 {
                 for flood in [&mut plain, &mut warm] {
@@ -248,7 +313,7 @@ mod tests {
     fn a_stop_leaves_nothing_behind() {
         let surface = Surface::new(&Shape::Torus.build(500), None).unwrap();
         let grid = super::super::voxels::Grid::new(&surface, 16);
-        let mut flood = Flood::new(Voxels::new(&surface, grid), &surface, true);
+        let mut flood = Flood::new(Voxels::new(&surface, grid), &surface, true, OnHost::new(16));
         let seeds = seeds_on(&surface, 30);
         let token = Token::default();
         token.cancel();
