@@ -1,10 +1,9 @@
 //! The methods that Figure 4 of \[HYWZ17\] compares with, beside the exact diagram.
 //!
-//! Purpose: `--baseline`: jump flooding on voxels (\[RT06\]) and on a geometry image (\[RLW*11\]), and clusters of the voxels
-//! of a narrow band (\[LWH15\]); their times, memory, energies, errors and duals. Invariant: all begin at the same seeds and
-//! take steps by the library's own iteration, on the same threads; the exact diagram judges them. Of the three, jump flooding
-//! on voxels also runs on a GPU. The library knows none of
-//! them. Must not know: what the exact diagram is made of.
+//! Purpose: `--baseline`: jump flooding on voxels (Rong and Tan 2006; on a GPU too), on a geometry image (Rong et al. 2011),
+//! and clusters of the voxels of a narrow band (Leung et al. 2015); their times, memory, energies, errors and duals.
+//! Invariant: all begin at the same seeds and take steps by the library's own iteration, on the same threads; the exact
+//! diagram judges them. The library knows none of them. Must not know: what the exact diagram is made of.
 
 mod band;
 mod compare;
@@ -17,7 +16,7 @@ mod voxels;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use anyhow::Result;
+use anyhow::{Context, Result};
 use clap::Args;
 use serde_json::{Value, json};
 
@@ -147,7 +146,8 @@ impl BaselineArgs {
                 let made = |run: &Run<'_>| -> Result<_> {
                     let voxels = self.voxels(run, 0)?;
                     let labels = OnDevice::new(gpu.device(), self.voxels, &voxels.codes, load.seeds.len());
-                    Ok(Flood::new(voxels, surface, warm, labels.map_err(RvdError::from)?))
+                    let labels = labels.map_err(RvdError::from).context("--voxels: the labels on the GPU");
+                    Ok(Flood::new(voxels, surface, warm, labels?))
                 };
                 rows.push(run.of(name, made, token)?);
             }

@@ -64,6 +64,10 @@ impl OnDevice {
     pub(in super::super) fn new(device: &Arc<Device>, n: u32, codes: &[u32], count: usize) -> Result<Self, GpuError> {
         let all = n.pow(3);
         let (surface, of_seeds) = (4 * codes.len() as u64, count as u64);
+        let (needed_bytes, limit_bytes) = (4 * u64::from(all), device.limits().max_storage_buffer_binding_size);
+        if needed_bytes > limit_bytes {
+            return Err(GpuError::NeverFits { what: "labels".to_owned(), needed_bytes, limit_bytes });
+        }
         let bytes = BYTES * u64::from(all) + 3 * surface + 24 * of_seeds;
         let mut allocation = Allocation::new(device, bytes);
         let usage = BufferUsages::STORAGE | BufferUsages::COPY_SRC | BufferUsages::COPY_DST;
