@@ -43,7 +43,7 @@ impl<P: Point> SeedIndex<P> {
         }
         let index = Self { seeds: seeds.to_vec(), earlier: pairs.into_iter().collect(), grid, tree: OnceLock::new() };
         if index.grid.is_none() {
-            index.tree.get_or_init(|| P::Tree::new(&index.seeds, &index.earlier, threads));
+            index.tree.get_or_init(|| index.new_tree(threads));
         }
         index
     }
@@ -77,7 +77,7 @@ impl<P: Point> SeedIndex<P> {
     pub fn nearest(&self, p: P) -> u32 {
         // The tree decides between several seeds at one distance.
         let found = self.of_places().and_then(|grid| grid.nearest(&p.place().to_array()));
-        found.unwrap_or_else(|| self.tree().nearest(p))
+        found.unwrap_or_else(|| self.tree().nearest(&p.coordinates()))
     }
 
     /// A seed that is not far from a point, found sooner than the nearest one.
@@ -119,7 +119,7 @@ impl<P: Point> SeedIndex<P> {
             out.seeds.push(first);
             out.complete = true;
         } else if !self.of_places().is_some_and(|grid| grid.row(i, (least, k), scratch, out)) {
-            self.tree().row(i, self.seeds[i as usize], k, out);
+            self.tree().row(i, &self.seeds[i as usize].coordinates(), k, out);
         }
     }
 
@@ -130,6 +130,11 @@ impl<P: Point> SeedIndex<P> {
 
     /// The first caller builds it alone: a thread that waits for helpers may take up another search, which would wait for it.
     fn tree(&self) -> &P::Tree {
-        self.tree.get_or_init(|| P::Tree::new(&self.seeds, &self.earlier, Threads::One))
+        self.tree.get_or_init(|| self.new_tree(Threads::One))
+    }
+
+    fn new_tree(&self, threads: Threads) -> P::Tree {
+        let seed = |i: u32| self.seeds[i as usize].coordinates();
+        P::Tree::new(self.seeds.len() as u32, seed, &self.earlier, threads)
     }
 }

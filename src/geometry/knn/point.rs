@@ -33,7 +33,7 @@ pub trait Point:
     /// One item a coordinate.
     type Each<T: Copy + Send + Sync>: AsRef<[T]> + AsMut<[T]> + Copy + Send + Sync;
     /// Finds the nearest of many.
-    type Tree: SearchTree<Self>;
+    type Tree: SearchTree<Self::Each<f64>>;
 
     /// The origin.
     const ZERO: Self;

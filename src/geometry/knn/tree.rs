@@ -8,18 +8,18 @@ use std::num::NonZero;
 
 use kiddo::{ImmutableKdTree, SquaredEuclidean};
 
-use super::{NeighbourRow, Point, Threads};
+use super::{NeighbourRow, Threads};
 
-/// A search among points.
-pub trait SearchTree<P>: Send + Sync {
-    /// Over the seeds that lie on no earlier one.
-    fn new(seeds: &[P], earlier: &HashMap<u32, u32>, threads: Threads) -> Self;
+/// A search among points with coordinates `C`.
+pub trait SearchTree<C>: Send + Sync {
+    /// Over the seeds that lie on no earlier one; `seed` says where each of `count` is.
+    fn new(count: u32, seed: impl Fn(u32) -> C, earlier: &HashMap<u32, u32>, threads: Threads) -> Self;
 
     /// A nearest seed.
-    fn nearest(&self, p: P) -> u32;
+    fn nearest(&self, p: &C) -> u32;
 
     /// The row of seed `i`, which lies at `p` and on no earlier seed.
-    fn row(&self, i: u32, p: P, k: usize, out: &mut NeighbourRow);
+    fn row(&self, i: u32, p: &C, k: usize, out: &mut NeighbourRow);
 }
 
 /// A kd-tree in `K` dimensions.
@@ -32,13 +32,13 @@ pub struct Tree<const K: usize> {
 /// Below this many seeds one thread builds the tree sooner than several do.
 const PARALLEL_BUILD: usize = 8192;
 
-impl<const K: usize, P: Point<Each<f64> = [f64; K]>> SearchTree<P> for Tree<K> {
-    fn new(seeds: &[P], earlier: &HashMap<u32, u32>, threads: Threads) -> Self {
-        let kept = || (0..seeds.len() as u32).filter(|i| !earlier.contains_key(i)).collect::<Vec<_>>();
+impl<const K: usize> SearchTree<[f64; K]> for Tree<K> {
+    fn new(count: u32, seed: impl Fn(u32) -> [f64; K], earlier: &HashMap<u32, u32>, threads: Threads) -> Self {
+        let kept = || (0..count).filter(|i| !earlier.contains_key(i)).collect::<Vec<_>>();
         let item_seed = (!earlier.is_empty()).then(kept);
         let points: Vec<[f64; K]> = match &item_seed {
-            Some(kept) => kept.iter().map(|&i| seeds[i as usize].coordinates()).collect(),
-            None => seeds.iter().map(|seed| seed.coordinates()).collect(),
+            Some(kept) => kept.iter().map(|&i| seed(i)).collect(),
+            None => (0..count).map(seed).collect(),
         };
         let builder = ImmutableKdTree::<f64, K>::builder();
         // An immutable tree is refused only for more items than u32 can number, which the
@@ -52,19 +52,19 @@ impl<const K: usize, P: Point<Each<f64> = [f64; K]>> SearchTree<P> for Tree<K> {
         Self { tree, item_seed }
     }
 
-    fn nearest(&self, p: P) -> u32 {
+    fn nearest(&self, p: &[f64; K]) -> u32 {
         let Some(tree) = &self.tree else { return 0 };
-        let found = tree.query(&p.coordinates()).nearest_one::<SquaredEuclidean<f64>>().execute();
+        let found = tree.query(p).nearest_one::<SquaredEuclidean<f64>>().execute();
         self.seed_of(found.item)
     }
 
-    fn row(&self, i: u32, p: P, k: usize, out: &mut NeighbourRow) {
+    fn row(&self, i: u32, p: &[f64; K], k: usize, out: &mut NeighbourRow) {
         out.seeds.clear();
         out.complete = true;
         let Some(tree) = &self.tree else { return };
         let (items, wanted) = (tree.size(), k.saturating_add(1));
         let count = NonZero::new(wanted.min(items)).unwrap_or(NonZero::<usize>::MIN);
-        let mut found = tree.query(&p.coordinates()).nearest_n::<SquaredEuclidean<f64>>(count).execute();
+        let mut found = tree.query(p).nearest_n::<SquaredEuclidean<f64>>(count).execute();
         if wanted < items {
             out.complete = false;
             if let Some(last) = found.last().map(|n| n.distance) {
