@@ -80,6 +80,8 @@ pub mod rvd {
     //! The restricted Voronoi diagram: one trait, and the backends that implement it.
 
     #[doc(inline)]
+    pub use geometry::knn::{Lifted, Point};
+    #[doc(inline)]
     pub use geometry::rvd::{
         Accumulate, Backend, BackendChoice, BackendKind, CELLS_PER_FACET, Capacities, CellSums, Cells, DeviceFacts,
         DeviceWork, Diagram, Frame, MAX_SEED_DISTANCE, PairStatus, Parallel, PassStats, PhasesMs, PieceBatch, RvdError,

@@ -7,13 +7,17 @@
 
 mod grid;
 mod index;
+mod point;
 #[cfg(test)]
 mod tests;
+mod tree;
 
 use rayon::prelude::*;
 
 use grid::Scratch;
 pub use index::SeedIndex;
+pub use point::{Lifted, Point};
+pub use tree::SearchTree;
 
 /// One seed's neighbours.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -34,7 +38,7 @@ pub enum Threads {
 }
 
 /// The squared distance that orders all rows, with the same rounding in every search.
-pub fn squared_distance(a: &[f64; 3], b: &[f64; 3]) -> f64 {
+pub(super) fn squared_distance(a: &[f64; 3], b: &[f64; 3]) -> f64 {
     let [x, y, z] = [a[0] - b[0], a[1] - b[1], a[2] - b[2]];
     x * x + y * y + z * z
 }
@@ -59,7 +63,13 @@ type Part<'a> = (&'a mut [u32], (&'a mut [u32], &'a mut [bool]));
 impl NeighbourTable {
     /// Fills the table with rows of at most `k` neighbours, most of at least two thirds of that, reusing its memory. Returns
     /// `false` soon after `stop` does; the table is then invalid.
-    pub fn fill(&mut self, index: &SeedIndex, k: usize, threads: Threads, stop: &(dyn Fn() -> bool + Sync)) -> bool {
+    pub fn fill<P: Point>(
+        &mut self,
+        index: &SeedIndex<P>,
+        k: usize,
+        threads: Threads,
+        stop: &(dyn Fn() -> bool + Sync),
+    ) -> bool {
         let (n, k) = (index.len(), k.min(index.len()).max(1));
         // Shorter, rather than that the grid reads cells farther away for a few.
         let least = k - k / 3;

@@ -26,6 +26,7 @@ use std::sync::Arc;
 
 use glam::DVec3;
 
+use crate::knn::{Lifted, Point};
 use crate::token::Token;
 pub use cells::{PieceBatch, facet_edge};
 pub use diagram::{Cells, Diagram};
@@ -98,19 +99,29 @@ pub trait Backend: Send + Sync {
     }
     /// Plans and allocates everything for one surface and up to `options.max_seeds` seeds.
     fn session(&self, surface: Arc<Surface>, options: SessionOptions) -> Result<Box<dyn Session>, RvdError>;
+
+    /// The same for a lifted surface. A backend that has none of its own has one in double precision on its threads.
+    fn lifted_session(
+        &self,
+        surface: Arc<Surface<Lifted>>,
+        options: SessionOptions,
+    ) -> Result<Box<dyn Session<Lifted>>, RvdError> {
+        let parallel = self.pool().map_or_else(|| Parallel::new(None), |pool| Ok(Parallel::on(pool)))?;
+        parallel.lifted_session(surface, options)
+    }
 }
 
 /// One surface and its buffers, reused for any number of seed sets. Not shared: one at a time.
 ///
 /// All coordinates are in the surface's unit frame ([`Surface::frame`]).
-pub trait Session: Send {
+pub trait Session<P: Point = DVec3>: Send {
     /// Sets seeds, any number up to `max_seeds`, any number of times. The next pass, which can be cancelled, builds their table.
-    fn set_seeds(&mut self, seeds: &[DVec3]) -> Result<(), RvdError>;
+    fn set_seeds(&mut self, seeds: &[P]) -> Result<(), RvdError>;
 
     /// Sums over every cell for the present seeds; `out` gets their number. The statistics include new seeds' table.
-    fn sums(&mut self, out: &mut CellSums, token: &Token) -> Result<PassStats, RvdError>;
+    fn sums(&mut self, out: &mut CellSums<P>, token: &Token) -> Result<PassStats, RvdError>;
 
-    /// The pieces in `facets`, ordered by facet and then by seed. `out` is cleared first.
+    /// The pieces in `facets`, ordered by facet and then by seed, in R^3. `out` is cleared first.
     fn pieces(&mut self, facets: Range<u32>, out: &mut PieceBatch, token: &Token) -> Result<PassStats, RvdError>;
 
     /// Bytes of device memory that the session holds (0 on a CPU).
@@ -130,7 +141,7 @@ pub trait Session: Send {
 
     /// The seeds last set, to be moved where they are; `None` where they lie in the host's memory and vectors are the caller's.
     #[doc(hidden)]
-    fn resident(&mut self) -> Option<&mut dyn Resident> {
+    fn resident(&mut self) -> Option<&mut dyn Resident<P>> {
         None
     }
 }
@@ -187,7 +198,7 @@ pub enum PairStatus {
 }
 
 /// What every session checks of new seeds.
-pub fn check_seeds(seeds: &[DVec3], limit: usize) -> Result<(), RvdError> {
+pub fn check_seeds<P: Point>(seeds: &[P], limit: usize) -> Result<(), RvdError> {
     if seeds.is_empty() {
         return Err(RvdError::NoSeeds);
     }
@@ -198,11 +209,11 @@ pub fn check_seeds(seeds: &[DVec3], limit: usize) -> Result<(), RvdError> {
 }
 
 /// What every session checks of one seed.
-pub fn check_seed(seed: usize, p: DVec3) -> Result<(), RvdError> {
+pub fn check_seed<P: Point>(seed: usize, p: P) -> Result<(), RvdError> {
     if !p.is_finite() {
         return Err(RvdError::NonFiniteSeed { seed });
     }
-    let boxes = p.abs().max_element();
+    let boxes = p.coordinates().as_ref().iter().fold(0.0, |most: f64, x| most.max(x.abs()));
     if boxes > MAX_SEED_DISTANCE {
         return Err(RvdError::SeedTooFar { seed, boxes });
     }
@@ -210,9 +221,9 @@ pub fn check_seed(seed: usize, p: DVec3) -> Result<(), RvdError> {
 }
 
 /// Checks new seeds and takes them, on the grid of [`surface::snap`].
-pub fn take_seeds(seeds: &[DVec3], limit: usize, into: &mut Vec<DVec3>) -> Result<(), RvdError> {
+pub fn take_seeds<P: Point>(seeds: &[P], limit: usize, into: &mut Vec<P>) -> Result<(), RvdError> {
     check_seeds(seeds, limit)?;
-    refill(into, seeds.iter().map(|&p| surface::snap(p)));
+    refill(into, seeds.iter().map(|&p| surface::snap_point(p)));
     Ok(())
 }
 

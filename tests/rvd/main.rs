@@ -20,5 +20,6 @@ mod sessions;
 mod surfaces;
 
 mod backends;
+mod lifted;
 mod lists;
 mod oracle;

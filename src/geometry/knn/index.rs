@@ -6,46 +6,44 @@
 //! Must not know: how many rows a table wants.
 
 use std::collections::HashMap;
-use std::num::NonZero;
 use std::sync::OnceLock;
 
 use glam::DVec3;
-use kiddo::{ImmutableKdTree, SquaredEuclidean};
 
 use super::grid::{Grid, Scratch};
-use super::{NeighbourRow, Threads};
-use crate::mesh::coincident;
+use super::tree::SearchTree;
+use super::{NeighbourRow, Point, Threads};
 
 /// One set of seeds, ready to be searched.
-pub struct SeedIndex {
-    seeds: Vec<[f64; 3]>,
+pub struct SeedIndex<P: Point = DVec3> {
+    seeds: Vec<P>,
     /// Later duplicate -> earliest.
     earlier: HashMap<u32, u32>,
     grid: Option<Grid>,
     /// Built at once without a grid, otherwise when the grid first fails to prove an answer.
-    tree: OnceLock<Tree>,
+    tree: OnceLock<P::Tree>,
 }
 
-impl SeedIndex {
+impl<P: Point> SeedIndex<P> {
     /// Builds the index of finite `seeds`, on all threads of the present rayon pool.
-    pub fn new(seeds: &[DVec3]) -> Self {
+    pub fn new(seeds: &[P]) -> Self {
         Self::with_threads(seeds, Threads::Pool)
     }
 
     /// Builds the index of finite `seeds`. The answers do not depend on `threads`.
-    pub fn with_threads(seeds: &[DVec3], threads: Threads) -> Self {
-        let points: Vec<[f64; 3]> = seeds.iter().map(|p| p.to_array()).collect();
-        let mut grid = Grid::new(&points, threads);
+    pub fn with_threads(seeds: &[P], threads: Threads) -> Self {
+        let places: Vec<[f64; 3]> = seeds.iter().map(|p| p.place().to_array()).collect();
+        let mut grid = Grid::new(&places, threads);
         let pairs = match &grid {
-            Some(grid) => grid.duplicates(),
-            None => coincident::find(seeds),
+            Some(grid) if P::IS_PLACE => grid.duplicates(),
+            _ => P::coincident(seeds),
         };
         if let Some(grid) = grid.as_mut().filter(|_| !pairs.is_empty()) {
             grid.hide(&pairs);
         }
-        let index = Self { seeds: points, earlier: pairs.into_iter().collect(), grid, tree: OnceLock::new() };
+        let index = Self { seeds: seeds.to_vec(), earlier: pairs.into_iter().collect(), grid, tree: OnceLock::new() };
         if index.grid.is_none() {
-            index.tree.get_or_init(|| Tree::new(&index.seeds, &index.earlier, threads));
+            index.tree.get_or_init(|| index.new_tree(threads));
         }
         index
     }
@@ -76,28 +74,35 @@ impl SeedIndex {
     }
 
     /// A nearest seed of a point, never a later duplicate. Of several at the same distance it is a fixed but unspecified one.
-    pub fn nearest(&self, p: DVec3) -> u32 {
-        let p = p.to_array();
+    pub fn nearest(&self, p: P) -> u32 {
         // The tree decides between several seeds at one distance.
-        self.grid.as_ref().and_then(|g| g.nearest(&p)).unwrap_or_else(|| self.tree().nearest(&p))
+        let found = self.of_places().and_then(|grid| grid.nearest(&p.place().to_array()));
+        found.unwrap_or_else(|| self.tree().nearest(&p.coordinates()))
     }
 
     /// A seed that is not far from a point, found sooner than the nearest one.
-    pub fn near(&self, p: DVec3) -> u32 {
-        let near = self.grid.as_ref().and_then(|g| g.near(&p.to_array()));
+    pub fn near(&self, p: P) -> u32 {
+        let near = self.of_places().and_then(|grid| grid.near(&p.place().to_array()));
         near.unwrap_or_else(|| self.nearest(p))
     }
 
-    /// Appends all seeds in a closed box, and some around it; no later duplicate. `false` if over `most` or if it were slow.
+    /// The grid, if distances are those of places.
+    fn of_places(&self) -> Option<&Grid> {
+        self.grid.as_ref().filter(|_| P::IS_PLACE)
+    }
+
+    /// Appends all seeds whose places are in a closed box, and some around it; no later duplicate. `false` if over `most` or if it were slow.
     pub fn in_box(&self, low: DVec3, high: DVec3, most: usize, out: &mut Vec<u32>) -> bool {
         self.each_in_box(low, high, most, |seed, _| out.push(seed))
     }
 
-    /// Calls `found` for each seed of [`Self::in_box`], with its place; also for some seeds before it returns `false`.
+    /// Calls `found` for each seed of [`Self::in_box`]; also for some seeds before it returns `false`.
     #[inline(always)]
-    pub fn each_in_box(&self, low: DVec3, high: DVec3, most: usize, mut found: impl FnMut(u32, DVec3)) -> bool {
+    pub fn each_in_box(&self, low: DVec3, high: DVec3, most: usize, mut found: impl FnMut(u32, P)) -> bool {
         let (low, high) = (low.to_array(), high.to_array());
-        let found = |seed: u32, p: &[f64; 3]| found(seed, DVec3::from_array(*p));
+        // A place alone is at hand there.
+        let found =
+            |seed: u32, p: &[f64; 3]| found(seed, P::found_at(DVec3::from_array(*p), || self.seeds[seed as usize]));
         self.grid.as_ref().is_some_and(|grid| grid.in_box(&low, &high, most, found))
     }
 
@@ -113,8 +118,8 @@ impl SeedIndex {
             out.seeds.clear();
             out.seeds.push(first);
             out.complete = true;
-        } else if !self.grid.as_ref().is_some_and(|g| g.row(i, (least, k), scratch, out)) {
-            self.tree().row(i, &self.seeds[i as usize], k, out);
+        } else if !self.of_places().is_some_and(|grid| grid.row(i, (least, k), scratch, out)) {
+            self.tree().row(i, &self.seeds[i as usize].coordinates(), k, out);
         }
     }
 
@@ -124,62 +129,12 @@ impl SeedIndex {
     }
 
     /// The first caller builds it alone: a thread that waits for helpers may take up another search, which would wait for it.
-    fn tree(&self) -> &Tree {
-        self.tree.get_or_init(|| Tree::new(&self.seeds, &self.earlier, Threads::One))
-    }
-}
-
-/// A kd-tree over the seeds that lie on no earlier one.
-pub(super) struct Tree {
-    tree: Option<ImmutableKdTree<f64, 3>>,
-    /// Seed of each tree item; `None` if they are equal.
-    item_seed: Option<Vec<u32>>,
-}
-
-/// Below this many seeds one thread builds the tree sooner than several do.
-const PARALLEL_BUILD: usize = 8192;
-
-impl Tree {
-    pub(super) fn new(seeds: &[[f64; 3]], earlier: &HashMap<u32, u32>, threads: Threads) -> Self {
-        let kept = || (0..seeds.len() as u32).filter(|i| !earlier.contains_key(i)).collect::<Vec<_>>();
-        let item_seed = (!earlier.is_empty()).then(kept);
-        let unique = item_seed.as_ref().map(|kept| kept.iter().map(|&i| seeds[i as usize]).collect::<Vec<_>>());
-        let slice = unique.as_deref().unwrap_or(seeds);
-        let builder = ImmutableKdTree::<f64, 3>::builder();
-        // An immutable tree is refused only for more items than u32 can number, which the
-        // sessions above do not let through; without a tree every answer is "no neighbour".
-        let tree = match threads {
-            Threads::One => builder.with_serial_construction().build_from_slice(slice).ok(),
-            Threads::Pool => builder.with_parallel_construction_threshold(PARALLEL_BUILD).build_from_slice(slice).ok(),
-        };
-        Self { tree, item_seed }
+    fn tree(&self) -> &P::Tree {
+        self.tree.get_or_init(|| self.new_tree(Threads::One))
     }
 
-    pub(super) fn nearest(&self, p: &[f64; 3]) -> u32 {
-        let Some(tree) = &self.tree else { return 0 };
-        let found = tree.query(p).nearest_one::<SquaredEuclidean<f64>>().execute();
-        self.seed_of(found.item)
-    }
-
-    /// The row of seed `i`, which lies at `p` and on no earlier seed.
-    pub(super) fn row(&self, i: u32, p: &[f64; 3], k: usize, out: &mut NeighbourRow) {
-        out.seeds.clear();
-        out.complete = true;
-        let Some(tree) = &self.tree else { return };
-        let (items, wanted) = (tree.size(), k.saturating_add(1));
-        let count = NonZero::new(wanted.min(items)).unwrap_or(NonZero::<usize>::MIN);
-        let mut found = tree.query(p).nearest_n::<SquaredEuclidean<f64>>(count).execute();
-        if wanted < items {
-            out.complete = false;
-            if let Some(last) = found.last().map(|n| n.distance) {
-                found.retain(|n| n.distance < last);
-            }
-        }
-        found.sort_by(|a, b| a.distance.total_cmp(&b.distance).then_with(|| a.item.cmp(&b.item)));
-        out.seeds.extend(found.iter().map(|n| self.seed_of(n.item)).filter(|&j| j != i));
-    }
-
-    fn seed_of(&self, item: u32) -> u32 {
-        self.item_seed.as_ref().map_or(item, |seeds| seeds[item as usize])
+    fn new_tree(&self, threads: Threads) -> P::Tree {
+        let seed = |i: u32| self.seeds[i as usize].coordinates();
+        P::Tree::new(self.seeds.len() as u32, seed, &self.earlier, threads)
     }
 }

@@ -6,17 +6,16 @@
 //! bisector meets a mesh edge the point is computed from the edge's own ends, from the lower vertex index to the higher, so that
 //! both facets of the edge get the same bits. Must not know: which pairs there are, where neighbours come from.
 
-use glam::DVec3;
-
 use super::cells::{FACET_EDGE, facet_edge};
 use super::{PairStatus, Surface, exact::Sides};
+use crate::knn::Point;
 use crate::token::{Pace, Token};
 
 /// A polygon vertex.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Vertex {
+pub struct Vertex<P = glam::DVec3> {
     /// The point relative to the seed, `p - x_i`, unit frame.
-    pub p: DVec3,
+    pub p: P,
     /// Density weight at p.
     pub w: f64,
     /// What lies across the edge to the next vertex: the opposite seed, or a facet edge ([`facet_edge`]).
@@ -25,11 +24,11 @@ pub struct Vertex {
 
 /// Integrals over one piece, about the seed, unit frame.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Integrals {
+pub struct Integrals<P = glam::DVec3> {
     /// ∫ w.
     pub mass: f64,
     /// ∫ w (p - x_i).
-    pub moment: DVec3,
+    pub moment: P,
     /// ∫ w |p - x_i|².
     pub energy: f64,
     /// ∫ 1.
@@ -43,17 +42,17 @@ pub(super) const SECURITY: f64 = 4.0 * (1.0 + 1e-9);
 const MAX_SLIP: f64 = 1e-11;
 
 /// Corners of one facet relative to one seed.
-struct Corners {
-    p: [DVec3; 3],
+struct Corners<P> {
+    p: [P; 3],
     w: [f64; 3],
     vertex: [u32; 3],
 }
 
 /// Scratch memory for clipping, and the last polygon.
 #[derive(Debug, Default)]
-pub struct Clipper {
-    pub(super) polygon: Vec<Vertex>,
-    next: Vec<Vertex>,
+pub struct Clipper<P = glam::DVec3> {
+    pub(super) polygon: Vec<Vertex<P>>,
+    next: Vec<Vertex<P>>,
     /// Value of the bisector at each vertex, and the exact side.
     side: Vec<(f64, bool)>,
     /// The seed whose bisector cut last. After an empty result it is nearer to the facet than the seed that was clipped.
@@ -71,13 +70,13 @@ pub struct Clipper {
 /// Floating-point sides that take as long as an exact one.
 const EXACT: usize = 64;
 
-impl Clipper {
+impl<P: Point> Clipper<P> {
     pub(super) fn is_stopped_after(&mut self, steps: usize) -> bool {
         self.token.is_stopped_after(steps, &mut self.pace)
     }
 
     /// The last polygon; empty if the cell does not meet the facet.
-    pub fn polygon(&self) -> &[Vertex] {
+    pub fn polygon(&self) -> &[Vertex<P>] {
         &self.polygon
     }
 
@@ -85,9 +84,9 @@ impl Clipper {
     /// (\[LB12\]: no seed beyond twice the polygon's radius cuts). With `complete` no other matters; `slots` bounds the polygon.
     pub fn clip(
         &mut self,
-        surface: &Surface,
+        surface: &Surface<P>,
         facet: u32,
-        seeds: &[DVec3],
+        seeds: &[P],
         i: u32,
         (row, complete): (&[u32], bool),
         slots: usize,
@@ -140,7 +139,7 @@ impl Clipper {
     }
 
     /// Cuts by the bisector of b = x_j - x_i. Returns whether anything changed.
-    fn cut(&mut self, bisector: Bisector, corners: &Corners, sides: Sides<'_>) -> bool {
+    fn cut(&mut self, bisector: Bisector<P>, corners: &Corners<P>, sides: Sides<'_, P>) -> bool {
         let n = self.polygon.len();
         let inherited = self.error;
         // By how much d = |b|²/2 - p·b may be off: three roundings in p·b, one of |b|²/2, and the vertex's own error along b.
@@ -195,17 +194,17 @@ impl Clipper {
     }
 
     /// Integrals of the last polygon, fanned from its first vertex (design, section 3, "Density").
-    pub fn integrals(&self) -> Integrals {
+    pub fn integrals(&self) -> Integrals<P> {
         let mut sum = Integrals::default();
         let Some((a, rest)) = self.polygon.split_first() else { return sum };
         for pair in rest.windows(2) {
             let (b, c) = (&pair[0], &pair[1]);
-            let area = 0.5 * (b.p - a.p).cross(c.p - a.p).length();
+            let area = 0.5 * (b.p - a.p).parallelogram(c.p - a.p);
             let total = a.w + b.w + c.w;
             let (wa, wb, wc) = (total + a.w, total + b.w, total + c.w);
             sum.area += area;
             sum.mass += area * total / 3.0;
-            sum.moment += area / 12.0 * (wa * a.p + wb * b.p + wc * c.p);
+            sum.moment += (a.p * wa + b.p * wb + c.p * wc) * (area / 12.0);
             let squares = (wa + a.w) * a.p.length_squared()
                 + (wb + b.w) * b.p.length_squared()
                 + (wc + c.w) * c.p.length_squared();
@@ -218,10 +217,10 @@ impl Clipper {
 
 /// Where the segment between two points (position, weight, bisector's value off by at most `unsure`) meets the bisector, in
 /// a direction that does not depend on which of the two facets asks; and how far along the segment that may be wrong.
-fn between(v: (DVec3, f64, f64), u: (DVec3, f64, f64), unsure: f64) -> (DVec3, f64, f64) {
+fn between<P: Point>(v: (P, f64, f64), u: (P, f64, f64), unsure: f64) -> (P, f64, f64) {
     let ((p, wp, dp), (q, wq, dq)) = if v.2 > u.2 { (v, u) } else { (u, v) };
     let t = parameter(dp, dq);
-    (p + t * (q - p), wp + t * (wq - wp), 2.0 * unsure / (dp - dq) * p.distance(q))
+    (p + (q - p) * t, wp + t * (wq - wp), 2.0 * unsure / (dp - dq) * p.distance(q))
 }
 
 /// Where a linear function with values `a` and `b` at 0 and 1 is zero, kept in [0, 1], where exact signs put it.
@@ -230,8 +229,8 @@ fn parameter(a: f64, b: f64) -> f64 {
     if t.is_nan() { 0.5 } else { t.clamp(0.0, 1.0) }
 }
 
-impl Corners {
-    fn new(surface: &Surface, facet: u32, origin: DVec3) -> Self {
+impl<P: Point> Corners<P> {
+    fn new(surface: &Surface<P>, facet: u32, origin: P) -> Self {
         let vertex = surface.facets()[facet as usize];
         Self {
             p: vertex.map(|v| surface.positions()[v as usize] - origin),
@@ -241,7 +240,7 @@ impl Corners {
     }
 
     /// Where edge `e` meets a bisector, from its own ends, the lower mesh vertex first; and how far along it that may be wrong.
-    fn meet(&self, e: usize, bisector: &Bisector) -> (DVec3, f64, f64) {
+    fn meet(&self, e: usize, bisector: &Bisector<P>) -> (P, f64, f64) {
         let (mut lo, mut hi) = (e, (e + 1) % 3);
         if self.vertex[lo] > self.vertex[hi] {
             std::mem::swap(&mut lo, &mut hi);
@@ -252,20 +251,20 @@ impl Corners {
         let radius = self.p[lo].length().max(self.p[hi].length());
         let unsure = 4.0 * f64::EPSILON * bisector.length * (bisector.length + radius);
         let slip = 2.0 * unsure / (dl - dh).abs() * self.p[lo].distance(self.p[hi]);
-        (self.p[lo] + t * (self.p[hi] - self.p[lo]), self.w[lo] + t * (self.w[hi] - self.w[lo]), slip)
+        (self.p[lo] + (self.p[hi] - self.p[lo]) * t, self.w[lo] + t * (self.w[hi] - self.w[lo]), slip)
     }
 
     /// Position and weight at barycentric coordinates.
-    fn at(&self, bary: Option<[f64; 3]>) -> Option<(DVec3, f64)> {
+    fn at(&self, bary: Option<[f64; 3]>) -> Option<(P, f64)> {
         let [x, y, z] = bary?;
-        Some((x * self.p[0] + y * self.p[1] + z * self.p[2], x * self.w[0] + y * self.w[1] + z * self.w[2]))
+        Some((self.p[0] * x + self.p[1] * y + self.p[2] * z, x * self.w[0] + y * self.w[1] + z * self.w[2]))
     }
 }
 
 /// The bisector with seed j: points where half - p·b = 0.
-struct Bisector {
+struct Bisector<P> {
     j: u32,
-    b: DVec3,
+    b: P,
     half: f64,
     length: f64,
 }

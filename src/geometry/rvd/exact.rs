@@ -18,19 +18,20 @@ use num_bigint::{BigInt, Sign};
 use num_traits::ToPrimitive;
 
 use super::{Surface, cells::facet_edge, surface::GRID};
+use crate::knn::Point;
 
 type Values = [BigInt; 3];
 
 /// The seed and facet that are being clipped.
 #[derive(Clone, Copy)]
-pub(super) struct Sides<'a> {
-    pub surface: &'a Surface,
+pub(super) struct Sides<'a, P: Point> {
+    pub surface: &'a Surface<P>,
     pub facet: u32,
-    pub seeds: &'a [glam::DVec3],
+    pub seeds: &'a [P],
     pub i: u32,
 }
 
-impl Sides<'_> {
+impl<P: Point> Sides<'_, P> {
     /// Whether the vertex between polygon edges `before` and `after` is on the side of seed i of the bisector with seed `l`.
     pub(super) fn inside(&self, before: u32, after: u32, l: u32) -> bool {
         let m = self.values(l);
@@ -90,12 +91,16 @@ impl Sides<'_> {
 
     /// L_l at the three corners, in units of the grid squared.
     fn values(&self, l: u32) -> Values {
-        let grid = |p: glam::DVec3| p.to_array().map(|x| (x * GRID) as i128);
+        let grid = |p: P| {
+            let coordinates = p.coordinates();
+            P::each(|c| (coordinates.as_ref()[c] * GRID) as i128)
+        };
         let (xi, xl) = (grid(self.seeds[self.i as usize]), grid(self.seeds[l as usize]));
         self.surface.facets()[self.facet as usize].map(|v| {
             let p = grid(self.surface.positions()[v as usize]);
             // |p - x_l|² - |p - x_i|² = (x_i - x_l) · (2p - x_i - x_l)
-            (0..3).map(|c| BigInt::from(xi[c] - xl[c]) * BigInt::from(2 * p[c] - xi[c] - xl[c])).sum()
+            let each = xi.as_ref().iter().zip(xl.as_ref()).zip(p.as_ref());
+            each.map(|((xi, xl), p)| BigInt::from(xi - xl) * BigInt::from(2 * p - xi - xl)).sum()
         })
     }
 }

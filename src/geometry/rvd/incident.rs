@@ -12,23 +12,22 @@ use std::collections::{HashMap, HashSet};
 use std::iter::repeat_n;
 use std::ops::Range;
 
-use glam::DVec3;
 use rayon::prelude::*;
 
 use super::clip::Clipper;
 use super::{Capacities, PairStatus, PassStats, Surface, refill};
-use crate::knn::{NeighbourRow, NeighbourTable, SeedIndex, squared_distance};
+use crate::knn::{NeighbourRow, NeighbourTable, Point, SeedIndex};
 use crate::token::Token;
 
 /// What every walk over one seed set reads.
 #[derive(Clone, Copy)]
-pub struct Diagram<'a> {
+pub struct Diagram<'a, P: Point = glam::DVec3> {
     /// The surface.
-    pub surface: &'a Surface,
+    pub surface: &'a Surface<P>,
     /// Seeds, unit frame.
-    pub seeds: &'a [DVec3],
+    pub seeds: &'a [P],
     /// Their index, for rows longer than the table's.
-    pub index: &'a SeedIndex,
+    pub index: &'a SeedIndex<P>,
     /// First rows.
     pub table: &'a NeighbourTable,
     /// First capacities.
@@ -37,8 +36,8 @@ pub struct Diagram<'a> {
 
 /// One thread's scratch memory for walking facets.
 #[derive(Default)]
-pub struct FacetWalker {
-    clipper: Clipper,
+pub struct FacetWalker<P = glam::DVec3> {
+    clipper: Clipper<P>,
     cells: CellList,
     long_rows: LongRows,
     listed: Listed,
@@ -47,17 +46,17 @@ pub struct FacetWalker {
 /// Steps of one clip, beside those of its row.
 const STEPS: usize = 64;
 
-impl FacetWalker {
+impl<P: Point> FacetWalker<P> {
     /// Visits every cell that meets `facet` with its non-empty polygon, beginning at `start`, whose cell holds a point of it. A
     /// `list` holds all seeds that could be nearest to some point of the facet; index and table are not read then.
     pub fn walk(
         &mut self,
         list: Option<&[u32]>,
-        diagram: Diagram<'_>,
+        diagram: Diagram<'_, P>,
         facet: u32,
         start: u32,
         stats: &mut PassStats,
-        mut visit: impl FnMut(u32, &Clipper),
+        mut visit: impl FnMut(u32, &Clipper<P>),
     ) {
         self.listed.set(list);
         self.cells.clear();
@@ -117,7 +116,7 @@ impl FacetWalker {
     pub fn clip(
         &mut self,
         list: Option<&[u32]>,
-        diagram: Diagram<'_>,
+        diagram: Diagram<'_, P>,
         facet: u32,
         i: u32,
         stats: &mut PassStats,
@@ -126,7 +125,14 @@ impl FacetWalker {
         self.clip_by(list.is_some(), diagram, facet, i, stats)
     }
 
-    fn clip_by(&mut self, listed: bool, diagram: Diagram<'_>, facet: u32, i: u32, stats: &mut PassStats) -> PairStatus {
+    fn clip_by(
+        &mut self,
+        listed: bool,
+        diagram: Diagram<'_, P>,
+        facet: u32,
+        i: u32,
+        stats: &mut PassStats,
+    ) -> PairStatus {
         let Diagram { surface, seeds, index, table, capacities } = diagram;
         let mut slots = capacities.polygon.max(4);
         // Of a table without rows there is nothing to try first.
@@ -170,7 +176,7 @@ impl FacetWalker {
     }
 
     /// The clipper with the polygon of the last pair.
-    pub fn clipper(&self) -> &Clipper {
+    pub fn clipper(&self) -> &Clipper<P> {
         &self.clipper
     }
 }
@@ -198,7 +204,7 @@ impl Listed {
 
     /// The nearest others, in the order of a table's row, or `all`; and whether these are all. A cut that changes
     /// nothing apart, a walk does the same with either.
-    fn row(&mut self, seeds: &[DVec3], i: u32, all: bool) -> (&[u32], bool) {
+    fn row<P: Point>(&mut self, seeds: &[P], i: u32, all: bool) -> (&[u32], bool) {
         // A walk visits listed seeds alone.
         let Some(at) = self.seeds.iter().position(|&j| j == i) else { return (&[], true) };
         let n = self.seeds.len() - 1;
@@ -206,8 +212,8 @@ impl Listed {
         let wanted = if all { n } else { n.min(Self::FIRST) };
         if self.sorted[at] < wanted {
             self.keys.clear();
-            let origin = seeds[i as usize].to_array();
-            let key = |&j: &u32| (squared_distance(&origin, &seeds[j as usize].to_array()), j);
+            let origin = seeds[i as usize];
+            let key = |&j: &u32| (origin.distance_squared(seeds[j as usize]), j);
             self.keys.extend(self.seeds.iter().filter(|&&j| j != i).map(key));
             let order = |a: &(f64, u32), b: &(f64, u32)| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1));
             if wanted < n {
@@ -266,7 +272,7 @@ impl LongRows {
     /// Most neighbours that are kept: 4 MiB.
     const LIMIT: usize = 1 << 20;
 
-    fn row(&mut self, index: &SeedIndex, i: u32, k: usize) -> (&[u32], bool) {
+    fn row<P: Point>(&mut self, index: &SeedIndex<P>, i: u32, k: usize) -> (&[u32], bool) {
         if self.stored > Self::LIMIT {
             self.rows.clear();
             self.stored = 0;
@@ -297,7 +303,7 @@ pub struct Starts {
 impl Starts {
     /// Finds those of `facets` on all threads of the present pool, from the last answer or from the one before where that is
     /// near, or else by the index. Ends early where `token` is stopped; the answers are then of no use.
-    pub fn find(&mut self, diagram: Diagram<'_>, facets: Range<u32>, token: &Token) -> &mut [u32] {
+    pub fn find<P: Point>(&mut self, diagram: Diagram<'_, P>, facets: Range<u32>, token: &Token) -> &mut [u32] {
         let guessed = self.facets == facets;
         self.seeds.resize(facets.len(), 0);
         self.seeds.par_chunks_mut(CHUNK).enumerate().for_each(|(c, part)| {
@@ -322,7 +328,7 @@ impl Starts {
 }
 
 /// Whether a walk from seed `s` to `q` is short: `q` is no farther away than the last neighbour in the table.
-fn is_beside(diagram: Diagram<'_>, q: DVec3, s: u32) -> bool {
+fn is_beside<P: Point>(diagram: Diagram<'_, P>, q: P, s: u32) -> bool {
     let here = diagram.seeds[s as usize];
     let last = diagram.table.row(s).0.last();
     last.is_some_and(|&j| q.distance_squared(here) <= here.distance_squared(diagram.seeds[j as usize]))
@@ -330,7 +336,7 @@ fn is_beside(diagram: Diagram<'_>, q: DVec3, s: u32) -> bool {
 
 /// A nearest seed of `q`, from the guess `from`. Seeds nearer to q than x_i lie within 2|q - x_i|
 /// of x_i, so the row of i, nearest first, need not be read beyond that.
-pub(super) fn nearest(diagram: Diagram<'_>, q: DVec3, from: u32) -> u32 {
+pub(super) fn nearest<P: Point>(diagram: Diagram<'_, P>, q: P, from: u32) -> u32 {
     let Diagram { seeds, index, table, .. } = diagram;
     let mut i = first_duplicate(diagram, from);
     let mut best = q.distance_squared(seeds[i as usize]);
@@ -353,7 +359,7 @@ pub(super) fn nearest(diagram: Diagram<'_>, q: DVec3, from: u32) -> u32 {
 }
 
 /// The earliest seed at the place of seed `i`. A later one has no cell, and no neighbour but it.
-fn first_duplicate(diagram: Diagram<'_>, i: u32) -> u32 {
+fn first_duplicate<P: Point>(diagram: Diagram<'_, P>, i: u32) -> u32 {
     match diagram.table.row(i).0 {
         [first, ..] if diagram.seeds[*first as usize] == diagram.seeds[i as usize] => *first,
         _ => i,

@@ -12,36 +12,34 @@ use std::iter::repeat_n;
 use std::ops::Range;
 use std::sync::Arc;
 
-use glam::DVec3;
-
 use super::resident::HISTORY;
 use super::{CellSums, Evaluation, PassStats, PieceBatch, Resident, RvdError, Session, refill};
-use crate::knn::Threads;
+use crate::knn::{Point, Threads};
 use crate::token::Token;
 
 /// A session on the CPU and the vectors of its seeds.
-pub(super) struct OnHost<S> {
+pub(super) struct OnHost<S, P> {
     session: S,
     /// Whose threads serve long vectors; the caller's alone if there is none.
     pool: Option<Arc<rayon::ThreadPool>>,
     /// The present point, its gradient and what the pass there found.
-    x: Vec<DVec3>,
-    g: Vec<DVec3>,
-    sums: CellSums,
+    x: Vec<P>,
+    g: Vec<P>,
+    sums: CellSums<P>,
     /// The last probe.
-    trial: Vec<DVec3>,
-    trial_g: Vec<DVec3>,
-    trial_sums: CellSums,
-    d: Vec<DVec3>,
+    trial: Vec<P>,
+    trial_g: Vec<P>,
+    trial_sums: CellSums<P>,
+    d: Vec<P>,
     held: Vec<bool>,
-    history: VecDeque<Pair>,
+    history: VecDeque<Pair<P>>,
 }
 
 /// A step s, the change y of the gradient over it, and 1 / sᵀy.
 #[derive(Default)]
-struct Pair {
-    s: Vec<DVec3>,
-    y: Vec<DVec3>,
+struct Pair<P> {
+    s: Vec<P>,
+    y: Vec<P>,
     rho: f64,
 }
 
@@ -50,7 +48,7 @@ const LEAST_CURVATURE: f64 = 1e-10;
 /// Seeds from which on a second thread saves more than it takes to wake it.
 const LONG: usize = 4096;
 
-impl<S> OnHost<S> {
+impl<S, P: Point> OnHost<S, P> {
     pub(super) fn new(session: S, pool: Option<Arc<rayon::ThreadPool>>) -> Self {
         let [x, g, trial, trial_g, d] = Default::default();
         let (sums, trial_sums) = Default::default();
@@ -59,7 +57,7 @@ impl<S> OnHost<S> {
     }
 
     fn reset(&mut self, n: usize) {
-        refill(&mut self.d, repeat_n(DVec3::ZERO, n));
+        refill(&mut self.d, repeat_n(P::ZERO, n));
         self.history.clear();
     }
 }
@@ -71,8 +69,8 @@ fn on<R: Send>(pool: Option<&rayon::ThreadPool>, seeds: usize, work: impl FnOnce
     }
 }
 
-impl<S: Session> Session for OnHost<S> {
-    fn set_seeds(&mut self, seeds: &[DVec3]) -> Result<(), RvdError> {
+impl<P: Point, S: Session<P>> Session<P> for OnHost<S, P> {
+    fn set_seeds(&mut self, seeds: &[P]) -> Result<(), RvdError> {
         self.session.set_seeds(seeds)?;
         seeds.clone_into(&mut self.x);
         if self.held.len() != seeds.len() {
@@ -82,7 +80,7 @@ impl<S: Session> Session for OnHost<S> {
         Ok(())
     }
 
-    fn sums(&mut self, out: &mut CellSums, token: &Token) -> Result<PassStats, RvdError> {
+    fn sums(&mut self, out: &mut CellSums<P>, token: &Token) -> Result<PassStats, RvdError> {
         self.session.sums(out, token)
     }
 
@@ -90,12 +88,12 @@ impl<S: Session> Session for OnHost<S> {
         self.session.pieces(facets, out, token)
     }
 
-    fn resident(&mut self) -> Option<&mut dyn Resident> {
+    fn resident(&mut self) -> Option<&mut dyn Resident<P>> {
         Some(self)
     }
 }
 
-impl<S: Session> Resident for OnHost<S> {
+impl<P: Point, S: Session<P>> Resident<P> for OnHost<S, P> {
     fn hold(&mut self, held: &[bool]) -> Result<(), RvdError> {
         if held.len() != self.x.len() {
             return Err(RvdError::Internal(format!("{} marks for {} seeds", held.len(), self.x.len())));
@@ -125,7 +123,7 @@ impl<S: Session> Resident for OnHost<S> {
         let Self { pool, g, d, history, sums, .. } = self;
         Ok(on(pool.as_deref(), g.len(), |threads| {
             let mass = &sums.mass[..];
-            let scale = |last: &Pair| 1.0 / (last.rho * vectors::preconditioned(threads, &last.y, mass));
+            let scale = |last: &Pair<P>| 1.0 / (last.rho * vectors::preconditioned(threads, &last.y, mass));
             // Where y has to do with cells alone that have lost their mass, there is no scale.
             let last = history.back().map(|last| (last, scale(last))).filter(|(_, scale)| scale.is_finite());
             let Some((last, scale)) = last else {
@@ -152,7 +150,7 @@ impl<S: Session> Resident for OnHost<S> {
     }
 
     fn probe(&mut self, step: f64, token: &Token) -> Result<Evaluation, RvdError> {
-        refill(&mut self.trial, self.x.iter().zip(&self.d).map(|(&x, &d)| x + step * d));
+        refill(&mut self.trial, self.x.iter().zip(&self.d).map(|(&x, &d)| x + d * step));
         self.session.set_seeds(&self.trial)?;
         let stats = self.session.sums(&mut self.trial_sums, token)?;
         let Self { pool, trial_g: g, trial_sums: sums, held, d, .. } = self;
@@ -184,12 +182,12 @@ impl<S: Session> Resident for OnHost<S> {
         self.history.clear();
     }
 
-    fn read(&mut self, out: &mut Vec<DVec3>) -> Result<(), RvdError> {
+    fn read(&mut self, out: &mut Vec<P>) -> Result<(), RvdError> {
         out.clone_from(&self.x);
         Ok(())
     }
 
-    fn read_sums(&mut self, out: &mut CellSums) -> Result<(), RvdError> {
+    fn read_sums(&mut self, out: &mut CellSums<P>) -> Result<(), RvdError> {
         out.clone_from(&self.sums);
         Ok(())
     }

@@ -190,6 +190,12 @@ pub enum RvdError {
         /// Its weight.
         value: f64,
     },
+    /// A vertex has no finite lift, or there is no such vertex.
+    #[error("vertex {vertex} has no finite lift; give one per vertex")]
+    BadLift {
+        /// Its index, from 0.
+        vertex: usize,
+    },
     /// The list of weights is not as long as the list of vertices.
     #[error("{given} weights for {vertices} vertices; give one per vertex")]
     WeightCount {

@@ -18,7 +18,6 @@ use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Instant;
 
-use glam::DVec3;
 use rayon::prelude::*;
 
 use self::candidates::verlet::VerletLists;
@@ -29,7 +28,7 @@ use super::{
     Backend, BackendKind, CellSums, PassStats, PieceBatch, RvdError, Session, SessionOptions, Surface, elapsed_ms,
     take_seeds,
 };
-use crate::knn::{NeighbourTable, SeedIndex, Threads};
+use crate::knn::{Lifted, NeighbourTable, Point, SeedIndex, Threads};
 use crate::token::Token;
 use order::Order;
 
@@ -70,8 +69,22 @@ impl Backend for Parallel {
     }
 
     fn session(&self, surface: Arc<Surface>, options: SessionOptions) -> Result<Box<dyn Session>, RvdError> {
-        let session = ParallelSession {
-            pool: Arc::clone(&self.pool),
+        Ok(ParallelSession::open(&self.pool, surface, options))
+    }
+
+    fn lifted_session(
+        &self,
+        surface: Arc<Surface<Lifted>>,
+        options: SessionOptions,
+    ) -> Result<Box<dyn Session<Lifted>>, RvdError> {
+        Ok(ParallelSession::open(&self.pool, surface, options))
+    }
+}
+
+impl<P: Point> ParallelSession<P> {
+    fn open(pool: &Arc<rayon::ThreadPool>, surface: Arc<Surface<P>>, options: SessionOptions) -> Box<dyn Session<P>> {
+        let session = Self {
+            pool: Arc::clone(pool),
             surface,
             options,
             seeds: Vec::new(),
@@ -85,9 +98,9 @@ impl Backend for Parallel {
             lists: VerletLists::default(),
             no_table: NeighbourTable::default(),
             chunks: Vec::new(),
-            walkers: (0..self.threads()).map(|_| Mutex::default()).collect(),
+            walkers: (0..pool.current_num_threads()).map(|_| Mutex::default()).collect(),
         };
-        Ok(Box::new(OnHost::new(session, Some(Arc::clone(&self.pool)))))
+        Box::new(OnHost::new(session, Some(Arc::clone(pool))))
     }
 }
 
@@ -126,12 +139,12 @@ enum From {
     Rows { coarse: bool },
 }
 
-struct ParallelSession {
+struct ParallelSession<P: Point> {
     pool: Arc<rayon::ThreadPool>,
-    surface: Arc<Surface>,
+    surface: Arc<Surface<P>>,
     options: SessionOptions,
-    seeds: Vec<DVec3>,
-    index: SeedIndex,
+    seeds: Vec<P>,
+    index: SeedIndex<P>,
     table: NeighbourTable,
     /// Whether the index is out of date with `seeds`.
     stale: bool,
@@ -139,25 +152,25 @@ struct ParallelSession {
     no_rows: bool,
     /// Passes left that use rows, since lists without rows failed.
     by_rows: usize,
-    order: Order,
+    order: Order<P>,
     /// First cells of the facets whose pieces were asked for.
     starts: Starts,
-    lists: VerletLists,
+    lists: VerletLists<P>,
     /// Stands for the table where that is stale.
     no_table: NeighbourTable,
-    chunks: Vec<Chunk>,
+    chunks: Vec<Chunk<P>>,
     /// One for each thread of the pool.
-    walkers: Vec<Mutex<Walkers>>,
+    walkers: Vec<Mutex<Walkers<P>>>,
 }
 
 /// Scratch memory that no other thread uses now.
-fn of_this_thread(walkers: &[Mutex<Walkers>]) -> MutexGuard<'_, Walkers> {
+fn of_this_thread<P: Point>(walkers: &[Mutex<Walkers<P>>]) -> MutexGuard<'_, Walkers<P>> {
     let own = rayon::current_thread_index().unwrap_or_default() % walkers.len();
     // A pass that panics gives no sums.
     walkers[own].lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-impl ParallelSession {
+impl<P: Point> ParallelSession<P> {
     /// Builds the index of new seeds. Returns the milliseconds spent.
     fn refresh(&mut self) -> Result<f64, RvdError> {
         if !self.stale {
@@ -198,7 +211,7 @@ impl ParallelSession {
     }
 
     /// Sums of all facets, from the lists if they still hold, or else from new ones.
-    fn sum_up(&mut self, out: &mut CellSums, token: &Token) -> Result<PassStats, RvdError> {
+    fn sum_up(&mut self, out: &mut CellSums<P>, token: &Token) -> Result<PassStats, RvdError> {
         self.order.begin(&self.surface);
         let blocks = self.blocks(self.order.len());
         // Where facets have many cells, the walk does most of the work, and it needs rows.
@@ -247,7 +260,7 @@ impl ParallelSession {
     }
 
     /// Sums of all facets; `None` if those lists do not do.
-    fn pass(&mut self, out: &mut CellSums, from: From, token: &Token) -> Result<Option<PassStats>, RvdError> {
+    fn pass(&mut self, out: &mut CellSums<P>, from: From, token: &Token) -> Result<Option<PassStats>, RvdError> {
         out.reset(self.seeds.len());
         self.reset_walkers(token);
         let mut stats = PassStats::default();
@@ -373,14 +386,14 @@ impl ParallelSession {
     }
 }
 
-impl Session for ParallelSession {
-    fn set_seeds(&mut self, seeds: &[DVec3]) -> Result<(), RvdError> {
+impl<P: Point> Session<P> for ParallelSession<P> {
+    fn set_seeds(&mut self, seeds: &[P]) -> Result<(), RvdError> {
         take_seeds(seeds, self.options.max_seeds, &mut self.seeds)?;
         self.stale = true;
         Ok(())
     }
 
-    fn sums(&mut self, out: &mut CellSums, token: &Token) -> Result<PassStats, RvdError> {
+    fn sums(&mut self, out: &mut CellSums<P>, token: &Token) -> Result<PassStats, RvdError> {
         let pool = Arc::clone(&self.pool);
         pool.install(|| self.sum_up(out, token))
     }

@@ -9,6 +9,7 @@
 use glam::DVec3;
 
 use super::{CellSums, PassStats, RvdError};
+use crate::knn::Point;
 use crate::token::Token;
 
 /// Pairs (s, y) that a quasi-Newton history holds (design, section 3, "Optimiser").
@@ -31,10 +32,10 @@ pub struct Evaluation {
     pub stats: PassStats,
 }
 
-/// One session's seeds, moved in place. Vectors have three components a seed. A stopped pass leaves the present point as it
+/// One session's seeds, moved in place. Vectors have a point's components for each seed. A stopped pass leaves the present point as it
 /// was; after [`Resident::relax`] it is as after the evaluations that were added. An error of the device, such as
 /// [`RvdError::DeviceLost`], changes nothing; the session must be opened again.
-pub trait Resident {
+pub trait Resident<P: Point = DVec3> {
     /// Which seeds stay where they are, one entry a seed. Clears the history and the direction.
     fn hold(&mut self, held: &[bool]) -> Result<(), RvdError>;
 
@@ -73,8 +74,8 @@ pub trait Resident {
     fn clear_history(&mut self);
 
     /// The present point, unit frame, into `out`.
-    fn read(&mut self, out: &mut Vec<DVec3>) -> Result<(), RvdError>;
+    fn read(&mut self, out: &mut Vec<P>) -> Result<(), RvdError>;
 
     /// The cells' sums of the last pass at x, into `out`.
-    fn read_sums(&mut self, out: &mut CellSums) -> Result<(), RvdError>;
+    fn read_sums(&mut self, out: &mut CellSums<P>) -> Result<(), RvdError>;
 }

@@ -8,8 +8,6 @@ use std::ops::Range;
 use std::sync::Arc;
 use std::time::Instant;
 
-use glam::DVec3;
-
 use super::clip::Clipper;
 use super::incident::{Diagram, FacetWalker};
 use super::on_host::OnHost;
@@ -17,7 +15,7 @@ use super::{
     Backend, BackendKind, CellSums, PassStats, PieceBatch, RvdError, Session, SessionOptions, Surface, elapsed_ms,
     refill, take_seeds,
 };
-use crate::knn::{NeighbourTable, SeedIndex, Threads};
+use crate::knn::{Lifted, NeighbourTable, Point, SeedIndex, Threads};
 use crate::token::Token;
 
 /// The f64 reference, one thread.
@@ -40,7 +38,21 @@ impl Backend for Serial {
     }
 
     fn session(&self, surface: Arc<Surface>, options: SessionOptions) -> Result<Box<dyn Session>, RvdError> {
-        let session = SerialSession {
+        Ok(SerialSession::open(surface, options))
+    }
+
+    fn lifted_session(
+        &self,
+        surface: Arc<Surface<Lifted>>,
+        options: SessionOptions,
+    ) -> Result<Box<dyn Session<Lifted>>, RvdError> {
+        Ok(SerialSession::open(surface, options))
+    }
+}
+
+impl<P: Point> SerialSession<P> {
+    fn open(surface: Arc<Surface<P>>, options: SessionOptions) -> Box<dyn Session<P>> {
+        let session = Self {
             surface,
             options,
             seeds: Vec::new(),
@@ -49,17 +61,17 @@ impl Backend for Serial {
             walker: FacetWalker::default(),
             stale: false,
         };
-        Ok(Box::new(OnHost::new(session, None)))
+        Box::new(OnHost::new(session, None))
     }
 }
 
-struct SerialSession {
-    surface: Arc<Surface>,
+struct SerialSession<P: Point> {
+    surface: Arc<Surface<P>>,
     options: SessionOptions,
-    seeds: Vec<DVec3>,
-    index: SeedIndex,
+    seeds: Vec<P>,
+    index: SeedIndex<P>,
     table: NeighbourTable,
-    walker: FacetWalker,
+    walker: FacetWalker<P>,
     /// The index and the table are not those of `seeds` yet.
     stale: bool,
 }
@@ -67,7 +79,7 @@ struct SerialSession {
 /// Facets between two looks at the token.
 const BATCH: usize = 128;
 
-impl SerialSession {
+impl<P: Point> SerialSession<P> {
     /// Builds the index and the table of new seeds. Returns the milliseconds spent.
     fn refresh(&mut self, token: &Token) -> Result<f64, RvdError> {
         if !self.stale {
@@ -88,9 +100,9 @@ impl SerialSession {
     fn walk(
         &mut self,
         range: Range<u32>,
-        wanted: impl Fn(&Surface, usize) -> bool,
+        wanted: impl Fn(&Surface<P>, usize) -> bool,
         token: &Token,
-        mut visit: impl FnMut(u32, u32, DVec3, &Clipper),
+        mut visit: impl FnMut(u32, u32, P, &Clipper<P>),
     ) -> Result<PassStats, RvdError> {
         let mut stats = PassStats { neighbours_ms: self.refresh(token)?, ..PassStats::default() };
         stats.duplicate_seeds = self.index.duplicates() as u64;
@@ -116,14 +128,14 @@ impl SerialSession {
     }
 }
 
-impl Session for SerialSession {
-    fn set_seeds(&mut self, seeds: &[DVec3]) -> Result<(), RvdError> {
+impl<P: Point> Session<P> for SerialSession<P> {
+    fn set_seeds(&mut self, seeds: &[P]) -> Result<(), RvdError> {
         take_seeds(seeds, self.options.max_seeds, &mut self.seeds)?;
         self.stale = true;
         Ok(())
     }
 
-    fn sums(&mut self, out: &mut CellSums, token: &Token) -> Result<PassStats, RvdError> {
+    fn sums(&mut self, out: &mut CellSums<P>, token: &Token) -> Result<PassStats, RvdError> {
         out.reset(self.seeds.len());
         let facets = 0..self.surface.facets().len() as u32;
         self.walk(facets, |s, f| !s.skips(f), token, |_, i, _, clipper| out.add(i as usize, &clipper.integrals()))
@@ -132,9 +144,9 @@ impl Session for SerialSession {
     fn pieces(&mut self, facets: Range<u32>, out: &mut PieceBatch, token: &Token) -> Result<PassStats, RvdError> {
         out.clear();
         let flat = self.options.flat_pieces;
-        let wanted = |s: &Surface, f: usize| if flat { s.joins(f) } else { !s.skips(f) };
+        let wanted = |s: &Surface<P>, f: usize| if flat { s.joins(f) } else { !s.skips(f) };
         let stats = self.walk(facets, wanted, token, |facet, i, origin, clipper| {
-            out.push(facet, i, clipper.polygon().iter().map(|v| (origin + v.p, v.w, v.edge)));
+            out.push(facet, i, clipper.polygon().iter().map(|v| ((origin + v.p).place(), v.w, v.edge)));
         })?;
         out.sort();
         Ok(stats)

@@ -11,31 +11,32 @@ use glam::DVec3;
 use serde::Serialize;
 
 use super::{clip, refill};
+use crate::knn::Point;
 
 /// Sums over each restricted cell Ω_i, in the surface's unit frame. All have one entry a seed.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct CellSums {
+pub struct CellSums<P = DVec3> {
     /// ∫ w: the cell's mass.
     pub mass: Vec<f64>,
     /// ∫ w (p - x_i): the first moment about the seed. Centroid = x_i + moment / mass.
-    pub moment: Vec<DVec3>,
+    pub moment: Vec<P>,
     /// ∫ w |p - x_i|²: the cell's share of the CVT energy.
     pub energy: Vec<f64>,
     /// ∫ 1: the cell's area, whatever the weights.
     pub area: Vec<f64>,
 }
 
-impl CellSums {
+impl<P: Point> CellSums<P> {
     /// Zero for `n` cells, keeping what was allocated.
     pub fn reset(&mut self, n: usize) {
         refill(&mut self.mass, repeat_n(0.0, n));
-        refill(&mut self.moment, repeat_n(DVec3::ZERO, n));
+        refill(&mut self.moment, repeat_n(P::ZERO, n));
         refill(&mut self.energy, repeat_n(0.0, n));
         refill(&mut self.area, repeat_n(0.0, n));
     }
 
     /// Adds one piece to cell `i`.
-    pub fn add(&mut self, i: usize, piece: &clip::Integrals) {
+    pub fn add(&mut self, i: usize, piece: &clip::Integrals<P>) {
         self.mass[i] += piece.mass;
         self.moment[i] += piece.moment;
         self.energy[i] += piece.energy;
@@ -43,7 +44,7 @@ impl CellSums {
     }
 
     /// Centroid of cell `i` about seed `seed`, or the seed itself if the cell is empty.
-    pub fn centroid(&self, i: usize, seed: DVec3) -> DVec3 {
+    pub fn centroid(&self, i: usize, seed: P) -> P {
         if self.mass[i] > 0.0 { seed + self.moment[i] / self.mass[i] } else { seed }
     }
 }

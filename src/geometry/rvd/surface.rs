@@ -1,6 +1,6 @@
 //! The surface as the backends see it.
 //!
-//! Purpose: a mesh moved into the unit box, with a weight per vertex.
+//! Purpose: a mesh moved into the unit box, with a weight per vertex, and lifted to R^6 where that is asked for.
 //! Invariant: the scale is a power of two, so scaling rounds nothing; coordinates are in about [-1/2, 1/2] whatever the
 //! caller's units and offset. Must not know: seeds, backends.
 
@@ -8,7 +8,9 @@ use glam::DVec3;
 use rayon::prelude::*;
 
 use super::RvdError;
-use crate::mesh::{TriMesh, adjacency::weld_unless, closest_point::ClosestPoint};
+use crate::knn::{Lifted, Point};
+use crate::mesh::closest_point::ClosestPoint;
+use crate::mesh::{TriMesh, adjacency::weld_unless};
 use crate::token::Token;
 
 /// The map between the caller's coordinates and the unit frame: unit = (p - centre) * scale.
@@ -46,19 +48,27 @@ pub const GRID: f64 = (1u64 << 52) as f64;
 /// The nearest point whose coordinates are multiples of 2⁻⁵²: a difference of two such points
 /// inside the box is exact, and so are the decisions of `rvd::exact`.
 pub fn snap(p: DVec3) -> DVec3 {
-    DVec3::from_array(p.to_array().map(|x| {
-        let x = x * GRID;
-        // A sum of this size has no digits behind the point, and is rounded to the even one of two.
-        let rounded = if x.abs() < 0.5 * GRID { (x + 1.5 * GRID) - 1.5 * GRID } else { x.round_ties_even() };
-        rounded / GRID
-    }))
+    DVec3::from_array(p.to_array().map(snapped))
+}
+
+fn snapped(x: f64) -> f64 {
+    let x = x * GRID;
+    // A sum of this size has no digits behind the point, and is rounded to the even one of two.
+    let rounded = if x.abs() < 0.5 * GRID { (x + 1.5 * GRID) - 1.5 * GRID } else { x.round_ties_even() };
+    rounded / GRID
+}
+
+/// [`snap`] of every coordinate.
+pub(super) fn snap_point<P: Point>(p: P) -> P {
+    let coordinates = p.coordinates();
+    P::from_coordinates(P::each(|c| snapped(coordinates.as_ref()[c])))
 }
 
 /// A mesh in the unit frame, with weights. Immutable; sessions share it.
 #[derive(Clone, Debug)]
-pub struct Surface {
+pub struct Surface<P: Point = DVec3> {
     frame: Frame,
-    positions: Vec<DVec3>,
+    positions: Vec<P>,
     weights: Vec<f64>,
     uniform: bool,
     facets: Vec<[u32; 3]>,
@@ -78,6 +88,35 @@ impl Surface {
 
     /// As [`Self::new`]. Errors: `Stopped` too.
     pub fn unless(mesh: &TriMesh, weights: Option<&[f64]>, token: &Token) -> Result<Self, RvdError> {
+        Self::of(mesh, weights, |_, place| place, token)
+    }
+}
+
+impl Surface<Lifted> {
+    /// The surface lifted to R^6: vertex v of `mesh` at (p, `lift[v]`), in the caller's unit of length. The lift is a normal
+    /// times a length; where the normal turns at a crease, the mesh has a vertex for each side. Errors: as
+    /// [`Surface::unless`]; `BadLift` if one is not finite, or not as many as vertices.
+    pub fn lifted(mesh: &TriMesh, weights: Option<&[f64]>, lift: &[DVec3], token: &Token) -> Result<Self, RvdError> {
+        let vertices = mesh.positions().len();
+        if let Some(vertex) =
+            (0..vertices.max(lift.len())).find(|&v| v >= vertices || !lift.get(v).is_some_and(|n| n.is_finite()))
+        {
+            return Err(RvdError::BadLift { vertex });
+        }
+        let (low, high) = mesh.bounds();
+        let scale = Frame::of_bounds(low, high).scale;
+        Self::of(mesh, weights, |v, place| Lifted { place, lift: snap(lift[v] * scale) }, token)
+    }
+}
+
+impl<P: Point> Surface<P> {
+    /// `at` says where a vertex is that has this place in the unit frame.
+    fn of(
+        mesh: &TriMesh,
+        weights: Option<&[f64]>,
+        at: impl Fn(usize, DVec3) -> P + Sync,
+        token: &Token,
+    ) -> Result<Self, RvdError> {
         let (low, high) = mesh.bounds();
         let frame = Frame::of_bounds(low, high);
         let vertices = mesh.positions().len();
@@ -105,14 +144,17 @@ impl Surface {
         };
         // A vertex that no facet uses may be so far away that the unit frame cannot hold it.
         let held = |p: DVec3| if p.is_finite() { p } else { DVec3::ZERO };
-        let unit = || mesh.positions().par_iter().map(|&p| held(snap(frame.to_unit(p)))).collect();
-        let (positions, class): (Vec<DVec3>, _) = rayon::join(unit, || weld_unless(mesh, token));
+        let unit = || {
+            let places = mesh.positions().par_iter().map(|&p| held(snap(frame.to_unit(p))));
+            places.enumerate().map(|(v, place)| at(v, place)).collect()
+        };
+        let (positions, class): (Vec<P>, _) = rayon::join(unit, || weld_unless(mesh, token));
         let class = class?;
         // On the grid a facet may lose what area it had, by the same measure as in the mesh.
         let flat = |f: usize| {
             let [a, b, c] = mesh.facets()[f].map(|v| positions[v as usize]);
             let longest = (b - a).length_squared().max((c - b).length_squared()).max((a - c).length_squared());
-            (b - a).cross(c - a).length() <= 1e-15 * longest
+            (b - a).parallelogram(c - a) <= 1e-15 * longest
         };
         let skip: Vec<bool> =
             (0..mesh.facets().len()).into_par_iter().map(|f| mesh.is_degenerate(f) || flat(f)).collect();
@@ -148,7 +190,7 @@ impl Surface {
     }
 
     /// Vertex positions in the unit frame, all finite. A vertex that no facet uses may lie anywhere.
-    pub fn positions(&self) -> &[DVec3] {
+    pub fn positions(&self) -> &[P] {
         &self.positions
     }
 
@@ -173,19 +215,19 @@ impl Surface {
     }
 
     /// Corners of facet `f`.
-    pub fn corners(&self, f: u32) -> [DVec3; 3] {
+    pub fn corners(&self, f: u32) -> [P; 3] {
         self.facets[f as usize].map(|v| self.positions[v as usize])
     }
 
     /// Centroid of facet `f`.
-    pub fn centroid(&self, f: u32) -> DVec3 {
+    pub fn centroid(&self, f: u32) -> P {
         let [a, b, c] = self.corners(f);
         (a + b + c) / 3.0
     }
 
-    /// Unit normal of facet `f`, or 0 if it has no area.
+    /// Unit normal of facet `f` in R^3, or 0 if it has no area.
     pub fn normal(&self, f: u32) -> DVec3 {
-        let [a, b, c] = self.facets[f as usize].map(|v| self.positions[v as usize]);
+        let [a, b, c] = self.corners(f).map(P::place);
         (b - a).cross(c - a).normalize_or_zero()
     }
 
@@ -196,7 +238,8 @@ impl Surface {
 
     /// What answers for closest points of it, unit frame.
     pub fn closest_points(&self, token: &Token) -> Result<ClosestPoint, RvdError> {
-        let mesh = TriMesh::new(self.positions.clone(), self.facets.clone())
+        let places = self.positions.iter().map(|p| p.place()).collect();
+        let mesh = TriMesh::new(places, self.facets.clone())
             .map_err(|e| RvdError::Internal(format!("the surface was valid before: {e}")))?;
         Ok(ClosestPoint::unless(&mesh, token)?)
     }
@@ -230,7 +273,7 @@ impl Surface {
     /// Area of facet `f`, unit frame.
     pub fn facet_area(&self, f: u32) -> f64 {
         let [a, b, c] = self.facets[f as usize].map(|v| self.positions[v as usize]);
-        0.5 * (b - a).cross(c - a).length()
+        0.5 * (b - a).parallelogram(c - a)
     }
 
     /// Whether facet `f` joins its neighbours: it has an area, or at least three corners in three places. A facet

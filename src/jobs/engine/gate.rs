@@ -11,10 +11,9 @@ use std::ops::Range;
 use std::sync::{Arc, Condvar, Mutex, PoisonError};
 use std::time::Duration;
 
-use glam::DVec3;
-
 use crate::lock;
 use crate::observe::activity::Activity;
+use geometry::knn::{Lifted, Point};
 use geometry::rvd::{
     Backend, BackendKind, CellSums, DeviceFacts, DeviceWork, Evaluation, PassStats, PhasesMs, PieceBatch, Resident,
     RvdError, Session, SessionOptions, Surface,
@@ -105,7 +104,7 @@ pub(crate) struct Gated {
 }
 
 impl Gated {
-    fn session_of(&self, session: Box<dyn Session>) -> Box<dyn Session> {
+    fn session_of<P: Point>(&self, session: Box<dyn Session<P>>) -> Box<dyn Session<P>> {
         let gate = self.shared.as_ref().map(|(gate, _)| Arc::clone(gate));
         Box::new(GatedSession::new(session, gate, self.backend.kind(), Arc::clone(&self.activity)))
     }
@@ -139,6 +138,17 @@ impl Backend for Gated {
         }
     }
 
+    fn lifted_session(
+        &self,
+        surface: Arc<Surface<Lifted>>,
+        options: SessionOptions,
+    ) -> Result<Box<dyn Session<Lifted>>, RvdError> {
+        match &self.shared {
+            Some((_, host)) => host.lifted_session(surface, options),
+            None => Ok(self.session_of(self.backend.lifted_session(surface, options)?)),
+        }
+    }
+
     fn session(&self, surface: Arc<Surface>, options: SessionOptions) -> Result<Box<dyn Session>, RvdError> {
         let Some((gate, _)) = &self.shared else {
             return Ok(self.session_of(self.backend.session(surface, options)?));
@@ -153,8 +163,8 @@ impl Backend for Gated {
 }
 
 /// A session whose passes are counted and traced, and wait for their turn if there is a gate.
-struct GatedSession {
-    session: Box<dyn Session>,
+struct GatedSession<P: Point> {
+    session: Box<dyn Session<P>>,
     gate: Option<Arc<Gate>>,
     kind: BackendKind,
     activity: Arc<Activity>,
@@ -164,8 +174,8 @@ struct GatedSession {
     work: DeviceWork,
 }
 
-impl GatedSession {
-    fn new(session: Box<dyn Session>, gate: Option<Arc<Gate>>, kind: BackendKind, activity: Arc<Activity>) -> Self {
+impl<P: Point> GatedSession<P> {
+    fn new(session: Box<dyn Session<P>>, gate: Option<Arc<Gate>>, kind: BackendKind, activity: Arc<Activity>) -> Self {
         let work = session.device_work();
         let mut session = Self { session, gate, kind, activity, planned: 0, work };
         session.report_planned();
@@ -177,7 +187,7 @@ impl GatedSession {
         &mut self,
         name: &'static str,
         token: Option<&Token>,
-        work: impl FnOnce(&mut dyn Session) -> Result<R, RvdError>,
+        work: impl FnOnce(&mut dyn Session<P>) -> Result<R, RvdError>,
     ) -> Result<R, RvdError> {
         let gate = self.gate.clone();
         // Others wait for the device meanwhile.
@@ -208,7 +218,7 @@ impl GatedSession {
         &mut self,
         name: &'static str,
         token: Option<&Token>,
-        work: impl FnOnce(&mut dyn Resident) -> Result<R, RvdError>,
+        work: impl FnOnce(&mut dyn Resident<P>) -> Result<R, RvdError>,
     ) -> Result<R, RvdError> {
         self.pass(name, token, |session| match session.resident() {
             Some(resident) => work(resident),
@@ -217,7 +227,7 @@ impl GatedSession {
     }
 }
 
-impl Drop for GatedSession {
+impl<P: Point> Drop for GatedSession<P> {
     fn drop(&mut self) {
         self.activity.planned(-signed(self.planned));
     }
@@ -227,12 +237,12 @@ fn signed(bytes: u64) -> i64 {
     i64::try_from(bytes).unwrap_or(i64::MAX)
 }
 
-impl Session for GatedSession {
-    fn set_seeds(&mut self, seeds: &[DVec3]) -> Result<(), RvdError> {
+impl<P: Point> Session<P> for GatedSession<P> {
+    fn set_seeds(&mut self, seeds: &[P]) -> Result<(), RvdError> {
         self.pass("set_seeds", None, |session| session.set_seeds(seeds))
     }
 
-    fn sums(&mut self, out: &mut CellSums, token: &Token) -> Result<PassStats, RvdError> {
+    fn sums(&mut self, out: &mut CellSums<P>, token: &Token) -> Result<PassStats, RvdError> {
         self.pass("sums", Some(token), |session| session.sums(out, token))
     }
 
@@ -252,7 +262,7 @@ impl Session for GatedSession {
         self.session.device_phases()
     }
 
-    fn resident(&mut self) -> Option<&mut dyn Resident> {
+    fn resident(&mut self) -> Option<&mut dyn Resident<P>> {
         match self.session.resident() {
             Some(_) => Some(self),
             None => None,
@@ -260,7 +270,7 @@ impl Session for GatedSession {
     }
 }
 
-impl Resident for GatedSession {
+impl<P: Point> Resident<P> for GatedSession<P> {
     fn hold(&mut self, held: &[bool]) -> Result<(), RvdError> {
         self.move_seeds("hold", None, |seeds| seeds.hold(held))
     }
@@ -295,11 +305,11 @@ impl Resident for GatedSession {
         }
     }
 
-    fn read(&mut self, out: &mut Vec<DVec3>) -> Result<(), RvdError> {
+    fn read(&mut self, out: &mut Vec<P>) -> Result<(), RvdError> {
         self.move_seeds("read", None, |seeds| seeds.read(out))
     }
 
-    fn read_sums(&mut self, out: &mut CellSums) -> Result<(), RvdError> {
+    fn read_sums(&mut self, out: &mut CellSums<P>) -> Result<(), RvdError> {
         self.move_seeds("read_sums", None, |seeds| seeds.read_sums(out))
     }
 }

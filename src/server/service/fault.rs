@@ -252,6 +252,7 @@ fn of_rvd(error: &RvdError) -> Fault {
         RvdError::NoArea => "mesh.facets".to_owned(),
         RvdError::NoSuchSeed { .. } => "edit.edits".to_owned(),
         RvdError::BadWeight { vertex, .. } => format!("mesh.weights[{vertex}]"),
+        RvdError::BadLift { vertex } => format!("mesh.lift[{vertex}]"),
         RvdError::WeightCount { .. } => "mesh.weights".to_owned(),
         RvdError::Stopped(reason) => return of_stopped(*reason),
         RvdError::BackendUnavailable { wanted, reason } => {

@@ -5,10 +5,9 @@
 //! Invariant: sums are of blocks of one size, added up in their order, so that threads change no bit.
 //! Must not know: what the vectors mean to an optimiser.
 
-use glam::DVec3;
 use rayon::prelude::*;
 
-use crate::knn::Threads;
+use crate::knn::{Point, Threads};
 use crate::rvd::{CellSums, Evaluation};
 
 /// Seeds in a block: a few vectors of this length stay in a core's own cache.
@@ -28,20 +27,20 @@ fn each<A: Send, R: Send>(
 
 /// The gradient from what a pass found, ∇E_i = 2 m_i (x_i - c_i), 0 for seeds that are held, into `g`; and what the pass
 /// says as a whole, with the gradient along `d` for its slope.
-pub(super) fn evaluate(
+pub(super) fn evaluate<P: Point>(
     threads: Threads,
-    sums: &CellSums,
+    sums: &CellSums<P>,
     held: &[bool],
-    d: &[DVec3],
-    g: &mut Vec<DVec3>,
+    d: &[P],
+    g: &mut Vec<P>,
 ) -> Evaluation {
-    g.resize(held.len(), DVec3::ZERO);
+    g.resize(held.len(), P::ZERO);
     let of_cells = sums.moment.chunks(BLOCK).zip(sums.energy.chunks(BLOCK)).zip(sums.area.chunks(BLOCK));
     let of_seeds = g.chunks_mut(BLOCK).zip(held.chunks(BLOCK)).zip(d.chunks(BLOCK));
     let evaluations = each(threads, of_cells.zip(of_seeds), |(((moment, energy), area), ((g, held), d))| {
         for ((g, &moment), &held) in g.iter_mut().zip(moment).zip(held) {
             // Minus twice the moment about the seed, so that nothing cancels.
-            *g = if held { DVec3::ZERO } else { -2.0 * moment };
+            *g = if held { P::ZERO } else { moment * -2.0 };
         }
         Evaluation {
             energy: energy.iter().sum(),
@@ -69,7 +68,7 @@ fn preconditioner(mass: f64) -> f64 {
 }
 
 /// Computes `yᵀPy`, where `P` divides by twice the masses.
-pub(super) fn preconditioned(threads: Threads, y: &[DVec3], mass: &[f64]) -> f64 {
+pub(super) fn preconditioned<P: Point>(threads: Threads, y: &[P], mass: &[f64]) -> f64 {
     let blocks = y.chunks(BLOCK).zip(mass.chunks(BLOCK));
     let products = each(threads, blocks, |(y, mass)| {
         y.iter().zip(mass).map(|(y, &mass)| preconditioner(mass) * y.length_squared()).sum::<f64>()
@@ -78,7 +77,7 @@ pub(super) fn preconditioned(threads: Threads, y: &[DVec3], mass: &[f64]) -> f64
 }
 
 /// Sets `d := -g`, or `-P g` with masses. Returns the product of `d` with `with`.
-pub(super) fn negate(threads: Threads, g: &[DVec3], mass: Option<&[f64]>, d: &mut [DVec3], with: &[DVec3]) -> f64 {
+pub(super) fn negate<P: Point>(threads: Threads, g: &[P], mass: Option<&[f64]>, d: &mut [P], with: &[P]) -> f64 {
     let blocks = d.chunks_mut(BLOCK).zip(g.chunks(BLOCK)).zip(with.chunks(BLOCK)).enumerate();
     let products = each(threads, blocks, |(block, ((d, g), with))| {
         d.iter_mut().zip(g).for_each(|(d, &g)| *d = -g);
@@ -91,16 +90,16 @@ pub(super) fn negate(threads: Threads, g: &[DVec3], mass: Option<&[f64]>, d: &mu
 }
 
 /// Sets `d := d + factor · v`, and then `scale · P d` with a scale and masses. Returns the product of `d` with `with`.
-pub(super) fn add(
+pub(super) fn add<P: Point>(
     threads: Threads,
-    d: &mut [DVec3],
-    (factor, v): (f64, &[DVec3]),
+    d: &mut [P],
+    (factor, v): (f64, &[P]),
     scale: Option<(f64, &[f64])>,
-    with: &[DVec3],
+    with: &[P],
 ) -> f64 {
     let blocks = d.chunks_mut(BLOCK).zip(v.chunks(BLOCK)).zip(with.chunks(BLOCK)).enumerate();
     let products = each(threads, blocks, |(block, ((d, v), with))| {
-        d.iter_mut().zip(v).for_each(|(d, &v)| *d += factor * v);
+        d.iter_mut().zip(v).for_each(|(d, &v)| *d += v * factor);
         if let Some((scale, mass)) = scale {
             divide(d, scale, &mass[block * BLOCK..]);
         }
@@ -109,19 +108,19 @@ pub(super) fn add(
     products.iter().sum()
 }
 
-fn divide(d: &mut [DVec3], scale: f64, mass: &[f64]) {
+fn divide<P: Point>(d: &mut [P], scale: f64, mass: &[f64]) {
     d.iter_mut().zip(mass).for_each(|(d, &mass)| *d *= scale * preconditioner(mass));
 }
 
 /// Sets `s := x' - x` and `y := g' - g`. Returns `s·s`, `y·y` and `s·y`.
-pub(super) fn differences(
+pub(super) fn differences<P: Point>(
     threads: Threads,
-    [x_then, x]: [&[DVec3]; 2],
-    [g_then, g]: [&[DVec3]; 2],
-    [s, y]: [&mut Vec<DVec3>; 2],
+    [x_then, x]: [&[P]; 2],
+    [g_then, g]: [&[P]; 2],
+    [s, y]: [&mut Vec<P>; 2],
 ) -> [f64; 3] {
-    s.resize(x.len(), DVec3::ZERO);
-    y.resize(x.len(), DVec3::ZERO);
+    s.resize(x.len(), P::ZERO);
+    y.resize(x.len(), P::ZERO);
     let steps = s.chunks_mut(BLOCK).zip(x_then.chunks(BLOCK)).zip(x.chunks(BLOCK));
     let changes = y.chunks_mut(BLOCK).zip(g_then.chunks(BLOCK)).zip(g.chunks(BLOCK));
     let products = each(threads, steps.zip(changes), |(((s, x_then), x), ((y, g_then), g))| {
@@ -132,16 +131,16 @@ pub(super) fn differences(
     products.iter().fold([0.0; 3], |all, one| [all[0] + one[0], all[1] + one[1], all[2] + one[2]])
 }
 
-fn difference(a: &[DVec3], b: &[DVec3], out: &mut [DVec3]) {
+fn difference<P: Point>(a: &[P], b: &[P], out: &mut [P]) {
     out.iter_mut().zip(a).zip(b).for_each(|((out, &a), &b)| *out = a - b);
 }
 
 /// In four sums side by side: one alone waits for each addition.
-fn dot(a: &[DVec3], b: &[DVec3]) -> f64 {
+fn dot<P: Point>(a: &[P], b: &[P]) -> f64 {
     let ((a, a_rest), (b, b_rest)) = (a.as_chunks::<4>(), b.as_chunks::<4>());
-    let mut sums = [DVec3::ZERO; 4];
+    let mut sums = [P::ZERO; 4];
     for (a, b) in a.iter().zip(b) {
-        (0..4).for_each(|k| sums[k] += a[k] * b[k]);
+        (0..4).for_each(|k| sums[k] += a[k].times(b[k]));
     }
     let rest: f64 = a_rest.iter().zip(b_rest).map(|(a, b)| a.dot(*b)).sum();
     ((sums[0] + sums[1]) + (sums[2] + sums[3])).element_sum() + rest
@@ -149,6 +148,8 @@ fn dot(a: &[DVec3], b: &[DVec3]) -> f64 {
 
 #[cfg(test)]
 mod tests {
+    use glam::DVec3;
+
     use super::*;
 
     #[test]

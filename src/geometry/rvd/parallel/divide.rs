@@ -13,6 +13,8 @@ use std::ops::{Add, BitAnd, BitOr, BitXor, Div, Mul, Not, Sub};
 
 use pulp::Simd;
 
+use crate::knn::Point;
+
 /// The most lanes that there may be.
 pub(crate) const WIDEST: usize = 8;
 
@@ -199,32 +201,49 @@ pub(crate) fn take_moments<S: Simd, const N: usize>(simd: S, sum: &mut Moments, 
 }
 
 /// Facets in space, as their pieces' integrals need them.
-pub(crate) struct Shape<S: Simd> {
+pub(crate) struct Shape<S: Simd, P: Point> {
     /// From the first corner to the others.
-    pub side: [[Number<S>; 3]; 2],
+    pub side: [P::Each<Number<S>>; 2],
     pub twice_area: Number<S>,
 }
 
-pub(crate) struct PieceIntegrals<S: Simd> {
+pub(crate) struct PieceIntegrals<S: Simd, P: Point> {
     pub mass: Number<S>,
-    pub moment: [Number<S>; 3],
+    pub moment: P::Each<Number<S>>,
     pub energy: Number<S>,
     pub area: Number<S>,
 }
 
+/// Coordinate after coordinate.
 #[inline(always)]
-fn dot<S: Simd>(a: [Number<S>; 3], b: [Number<S>; 3]) -> Number<S> {
-    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+fn dot<S: Simd, P: Point>(a: &P::Each<Number<S>>, b: &P::Each<Number<S>>) -> Number<S> {
+    let (a, b) = (a.as_ref(), b.as_ref());
+    let mut sum = a[0] * b[0];
+    for k in 1..a.len() {
+        sum = sum + a[k] * b[k];
+    }
+    sum
+}
+
+#[inline(always)]
+pub(crate) fn minus<S: Simd, P: Point>(a: &P::Each<Number<S>>, b: &P::Each<Number<S>>) -> P::Each<Number<S>> {
+    P::each(|k| a.as_ref()[k] - b.as_ref()[k])
+}
+
+#[inline(always)]
+pub(crate) fn distance_squared<S: Simd, P: Point>(a: &P::Each<Number<S>>, b: &P::Each<Number<S>>) -> Number<S> {
+    let between = minus::<S, P>(a, b);
+    dot::<S, P>(&between, &between)
 }
 
 /// The integrals about a seed from which the first corner is at `origin`.
 #[inline(always)]
-pub(crate) fn integrals<S: Simd, const N: usize>(
+pub(crate) fn integrals<S: Simd, P: Point, const N: usize>(
     simd: S,
     moments: &Moments,
-    shape: &Shape<S>,
-    origin: [Number<S>; 3],
-) -> PieceIntegrals<S> {
+    shape: &Shape<S, P>,
+    origin: &P::Each<Number<S>>,
+) -> PieceIntegrals<S, P> {
     let area = shape.twice_area * part(simd, moments, 0, 2.0);
     let ([one, first, second], [mass, linear, quadratic]) = match N {
         UNIFORM => ([0, 1, 3], [2.0, 6.0, 12.0]),
@@ -234,17 +253,14 @@ pub(crate) fn integrals<S: Simd, const N: usize>(
     let [u, v] = [0, 1].map(|k| part(simd, moments, first + k, linear));
     let [uu, uv, vv] = [0, 1, 2].map(|k| part(simd, moments, second + k, quadratic));
     // ∫ (p - x) and ∫ |p - x|² from the integrals of 1, u, v, u², uv, v².
-    let [e, f] = shape.side;
+    let [e, f] = &shape.side;
     let two = Number::all(simd, 2.0);
-    let squares = dot(origin, origin) * mass
-        + two * (dot(origin, e) * u + dot(origin, f) * v + dot(e, f) * uv)
-        + dot(e, e) * uu
-        + dot(f, f) * vv;
-    let moment = [
-        shape.twice_area * (mass * origin[0] + u * e[0] + v * f[0]),
-        shape.twice_area * (mass * origin[1] + u * e[1] + v * f[1]),
-        shape.twice_area * (mass * origin[2] + u * e[2] + v * f[2]),
-    ];
+    let squares = dot::<S, P>(origin, origin) * mass
+        + two * (dot::<S, P>(origin, e) * u + dot::<S, P>(origin, f) * v + dot::<S, P>(e, f) * uv)
+        + dot::<S, P>(e, e) * uu
+        + dot::<S, P>(f, f) * vv;
+    let at = |k: usize| mass * origin.as_ref()[k] + u * e.as_ref()[k] + v * f.as_ref()[k];
+    let moment = P::each(|k| shape.twice_area * at(k));
     PieceIntegrals { mass: shape.twice_area * mass, moment, energy: shape.twice_area * squares, area }
 }
 

@@ -4,9 +4,9 @@
 //! cells, and what it reads of vertices and seeds is at hand. Vertices are in that order too.
 //! Invariant: every facet with area, once; the order depends on the surface alone. Must not know: tasks, lists.
 
-use glam::DVec3;
 use rayon::prelude::*;
 
+use crate::knn::Point;
 use crate::mesh::bvh::morton;
 use crate::rvd::{Surface, incident::Diagram};
 use crate::token::Token;
@@ -18,11 +18,11 @@ const ASKED: usize = 64;
 
 /// Facets, and a seed near each.
 #[derive(Default)]
-pub(super) struct Order {
+pub(super) struct Order<P> {
     /// All facets with area along a curve that fills space, by their centroids.
     facets: Vec<u32>,
     corners: Vec<[u32; 3]>,
-    vertices: Vec<Vertex>,
+    vertices: Vec<Vertex<P>>,
     /// Of each facet, and how many seeds there were when they were found.
     starts: Vec<u32>,
     seeds: usize,
@@ -30,20 +30,20 @@ pub(super) struct Order {
 
 #[derive(Clone, Copy)]
 #[repr(align(32))]
-pub(super) struct Vertex {
-    pub p: DVec3,
+pub(super) struct Vertex<P> {
+    pub p: P,
     pub weight: f64,
 }
 
 /// Facets one after the other, by their places among them.
 #[derive(Clone, Copy)]
-pub(super) struct Stretch<'a> {
+pub(super) struct Stretch<'a, P> {
     facets: &'a [u32],
     corners: &'a [[u32; 3]],
-    vertices: &'a [Vertex],
+    vertices: &'a [Vertex<P>],
 }
 
-impl<'a> Stretch<'a> {
+impl<'a, P: Point> Stretch<'a, P> {
     #[inline(always)]
     pub(super) fn len(&self) -> usize {
         self.facets.len()
@@ -56,42 +56,42 @@ impl<'a> Stretch<'a> {
     }
 
     #[inline(always)]
-    pub(super) fn vertices(&self, at: usize) -> [Vertex; 3] {
+    pub(super) fn vertices(&self, at: usize) -> [Vertex<P>; 3] {
         self.corners[at].map(|v| self.vertices[v as usize])
     }
 
     #[inline(always)]
-    pub(super) fn corners(&self, at: usize) -> [DVec3; 3] {
+    pub(super) fn corners(&self, at: usize) -> [P; 3] {
         self.vertices(at).map(|vertex| vertex.p)
     }
 
     /// As [`Surface::centroid`] has it.
     #[inline(always)]
-    pub(super) fn centroid(&self, at: usize) -> DVec3 {
+    pub(super) fn centroid(&self, at: usize) -> P {
         let [a, b, c] = self.corners(at);
         (a + b + c) / 3.0
     }
 
-    pub(super) fn chunks(self, size: usize) -> impl Iterator<Item = Stretch<'a>> {
+    pub(super) fn chunks(self, size: usize) -> impl Iterator<Item = Stretch<'a, P>> {
         let each = self.facets.chunks(size).zip(self.corners.chunks(size));
         each.map(move |(facets, corners)| Stretch { facets, corners, ..self })
     }
 
-    pub(super) fn par_chunks(self, size: usize) -> impl IndexedParallelIterator<Item = Stretch<'a>> {
+    pub(super) fn par_chunks(self, size: usize) -> impl IndexedParallelIterator<Item = Stretch<'a, P>> {
         let each = self.facets.par_chunks(size).zip(self.corners.par_chunks(size));
         each.map(move |(facets, corners)| Stretch { facets, corners, ..self })
     }
 }
 
-impl Order {
+impl<P: Point> Order<P> {
     /// Puts the facets in order, if they are not.
-    pub(super) fn begin(&mut self, surface: &Surface) {
+    pub(super) fn begin(&mut self, surface: &Surface<P>) {
         if !self.facets.is_empty() {
             return;
         }
         let all = (0..surface.facets().len() as u32).into_par_iter().with_min_len(CHUNK);
         let with_area = all.filter(|&f| !surface.skips(f as usize));
-        let mut places: Vec<(u64, u32)> = with_area.map(|f| (morton(surface.centroid(f)), f)).collect();
+        let mut places: Vec<(u64, u32)> = with_area.map(|f| (morton(surface.centroid(f).place()), f)).collect();
         places.par_sort_unstable();
         places.into_par_iter().with_min_len(CHUNK).map(|(_, facet)| facet).collect_into_vec(&mut self.facets);
         let mut new = vec![u32::MAX; surface.positions().len()];
@@ -113,12 +113,17 @@ impl Order {
         self.facets.len()
     }
 
-    pub(super) fn all(&self) -> Stretch<'_> {
+    pub(super) fn all(&self) -> Stretch<'_, P> {
         Stretch { facets: &self.facets, corners: &self.corners, vertices: &self.vertices }
     }
 
     /// The facets, and a guess for each: the last answer, or a seed not far away; to be replaced by a nearer one if `better`.
-    pub(super) fn guesses(&mut self, diagram: Diagram<'_>, better: bool, token: &Token) -> (Stretch<'_>, &mut [u32]) {
+    pub(super) fn guesses(
+        &mut self,
+        diagram: Diagram<'_, P>,
+        better: bool,
+        token: &Token,
+    ) -> (Stretch<'_, P>, &mut [u32]) {
         let mut starts = std::mem::take(&mut self.starts);
         if starts.is_empty() || self.seeds > diagram.seeds.len() {
             let all = self.all();

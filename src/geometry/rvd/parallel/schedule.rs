@@ -10,26 +10,27 @@ pub(super) mod chunk;
 use std::iter::repeat_n;
 
 use super::divide::facets::MEMBERS;
+use crate::knn::Point;
 use crate::rvd::{clip::Integrals, refill};
 
 /// Stands where a member has no piece.
 pub(super) const NONE: u32 = u32::MAX;
 
 #[derive(Default)]
-pub(super) struct Written {
+pub(super) struct Written<P> {
     /// Of as many seeds as each facet has members; [`NONE`] where a member has no piece.
     pub seeds: Vec<u32>,
-    pub integrals: Vec<Integrals>,
+    pub integrals: Vec<Integrals<P>>,
     /// Where those of each facet begin, and the end of the last.
     begin: Vec<u32>,
-    pub walked: Vec<(u32, Integrals)>,
+    pub walked: Vec<(u32, Integrals<P>)>,
     /// Of each facet that was walked its place, and the end of its pieces among those.
     inserts: Vec<(usize, usize)>,
     /// Of each seed its place among a block's cells, or [`NONE`].
     place: Vec<u32>,
 }
 
-impl Written {
+impl<P: Point> Written<P> {
     /// Gives every facet with a usable number of members room for their integrals; the others are to be walked.
     pub(super) fn begin(&mut self, members: &[u32], to_walk: &mut Vec<u32>) {
         self.begin.clear();
@@ -63,7 +64,7 @@ impl Written {
     }
 
     /// Appends the sums of all cells in blocks of `block` facets. `seeds` is the number of seeds.
-    pub(super) fn add_blocks(&mut self, block: usize, seeds: usize, out: &mut Vec<(u32, Integrals)>) {
+    pub(super) fn add_blocks(&mut self, block: usize, seeds: usize, out: &mut Vec<(u32, Integrals<P>)>) {
         if self.place.len() != seeds {
             refill(&mut self.place, repeat_n(NONE, seeds));
         }
@@ -87,20 +88,20 @@ impl Written {
     }
 }
 
-struct Block<'a> {
+struct Block<'a, P> {
     place: &'a mut [u32],
     first: usize,
-    out: &'a mut Vec<(u32, Integrals)>,
+    out: &'a mut Vec<(u32, Integrals<P>)>,
 }
 
-impl Block<'_> {
+impl<P: Point> Block<'_, P> {
     #[inline(always)]
-    fn add(&mut self, seeds: &[u32], integrals: &[Integrals]) {
+    fn add(&mut self, seeds: &[u32], integrals: &[Integrals<P>]) {
         seeds.iter().zip(integrals).filter(|(seed, _)| **seed != NONE).for_each(|(seed, sum)| self.add_one(*seed, sum));
     }
 
     #[inline(always)]
-    fn add_one(&mut self, seed: u32, sum: &Integrals) {
+    fn add_one(&mut self, seed: u32, sum: &Integrals<P>) {
         let place = &mut self.place[seed as usize];
         if *place == NONE {
             *place = (self.out.len() - self.first) as u32;

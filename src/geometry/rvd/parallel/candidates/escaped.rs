@@ -10,6 +10,7 @@ use glam::DVec3;
 use rayon::prelude::*;
 
 use super::gather::{ROOM, Skin};
+use crate::knn::Point;
 use crate::rvd::{incident::Diagram, refill};
 
 /// Seeds per task.
@@ -20,11 +21,11 @@ const ROUNDING: f64 = 1e-15;
 
 /// Which seeds have escaped, and where they are.
 #[derive(Default)]
-pub(crate) struct Escaped {
+pub(crate) struct Escaped<P> {
     /// From low to high x.
-    all: Vec<(DVec3, u32)>,
+    all: Vec<(P, u32)>,
     /// Where those were that were there when lists were made, from low to high x.
-    were: Vec<DVec3>,
+    were: Vec<P>,
     /// The most skin that one of those has.
     skin: f64,
     has_escaped: Vec<bool>,
@@ -32,29 +33,29 @@ pub(crate) struct Escaped {
 
 /// A facet as seen from a seed within its skin: to each corner, how far that may be at most.
 #[derive(Clone, Copy)]
-pub(crate) struct Reach {
-    pub corner: [DVec3; 3],
+pub(crate) struct Reach<P> {
+    pub corner: [P; 3],
     pub most: [f64; 3],
 }
 
-impl Reach {
-    pub(crate) fn of(diagram: Diagram<'_>, skin: Skin<'_>, corner: &[DVec3; 3], seed: u32) -> Self {
+impl<P: Point> Reach<P> {
+    pub(crate) fn of(diagram: Diagram<'_, P>, skin: Skin<'_>, corner: &[P; 3], seed: u32) -> Self {
         let (origin, own) = (diagram.seeds[seed as usize], skin.of(seed));
         Self { corner: *corner, most: corner.map(|c| (c.distance(origin) + own) * ROOM) }
     }
 
-    /// A box around all seeds that are nearer to some corner, roundings included.
+    /// A box around the places of all seeds that are nearer to some corner, roundings included.
     pub(crate) fn bounds(&self) -> Bounds {
         let mut bounds = Bounds::NONE;
         for (&corner, most) in self.corner.iter().zip(self.most) {
             let most = DVec3::splat(most * (1.0 + 1e-9) + ROUNDING);
-            bounds = bounds.with(Bounds { low: corner - most, high: corner + most });
+            bounds = bounds.with(Bounds { low: corner.place() - most, high: corner.place() + most });
         }
         bounds
     }
 
     /// Whether a seed there may be nearer to some corner.
-    pub(crate) fn holds(&self, p: DVec3) -> bool {
+    pub(crate) fn holds(&self, p: P) -> bool {
         let near = |c: usize| self.corner[c].distance_squared(p) <= self.most[c] * self.most[c] * ROOM;
         near(0) || near(1) || near(2)
     }
@@ -95,10 +96,10 @@ impl Bounds {
     }
 }
 
-impl Escaped {
+impl<P: Point> Escaped<P> {
     /// Finds those that are not within `used` of their skin about where they were; seeds that were not there have escaped
     /// too. Returns whether there are at most `most`; nothing is known of them otherwise.
-    pub(crate) fn find(&mut self, seeds: &[DVec3], were: &[DVec3], (skin, used): (Skin<'_>, f64), most: usize) -> bool {
+    pub(crate) fn find(&mut self, seeds: &[P], were: &[P], (skin, used): (Skin<'_>, f64), most: usize) -> bool {
         let has_left = |i: usize| {
             let Some(was) = were.get(i) else { return true };
             let most = used * skin.of(i as u32);
@@ -112,9 +113,9 @@ impl Escaped {
         }
         let escaped = self.has_escaped.iter().enumerate().filter(|(_, has_escaped)| **has_escaped);
         self.all.extend(escaped.map(|(i, _)| (seeds[i], i as u32)));
-        self.all.sort_unstable_by(|a, b| a.0.x.total_cmp(&b.0.x).then(a.1.cmp(&b.1)));
+        self.all.sort_unstable_by(|a, b| x(&a.0).total_cmp(&x(&b.0)).then(a.1.cmp(&b.1)));
         refill(&mut self.were, self.all.iter().filter_map(|&(_, i)| were.get(i as usize).copied()));
-        self.were.sort_unstable_by(|a, b| a.x.total_cmp(&b.x));
+        self.were.sort_unstable_by(|a, b| x(a).total_cmp(&x(b)));
         let old = self.all.iter().filter(|(_, i)| (*i as usize) < were.len());
         self.skin = old.map(|(_, i)| skin.of(*i)).fold(0.0, f64::max);
         true
@@ -125,18 +126,18 @@ impl Escaped {
     }
 
     /// Those in a box, ends included.
-    pub(crate) fn within(&self, bounds: Bounds) -> impl Iterator<Item = (DVec3, u32)> {
-        let first = self.all.partition_point(|(p, _)| p.x < bounds.low.x);
-        let along = self.all[first..].iter().take_while(move |(p, _)| p.x <= bounds.high.x);
-        along.copied().filter(move |(p, _)| bounds.contains(*p))
+    pub(crate) fn within(&self, bounds: Bounds) -> impl Iterator<Item = (P, u32)> {
+        let first = self.all.partition_point(|(p, _)| x(p) < bounds.low.x);
+        let along = self.all[first..].iter().take_while(move |(p, _)| x(p) <= bounds.high.x);
+        along.copied().filter(move |(p, _)| bounds.contains(p.place()))
     }
 
     /// Where those were that may have been nearer to a facet in these bounds than the seed that it starts with.
-    pub(crate) fn were_within(&self, bounds: Bounds) -> impl Iterator<Item = DVec3> {
+    pub(crate) fn were_within(&self, bounds: Bounds) -> impl Iterator<Item = P> {
         let bounds = self.about(bounds);
-        let first = self.were.partition_point(|p| p.x < bounds.low.x);
-        let along = self.were[first..].iter().take_while(move |p| p.x <= bounds.high.x);
-        along.copied().filter(move |p| bounds.contains(*p))
+        let first = self.were.partition_point(|p| x(p) < bounds.low.x);
+        let along = self.were[first..].iter().take_while(move |p| x(*p) <= bounds.high.x);
+        along.copied().filter(move |p| bounds.contains(p.place()))
     }
 
     /// Around bounds what escaped seeds had for skin.
@@ -145,12 +146,16 @@ impl Escaped {
     }
 
     /// Whether one lies exactly on another seed.
-    pub(crate) fn meet(&self, seeds: &[DVec3]) -> bool {
-        let on_another = |(i, &p): (usize, &DVec3)| {
-            let first = self.all.partition_point(|(q, _)| q.x < p.x);
-            let along = self.all[first..].iter().take_while(|(q, _)| q.x == p.x);
+    pub(crate) fn meet(&self, seeds: &[P]) -> bool {
+        let on_another = |(i, &p): (usize, &P)| {
+            let first = self.all.partition_point(|(q, _)| x(q) < x(&p));
+            let along = self.all[first..].iter().take_while(|(q, _)| x(q) == x(&p));
             along.clone().any(|&(q, j)| q == p && j as usize != i)
         };
         !self.all.is_empty() && seeds.par_iter().enumerate().with_min_len(CHUNK).any(on_another)
     }
+}
+
+fn x<P: Point>(p: &P) -> f64 {
+    p.place().x
 }

@@ -6,8 +6,11 @@
 //! moves within its [`Skin`], and so farther from the whole facet, as their bisector is linear on it. A comparison that
 //! rounding could get wrong keeps the seed. No later duplicate is listed. Must not know: pieces; how long a list is kept.
 
+use std::marker::PhantomData;
+
 use glam::DVec3;
 
+use crate::knn::Point;
 use crate::rvd::incident::{self, Diagram};
 use crate::rvd::{clip::SECURITY, parallel::divide::facets::LISTED};
 
@@ -34,8 +37,8 @@ impl Few {
 
 /// Among which seeds lists are made, how far those may move, and how long lists may be.
 #[derive(Clone, Copy)]
-pub(crate) struct Search<'a> {
-    pub diagram: Diagram<'a>,
+pub(crate) struct Search<'a, P: Point> {
+    pub diagram: Diagram<'a, P>,
     pub skin: Skin<'a>,
     pub few: Few,
 }
@@ -75,7 +78,8 @@ impl Skin<'_> {
 }
 
 #[derive(Default)]
-pub(crate) struct Gatherer {
+pub(crate) struct Gatherer<P> {
+    of: PhantomData<P>,
     looked_at: Vec<u32>,
     kept: Vec<Kept>,
     /// Those that were gathered last; some may be beaten by others.
@@ -90,16 +94,16 @@ struct Kept {
 }
 
 /// The facet as seen from a seed.
-struct View {
-    corner: [DVec3; 3],
+struct View<P> {
+    corner: [P; 3],
     distance: [f64; 3],
     skin: f64,
 }
 
-impl Gatherer {
+impl<P: Point> Gatherer<P> {
     /// Finds the seeds that count on the facet with these corners, beginning at any seed; the nearer, the sooner. Returns a
     /// seed of those that is nearer to the facet's centroid, if there is one, and whether there are few enough.
-    pub(crate) fn gather(&mut self, by: Search<'_>, corner: &[DVec3; 3], centroid: DVec3, start: u32) -> (u32, bool) {
+    pub(crate) fn gather(&mut self, by: Search<'_, P>, corner: &[P; 3], centroid: P, start: u32) -> (u32, bool) {
         if let Some(nearest) = self.read_row(by, corner, centroid, start) {
             return (nearest, true);
         }
@@ -111,17 +115,17 @@ impl Gatherer {
     }
 
     /// The same as seen from seed `i`, whether there are nearer ones or not. Returns whether there are few enough.
-    pub(crate) fn gather_from(&mut self, by: Search<'_>, corner: &[DVec3; 3], i: u32) -> bool {
+    pub(crate) fn gather_from(&mut self, by: Search<'_, P>, corner: &[P; 3], i: u32) -> bool {
         self.read_row(by, corner, corner[0], i).is_some() || self.look_around(by, &View::new(by, corner, i))
     }
 
     /// Lists seed `i` and its row, as far as the facet needs it (\[LB12\]: no farther than twice its farthest corner).
     /// Returns the nearest to the centroid; `None` if the row ends before that.
-    fn read_row(&mut self, by: Search<'_>, corner: &[DVec3; 3], centroid: DVec3, i: u32) -> Option<u32> {
+    fn read_row(&mut self, by: Search<'_, P>, corner: &[P; 3], centroid: P, i: u32) -> Option<u32> {
         let Search { diagram, skin, .. } = by;
         let (row, complete) = diagram.table.row(i);
         let origin = diagram.seeds[i as usize];
-        let squared = |a: DVec3| a.distance_squared(origin);
+        let squared = |a: P| a.distance_squared(origin);
         let radius2 = squared(corner[0]).max(squared(corner[1])).max(squared(corner[2]));
         let reach2 = if !skin.is_none() {
             let own = skin.of(i);
@@ -153,13 +157,13 @@ impl Gatherer {
     }
 
     /// Lists all seeds around the facet that may be nearer at some corner than the view's. Returns whether they are few enough.
-    fn look_around(&mut self, by: Search<'_>, view: &View) -> bool {
+    fn look_around(&mut self, by: Search<'_, P>, view: &View<P>) -> bool {
         let Search { diagram, skin, few } = by;
         let mut low = DVec3::INFINITY;
         let mut high = DVec3::NEG_INFINITY;
         for (corner, distance) in view.corner.iter().zip(view.distance) {
             let reach = skin.farthest(distance + view.skin, distance, view.skin) * (1.0 + 1e-9);
-            (low, high) = (low.min(*corner - reach), high.max(*corner + reach));
+            (low, high) = (low.min(corner.place() - reach), high.max(corner.place() + reach));
         }
         self.list.clear();
         self.looked_at.clear();
@@ -207,8 +211,8 @@ impl Gatherer {
     }
 }
 
-impl View {
-    fn new(by: Search<'_>, corner: &[DVec3; 3], seed: u32) -> Self {
+impl<P: Point> View<P> {
+    fn new(by: Search<'_, P>, corner: &[P; 3], seed: u32) -> Self {
         let origin = by.diagram.seeds[seed as usize];
         let distance = corner.map(|p| p.distance(origin));
         Self { corner: *corner, distance, skin: by.skin.of(seed) }

@@ -7,13 +7,13 @@
 
 use std::ops::Range;
 
-use glam::DVec3;
 use pulp::{Arch, Simd, WithSimd};
 
 use super::escaped::{Bounds, Reach};
 use super::gather::{Few, Gatherer, Search, Skin};
 use super::neighbourhood::{self, GROUP, Neighbourhood};
 use super::{Lists, members::Listed, verlet::Verlet};
+use crate::knn::Point;
 use crate::rvd::parallel::{divide::facets::LISTED, order::Stretch};
 use crate::rvd::{incident::Diagram, refill};
 
@@ -22,42 +22,42 @@ const LOOKED_AT: usize = 1024;
 const WIDENED: usize = 6;
 
 #[derive(Default)]
-pub(crate) struct ListBuilder {
-    gatherer: Gatherer,
-    neighbourhood: Neighbourhood,
-    reaches: Vec<Reach>,
+pub(crate) struct ListBuilder<P: Point> {
+    gatherer: Gatherer<P>,
+    neighbourhood: Neighbourhood<P>,
+    reaches: Vec<Reach<P>>,
     /// How many facets are looked around together.
     parts: Vec<usize>,
     /// Escaped seeds near the facets, and where escaped seeds were.
-    near: Vec<DVec3>,
-    were: Vec<DVec3>,
+    near: Vec<P>,
+    were: Vec<P>,
     /// Those near a group of facets.
-    nearer: Vec<DVec3>,
+    nearer: Vec<P>,
     /// Facets of a group that need a new list, and the seed from which each is seen.
     renewed: Vec<usize>,
     from: Vec<u32>,
     seeds: Vec<u32>,
 }
 
-struct Evenly<'a> {
-    builder: &'a mut ListBuilder,
-    diagram: Diagram<'a>,
+struct Evenly<'a, P: Point> {
+    builder: &'a mut ListBuilder<P>,
+    diagram: Diagram<'a, P>,
     skin: Skin<'a>,
-    facets: Stretch<'a>,
+    facets: Stretch<'a, P>,
     starts: &'a mut [u32],
     out: &'a mut Lists,
 }
 
-struct Renew<'a> {
-    builder: &'a mut ListBuilder,
-    listed: Listed<'a>,
+struct Renew<'a, P: Point> {
+    builder: &'a mut ListBuilder<P>,
+    listed: Listed<'a, P>,
     /// The diagram as it was when those were made.
-    was: Diagram<'a>,
-    verlet: Verlet<'a>,
+    was: Diagram<'a, P>,
+    verlet: Verlet<'a, P>,
     out: &'a mut Lists,
 }
 
-impl WithSimd for Evenly<'_> {
+impl<P: Point> WithSimd for Evenly<'_, P> {
     type Output = Option<u64>;
 
     #[inline(always)]
@@ -113,7 +113,7 @@ impl WithSimd for Evenly<'_> {
     }
 }
 
-impl WithSimd for Renew<'_> {
+impl<P: Point> WithSimd for Renew<'_, P> {
     type Output = bool;
 
     #[inline(always)]
@@ -124,8 +124,8 @@ impl WithSimd for Renew<'_> {
             let about = self.verlet.escaped.about(*bounds);
             let ListBuilder { near, were, nearer, .. } = &mut *self.builder;
             nearer.clear();
-            nearer.extend(near.iter().filter(|&&p| bounds.contains(p)));
-            if nearer.is_empty() && !were.iter().any(|&p| about.contains(p)) {
+            nearer.extend(near.iter().filter(|p| bounds.contains(p.place())));
+            if nearer.is_empty() && !were.iter().any(|p| about.contains(p.place())) {
                 self.out.copy(self.listed.lists, group);
             } else if !self.group(simd, group) {
                 return false;
@@ -135,7 +135,7 @@ impl WithSimd for Renew<'_> {
     }
 }
 
-impl Renew<'_> {
+impl<P: Point> Renew<'_, P> {
     /// Lists of a group that escaped seeds have to do with. Returns whether it could.
     #[inline(always)]
     fn group<S: Simd>(&mut self, simd: S, group: Range<usize>) -> bool {
@@ -193,10 +193,10 @@ impl Renew<'_> {
 
 /// A seed within its skin from which to see a facet with this centroid: the one it starts with, the nearest on its list,
 /// or one around the one it starts with. `near` is scratch memory.
-fn steady(
-    was: Diagram<'_>,
-    verlet: Verlet<'_>,
-    centroid: DVec3,
+fn steady<P: Point>(
+    was: Diagram<'_, P>,
+    verlet: Verlet<'_, P>,
+    centroid: P,
     (start, list): (u32, &[u32]),
     near: &mut Vec<u32>,
 ) -> Option<u32> {
@@ -213,7 +213,7 @@ fn steady(
         let mut reach = distance(start).sqrt() + verlet.skin.of(start);
         for _ in 0..WIDENED {
             near.clear();
-            if !was.index.in_box(centroid - reach, centroid + reach, LOOKED_AT, near) {
+            if !was.index.in_box(centroid.place() - reach, centroid.place() + reach, LOOKED_AT, near) {
                 return None;
             }
             if let Some(seed) = nearest(near) {
@@ -225,14 +225,14 @@ fn steady(
     })
 }
 
-impl ListBuilder {
+impl<P: Point> ListBuilder<P> {
     /// Lists by rows of neighbours, empty where they are too long; `starts` get near seeds. Returns how many are no Verlet list.
     pub(crate) fn list(
         &mut self,
-        diagram: Diagram<'_>,
+        diagram: Diagram<'_, P>,
         skin: Skin<'_>,
         by_rows: bool,
-        (facets, starts): (Stretch<'_>, &mut [u32]),
+        (facets, starts): (Stretch<'_, P>, &mut [u32]),
         out: &mut Lists,
     ) -> u64 {
         let search = Search { diagram, skin, few: if by_rows { Few::TO_DIVIDE } else { Few::TO_WALK } };
@@ -261,16 +261,16 @@ impl ListBuilder {
     /// The same without rows. `None` if a facet has too many.
     pub(crate) fn list_evenly(
         &mut self,
-        diagram: Diagram<'_>,
+        diagram: Diagram<'_, P>,
         skin: Skin<'_>,
-        (facets, starts): (Stretch<'_>, &mut [u32]),
+        (facets, starts): (Stretch<'_, P>, &mut [u32]),
         out: &mut Lists,
     ) -> Option<u64> {
         Arch::new().dispatch(Evenly { builder: self, diagram, skin, facets, starts, out })
     }
 
     /// Whether escaped seeds concern the facets. If so, [`Self::renew`] makes lists for this pass.
-    pub(crate) fn meets_escaped(&mut self, lists: &Lists, verlet: Verlet<'_>) -> bool {
+    pub(crate) fn meets_escaped(&mut self, lists: &Lists, verlet: Verlet<'_, P>) -> bool {
         let bounds = lists.bounds.iter().fold(Bounds::NONE, |all, &bounds| all.with(bounds));
         refill(&mut self.near, verlet.escaped.within(bounds).map(|(p, _)| p));
         refill(&mut self.were, verlet.escaped.were_within(bounds));
@@ -278,7 +278,13 @@ impl ListBuilder {
     }
 
     /// Lists for one pass with escaped seeds, with the diagram as it was when `listed` were made. Returns whether it could.
-    pub(crate) fn renew(&mut self, listed: Listed<'_>, was: Diagram<'_>, verlet: Verlet<'_>, out: &mut Lists) -> bool {
+    pub(crate) fn renew(
+        &mut self,
+        listed: Listed<'_, P>,
+        was: Diagram<'_, P>,
+        verlet: Verlet<'_, P>,
+        out: &mut Lists,
+    ) -> bool {
         out.clear();
         Arch::new().dispatch(Renew { builder: self, listed, was, verlet, out })
     }

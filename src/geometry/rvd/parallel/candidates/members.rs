@@ -6,19 +6,19 @@
 
 use std::iter::repeat_n;
 
-use glam::DVec3;
 use pulp::{Simd, WithSimd};
 
 use super::{Lists, gather::Skin};
+use crate::knn::Point;
 use crate::rvd::parallel::divide::facets::{Facets, Given, InTurn, LISTED, MEMBERS, beats};
 use crate::rvd::parallel::{divide::Number, order::Stretch};
 use crate::rvd::{incident::Diagram, refill};
 
 /// The facets of a chunk, all with area, and their lists.
 #[derive(Clone, Copy)]
-pub(crate) struct Listed<'a> {
-    pub diagram: Diagram<'a>,
-    pub facets: Stretch<'a>,
+pub(crate) struct Listed<'a, P: Point> {
+    pub diagram: Diagram<'a, P>,
+    pub facets: Stretch<'a, P>,
     /// A seed near each facet.
     pub starts: &'a [u32],
     pub lists: &'a Lists,
@@ -56,9 +56,9 @@ impl ByLength {
 }
 
 #[derive(Default)]
-pub(crate) struct Chooser {
+pub(crate) struct Chooser<P: Point> {
     pub facets: Facets,
-    pub in_turn: InTurn,
+    pub in_turn: InTurn<P>,
     pub groups: ByLength,
     /// Of each facet the members among its list, as bits; 0 where there are too many for that.
     pub members: Vec<u32>,
@@ -74,9 +74,9 @@ pub(crate) struct LongLists {
     among: FacetMembers,
 }
 
-impl Chooser {
+impl<P: Point> Chooser<P> {
     /// Finds the members of every facet with a long list.
-    pub(crate) fn begin(&mut self, listed: Listed<'_>) {
+    pub(crate) fn begin(&mut self, listed: Listed<'_, P>) {
         let Self { members, long: LongLists { lists, of, among }, .. } = self;
         refill(members, repeat_n(0, listed.starts.len()));
         lists.clear();
@@ -97,7 +97,7 @@ impl Chooser {
 impl LongLists {
     /// The list in which the bits of a facet's `members` count.
     #[inline(always)]
-    pub(crate) fn list<'a>(&'a self, listed: Listed<'a>, at: usize) -> &'a [u32] {
+    pub(crate) fn list<'a, P: Point>(&'a self, listed: Listed<'a, P>, at: usize) -> &'a [u32] {
         match self.of[at] {
             0 => listed.lists.get(at),
             k => self.lists.get(k as usize - 1),
@@ -105,7 +105,7 @@ impl LongLists {
     }
 
     /// One facet's members in the order of their numbers; `members` has their bits, if its list is not long.
-    pub(crate) fn among(&mut self, listed: Listed<'_>, at: usize, members: u32) -> &FacetMembers {
+    pub(crate) fn among<P: Point>(&mut self, listed: Listed<'_, P>, at: usize, members: u32) -> &FacetMembers {
         let mut among = std::mem::take(&mut self.among);
         let all = self.of[at] != 0;
         let chosen = self.list(listed, at).iter().enumerate().filter(|(k, _)| all || members >> k & 1 != 0);
@@ -118,16 +118,16 @@ impl LongLists {
 
 /// Finds the members of every other facet with a list.
 #[inline(always)]
-pub(crate) fn choose_members<S: Simd>(simd: S, chooser: &mut Chooser, listed: Listed<'_>) {
+pub(crate) fn choose_members<S: Simd, P: Point>(simd: S, chooser: &mut Chooser<P>, listed: Listed<'_, P>) {
     let Chooser { facets, in_turn, groups, members, .. } = chooser;
     groups.sort(LISTED, (0..listed.starts.len()).map(|at| listed.lists.get(at).len()));
     for &at in groups.of(1) {
         members[at as usize] = 1;
     }
     for n in 2..=LISTED {
-        for turn in InTurn::turns(groups.of(n), Number::<S>::LANES) {
+        for turn in InTurn::<P>::turns(groups.of(n), Number::<S>::LANES) {
             if let Some(group) = turn.set {
-                set_lists::<S>(in_turn.next(&turn), group, listed, n);
+                set_lists::<S, P>(in_turn.next(&turn), group, listed, n);
             }
             if let Some(group) = turn.read {
                 let chosen = facets.choose(simd, n, in_turn.present(&turn));
@@ -141,7 +141,7 @@ pub(crate) fn choose_members<S: Simd>(simd: S, chooser: &mut Chooser, listed: Li
 
 /// Puts a group of facets with lists of `n` seeds into lanes; the last one fills those that are left.
 #[inline(always)]
-fn set_lists<S: Simd>(given: &mut Given, group: &[u32], listed: Listed<'_>, n: usize) {
+fn set_lists<S: Simd, P: Point>(given: &mut Given<P>, group: &[u32], listed: Listed<'_, P>, n: usize) {
     let Listed { diagram, facets, lists, .. } = listed;
     for lane in 0..Number::<S>::LANES {
         let at = group[lane.min(group.len() - 1)];
@@ -153,14 +153,14 @@ fn set_lists<S: Simd>(given: &mut Given, group: &[u32], listed: Listed<'_>, n: u
 }
 
 /// Lists without those that others beat whatever way they move.
-pub(crate) struct Prune<'a> {
-    pub chooser: &'a mut Chooser,
-    pub listed: Listed<'a>,
+pub(crate) struct Prune<'a, P: Point> {
+    pub chooser: &'a mut Chooser<P>,
+    pub listed: Listed<'a, P>,
     pub skin: Skin<'a>,
     pub out: &'a mut Lists,
 }
 
-impl WithSimd for Prune<'_> {
+impl<P: Point> WithSimd for Prune<'_, P> {
     type Output = ();
 
     #[inline(always)]
@@ -170,10 +170,10 @@ impl WithSimd for Prune<'_> {
         refill(members, repeat_n(!0, starts.len()));
         groups.sort(LISTED, (0..starts.len()).map(|at| lists.get(at).len()));
         for n in 2..=LISTED {
-            for turn in InTurn::turns(groups.of(n), Number::<S>::LANES) {
+            for turn in InTurn::<P>::turns(groups.of(n), Number::<S>::LANES) {
                 if let Some(group) = turn.set {
                     let given = in_turn.next(&turn);
-                    set_lists::<S>(given, group, listed, n);
+                    set_lists::<S, P>(given, group, listed, n);
                     for lane in 0..Number::<S>::LANES {
                         let at = group[lane.min(group.len() - 1)];
                         for (k, &seed) in lists.get(at as usize).iter().enumerate().take(n) {
@@ -207,7 +207,7 @@ pub(crate) struct FacetMembers {
 }
 
 impl FacetMembers {
-    fn of_long(&mut self, seeds: &[DVec3], corner: &[DVec3; 3], list: &[u32]) {
+    fn of_long<P: Point>(&mut self, seeds: &[P], corner: &[P; 3], list: &[u32]) {
         refill(&mut self.squared, list.iter().map(|&j| corner.map(|q| seeds[j as usize].distance_squared(q))));
         // One after the other would not be sooner: few are beaten.
         let beaten = |mine: [f64; 3]| self.squared.iter().fold(false, |beaten, by| beaten | beats(*by, mine));
@@ -217,7 +217,7 @@ impl FacetMembers {
     }
 
     /// The one that is nearest to a point, the lowest of several.
-    pub(crate) fn nearest(&self, diagram: Diagram<'_>, p: DVec3) -> u32 {
+    pub(crate) fn nearest<P: Point>(&self, diagram: Diagram<'_, P>, p: P) -> u32 {
         let key = |i: u32| p.distance_squared(diagram.seeds[i as usize]);
         self.seeds.iter().copied().min_by(|&a, &b| key(a).total_cmp(&key(b))).unwrap_or_default()
     }

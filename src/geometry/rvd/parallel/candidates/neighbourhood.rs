@@ -5,13 +5,13 @@
 //! Invariant: a seed that is left out of a facet's list is farther from all three corners than the seed that the facet is
 //! seen from, whatever way either moves within its skin. An escaped seed has no skin. Must not know: what becomes of lists.
 
-use glam::DVec3;
 use pulp::Simd;
 
 use super::escaped::{Bounds, Escaped, Reach};
 use super::gather::{ROOM, Skin};
+use crate::knn::Point;
 use crate::rvd::incident::Diagram;
-use crate::rvd::parallel::divide::{Mask, Number, Row, WIDEST};
+use crate::rvd::parallel::divide::{Mask, Number, Row, WIDEST, distance_squared};
 
 /// Facets that are looked around together.
 pub(crate) const GROUP: usize = 16;
@@ -22,12 +22,11 @@ const LOOKED_AT: usize = 1024;
 /// Seeds in a word: as many as a number has bits.
 const WORD: usize = 52;
 
-#[derive(Default)]
-pub(crate) struct Neighbourhood {
+pub(crate) struct Neighbourhood<P: Point> {
     seeds: Vec<u32>,
     /// Of each seed its place, and how far it may move.
-    places: Vec<(DVec3, f64)>,
-    corner: [[Row; 3]; 3],
+    places: Vec<(P, f64)>,
+    corner: [P::Each<Row>; 3],
     /// How far the seed that a facet is seen from may be from each corner.
     most: [Row; 3],
     /// Bit sets of the seeds that count, one lane per facet.
@@ -36,8 +35,16 @@ pub(crate) struct Neighbourhood {
     nearest: Row,
 }
 
+impl<P: Point> Default for Neighbourhood<P> {
+    fn default() -> Self {
+        let rows = P::each(|_| Row::default());
+        let (seeds, places, words) = Default::default();
+        Self { seeds, places, corner: [rows; 3], most: Default::default(), words, nearest: Row::default() }
+    }
+}
+
 /// Cuts facets that lie apart from one another into parts that do not; appends how many each has.
-pub(crate) fn parts(reaches: &[Reach], out: &mut Vec<usize>) -> Bounds {
+pub(crate) fn parts<P: Point>(reaches: &[Reach<P>], out: &mut Vec<usize>) -> Bounds {
     let begin = out.len();
     if reaches.len() <= APART {
         out.push(reaches.len());
@@ -54,15 +61,15 @@ pub(crate) fn parts(reaches: &[Reach], out: &mut Vec<usize>) -> Bounds {
     all
 }
 
-impl Neighbourhood {
+impl<P: Point> Neighbourhood<P> {
     /// Takes all seeds that could count on facets with these reaches, at most [`GROUP`]: those of the diagram, which move by
     /// their skin, but for escaped seeds, and the escaped seeds. Returns whether it could, and whether there are not too many.
     pub(crate) fn search(
         &mut self,
-        diagram: Diagram<'_>,
+        diagram: Diagram<'_, P>,
         skin: Skin<'_>,
-        reaches: &[Reach],
-        escaped: Option<&Escaped>,
+        reaches: &[Reach<P>],
+        escaped: Option<&Escaped<P>>,
     ) -> bool {
         let bounds = reaches.iter().fold(Bounds::NONE, |all, reach| all.with(reach.bounds()));
         self.seeds.clear();
@@ -70,7 +77,7 @@ impl Neighbourhood {
         let others = bounds.wider(skin.most);
         let done = diagram.index.each_in_box(others.low, others.high, LOOKED_AT, |i, p| {
             let own = skin.of(i);
-            if bounds.is_within(own, p) && !escaped.is_some_and(|escaped| escaped.contains(i)) {
+            if bounds.is_within(own, p.place()) && !escaped.is_some_and(|escaped| escaped.contains(i)) {
                 self.seeds.push(i);
                 self.places.push((p, own));
             }
@@ -87,7 +94,7 @@ impl Neighbourhood {
 
     /// Calls `visit` with each facet's number among the `reaches` and its seeds.
     #[inline(always)]
-    pub(crate) fn each<S: Simd>(&mut self, simd: S, reaches: &[Reach], mut visit: impl FnMut(usize, Seeds<'_>)) {
+    pub(crate) fn each<S: Simd>(&mut self, simd: S, reaches: &[Reach<P>], mut visit: impl FnMut(usize, Seeds<'_, P>)) {
         let lanes = Number::<S>::LANES;
         for (first, facets) in (0..).step_by(lanes).zip(reaches.chunks(lanes)) {
             self.set(lanes, facets);
@@ -99,11 +106,11 @@ impl Neighbourhood {
     }
 
     /// Puts facets into lanes; the last one fills those that are left.
-    fn set(&mut self, lanes: usize, facets: &[Reach]) {
+    fn set(&mut self, lanes: usize, facets: &[Reach<P>]) {
         for lane in 0..lanes {
             let Reach { corner, most } = facets[lane.min(facets.len() - 1)];
             for c in 0..3 {
-                for (row, x) in self.corner[c].iter_mut().zip(corner[c].to_array()) {
+                for (row, &x) in self.corner[c].as_mut().iter_mut().zip(corner[c].coordinates().as_ref()) {
                     row.0[lane % WIDEST] = x;
                 }
                 self.most[c].0[lane % WIDEST] = most[c];
@@ -114,7 +121,7 @@ impl Neighbourhood {
     #[inline(always)]
     fn compare<S: Simd>(&mut self, simd: S) {
         let (zero, room) = (Number::all(simd, 0.0), Number::all(simd, ROOM));
-        let corner = self.corner.each_ref().map(|c| [0, 1, 2].map(|k| Number::load(simd, &c[k])));
+        let corner = self.corner.each_ref().map(|c| P::each(|k| Number::load(simd, &c.as_ref()[k])));
         let most = self.most.each_ref().map(|most| Number::load(simd, most));
         self.words.clear();
         let (mut nearest, mut least) = (zero, Number::all(simd, f64::MAX));
@@ -122,12 +129,12 @@ impl Neighbourhood {
         for places in self.places.chunks(WORD) {
             let (mut bits, mut bit) = (zero, 1.0);
             for &(p, skin) in places {
-                let [x, y, z] = p.to_array().map(|x| Number::all(simd, x));
+                let p = p.coordinates();
+                let p = P::each(|k| Number::all(simd, p.as_ref()[k]));
                 let skin = Number::all(simd, skin);
                 let (mut sum, mut counts) = (zero, Mask::none(simd));
                 for c in 0..3 {
-                    let [dx, dy, dz] = [corner[c][0] - x, corner[c][1] - y, corner[c][2] - z];
-                    let (squared, most) = (dx * dx + dy * dy + dz * dz, most[c] + skin);
+                    let (squared, most) = (distance_squared::<S, P>(&corner[c], &p), most[c] + skin);
                     counts = counts | squared.at_most(most * most * room);
                     sum = sum + squared;
                 }
@@ -149,12 +156,12 @@ impl Neighbourhood {
 
 /// The seeds that count on one facet.
 #[derive(Clone, Copy)]
-pub(crate) struct Seeds<'a> {
-    around: &'a Neighbourhood,
+pub(crate) struct Seeds<'a, P: Point> {
+    around: &'a Neighbourhood<P>,
     lane: usize,
 }
 
-impl Seeds<'_> {
+impl<P: Point> Seeds<'_, P> {
     fn words(&self) -> impl Iterator<Item = u64> {
         self.around.words.iter().map(|word| word.0[self.lane] as u64)
     }

@@ -8,11 +8,10 @@
 //! No seed that counts is missing then. What comes of a facet is the same with an old list and with a new one.
 //! Must not know: what becomes of a list; surfaces.
 
-use glam::DVec3;
 use rayon::prelude::*;
 
 use super::{Lists, escaped::Escaped, gather::Skin};
-use crate::knn::{NeighbourTable, SeedIndex};
+use crate::knn::{NeighbourTable, Point, SeedIndex};
 
 /// A seed's skin is a share of the distance to this neighbour; relaxed cells touch it.
 const NEIGHBOUR: usize = 6;
@@ -45,7 +44,7 @@ const USED: f64 = 1.0 - 1e-6;
 const CHUNK: usize = 2048;
 
 #[derive(Default)]
-pub(crate) struct VerletLists {
+pub(crate) struct VerletLists<P> {
     /// Lists by chunk of `facets` facets.
     chunks: Vec<Lists>,
     facets: usize,
@@ -61,32 +60,32 @@ pub(crate) struct VerletLists {
     /// Largest skin of a seed, where that is known.
     most: f64,
     /// Centre of each seed's skin: its place when the lists were made, or the place that was expected.
-    made_at: Vec<DVec3>,
+    made_at: Vec<P>,
     /// Seeds in the last pass, and in the pass before the last.
-    last: Vec<DVec3>,
-    before: Vec<DVec3>,
+    last: Vec<P>,
+    before: Vec<P>,
     /// Number of list builds left in which no moves are expected.
     blind: usize,
     /// Pairs of seeds that could meet within their skins.
     close: Vec<[u32; 2]>,
     /// Whether the index and the rows of the lists' seeds still exist.
     pub indexed: bool,
-    escaped: Escaped,
+    escaped: Escaped<P>,
     moves: Vec<f64>,
 }
 
 /// What Verlet lists hold for.
 #[derive(Clone, Copy)]
-pub(crate) struct Verlet<'a> {
-    pub made_at: &'a [DVec3],
+pub(crate) struct Verlet<'a, P> {
+    pub made_at: &'a [P],
     pub skin: Skin<'a>,
-    pub escaped: &'a Escaped,
+    pub escaped: &'a Escaped<P>,
     pub even: bool,
 }
 
-impl VerletLists {
+impl<P: Point> VerletLists<P> {
     /// Whether the lists, in chunks of `facets`, hold but for a few escaped seeds, for which the index must be there.
-    pub(crate) fn hold(&mut self, seeds: &[DVec3], facets: usize) -> bool {
+    pub(crate) fn hold(&mut self, seeds: &[P], facets: usize) -> bool {
         if !self.there || self.facets != facets || self.made_at.len() > seeds.len() {
             return false;
         }
@@ -94,7 +93,7 @@ impl VerletLists {
         self.hold_but_for(few, seeds)
     }
 
-    fn hold_but_for(&mut self, escaped: usize, seeds: &[DVec3]) -> bool {
+    fn hold_but_for(&mut self, escaped: usize, seeds: &[P]) -> bool {
         let skin = skin(self.share, self.most, &self.width);
         self.escaped.find(seeds, &self.made_at, (skin, USED), escaped)
             && self.close.iter().all(|&[i, j]| seeds[i as usize] != seeds[j as usize])
@@ -107,7 +106,7 @@ impl VerletLists {
     }
 
     /// Chooses the skin of lists that are to be made now, from the new rows of these seeds.
-    pub(crate) fn choose(&mut self, seeds: &[DVec3], table: &NeighbourTable) {
+    pub(crate) fn choose(&mut self, seeds: &[P], table: &NeighbourTable) {
         self.leave();
         self.even = false;
         self.width.resize(seeds.len(), 0.0);
@@ -127,7 +126,7 @@ impl VerletLists {
     }
 
     /// The same without rows, where no seeds are dense; cells are as large as at the last pass, and `area` on average.
-    pub(crate) fn choose_evenly(&mut self, seeds: &[DVec3], index: &SeedIndex, area: f64) {
+    pub(crate) fn choose_evenly(&mut self, seeds: &[P], index: &SeedIndex<P>, area: f64) {
         self.leave();
         self.widths_of_cells(seeds.len(), area);
         let share = self.share_for(seeds);
@@ -139,7 +138,7 @@ impl VerletLists {
 
     /// The same for seeds that are about to move on as they moved last, if they are. Lists are to be made about places that
     /// lie ahead of them, which are returned; [`Self::check`] says whether they may.
-    pub(crate) fn look_ahead(&mut self, seeds: &[DVec3], area: f64) -> Option<&[DVec3]> {
+    pub(crate) fn look_ahead(&mut self, seeds: &[P], area: f64) -> Option<&[P]> {
         self.leave();
         if self.blind > 0 {
             self.blind -= 1;
@@ -161,7 +160,7 @@ impl VerletLists {
         let moves = (0.5 * way).min(AHEAD * share) / moved;
         let Self { made_at, last, width, .. } = self;
         made_at.par_iter_mut().enumerate().with_min_len(CHUNK).for_each(|(i, p)| {
-            let on = moves * (*p - last[i]);
+            let on = (*p - last[i]) * moves;
             let most = AHEAD * share * width[i];
             *p += on * (most / on.length()).min(1.0);
         });
@@ -169,7 +168,7 @@ impl VerletLists {
     }
 
     /// Whether lists about places with this index hold for seeds there.
-    pub(crate) fn check(&mut self, seeds: &[DVec3], index: &SeedIndex) -> bool {
+    pub(crate) fn check(&mut self, seeds: &[P], index: &SeedIndex<P>) -> bool {
         if index.is_even() && index.duplicates() == 0 {
             self.find_close_evenly(index);
             return self.share > 0.0 && self.hold_but_for(0, seeds);
@@ -184,7 +183,7 @@ impl VerletLists {
     }
 
     /// How much of their last moves but one the seeds made again with their last ones, at most all; nothing if many turned.
-    fn goes_on(&self, seeds: &[DVec3]) -> Option<f64> {
+    fn goes_on(&self, seeds: &[P]) -> Option<f64> {
         let each = seeds.par_chunks(CHUNK).zip(self.last.par_chunks(CHUNK)).zip(self.before.par_chunks(CHUNK));
         let sums = each.map(|((now, last), before)| {
             let moves = now.iter().zip(last).zip(before).map(|((&now, &last), &before)| (now - last, last - before));
@@ -209,7 +208,7 @@ impl VerletLists {
     }
 
     /// The share for these seeds after their last move; 0 where no lists are to be made.
-    fn share_for(&mut self, seeds: &[DVec3]) -> f64 {
+    fn share_for(&mut self, seeds: &[P]) -> f64 {
         // New seeds are behind the others.
         if self.last.is_empty() || self.last.len() > seeds.len() {
             return 0.0;
@@ -219,7 +218,7 @@ impl VerletLists {
     }
 
     /// What all but some seeds moved less than, in widths.
-    fn moved(&mut self, seeds: &[DVec3]) -> f64 {
+    fn moved(&mut self, seeds: &[P]) -> f64 {
         let moved = |i: usize| self.last[i].distance(seeds[i]) / self.width[i];
         let indices = (0..self.last.len()).into_par_iter().with_min_len(CHUNK);
         indices.map(moved).collect_into_vec(&mut self.moves);
@@ -228,7 +227,7 @@ impl VerletLists {
         *self.moves.select_nth_unstable_by(nth, f64::total_cmp).1
     }
 
-    fn begin(&mut self, seeds: &[DVec3], share: f64) {
+    fn begin(&mut self, seeds: &[P], share: f64) {
         self.share = share;
         self.most = if self.even { share * WIDE * self.length } else { f64::INFINITY };
         self.indexed = true;
@@ -236,7 +235,7 @@ impl VerletLists {
     }
 
     /// What was chosen, and the lists by chunk of `facets` facets.
-    pub(crate) fn split(&mut self, chunks: usize, facets: usize) -> (Verlet<'_>, &mut [Lists]) {
+    pub(crate) fn split(&mut self, chunks: usize, facets: usize) -> (Verlet<'_, P>, &mut [Lists]) {
         self.facets = facets;
         self.chunks.resize_with(chunks, Lists::default);
         let skin = skin(self.share, self.most, &self.width);
@@ -244,7 +243,7 @@ impl VerletLists {
     }
 
     /// A pass over these seeds is done, with cells of such areas; whether it made a list for every facet.
-    pub(crate) fn end_pass(&mut self, seeds: &[DVec3], area: &[f64], made: bool) {
+    pub(crate) fn end_pass(&mut self, seeds: &[P], area: &[f64], made: bool) {
         std::mem::swap(&mut self.before, &mut self.last);
         seeds.clone_into(&mut self.last);
         area.clone_into(&mut self.area);
@@ -252,9 +251,9 @@ impl VerletLists {
     }
 
     /// The same without rows, with the index of the places where lists are made.
-    fn find_close_evenly(&mut self, index: &SeedIndex) {
+    fn find_close_evenly(&mut self, index: &SeedIndex<P>) {
         self.find_close(|_, p, most, out| {
-            index.each_in_box(p - most, p + most, MANY_AROUND, |j, q| {
+            index.each_in_box(p.place() - most, p.place() + most, MANY_AROUND, |j, q| {
                 if p.distance_squared(q) <= most * most {
                     out.push(j);
                 }
@@ -265,7 +264,7 @@ impl VerletLists {
     /// Finds pairs of seeds that could meet. Of two, the one with more skin has the other within twice that, among those that
     /// `around` finds; with rows that is before the neighbour that gives its width, as skins are a small part of that. So dense
     /// seeds beside wide cells are looked for from the few seeds of these. There will be no lists where `around` cannot say.
-    fn find_close(&mut self, around: impl Fn(u32, DVec3, f64, &mut Vec<u32>) -> bool + Sync) {
+    fn find_close(&mut self, around: impl Fn(u32, P, f64, &mut Vec<u32>) -> bool + Sync) {
         let skin = skin(self.share, self.most, &self.width);
         let seeds = &self.made_at;
         let find = |chunk: usize| {
@@ -308,6 +307,8 @@ fn skin(share: f64, most: f64, width: &[f64]) -> Skin<'_> {
 
 #[cfg(test)]
 mod tests {
+    use glam::DVec3;
+
     use super::*;
 
     #[test]

@@ -10,10 +10,10 @@
 //! nor on the facets in the other lanes. The pieces of a facet add up to it.
 //! Must not know: which facets share their lanes and why, threads, how integrals are added, where a list comes from.
 
-use glam::DVec3;
 use pulp::Simd;
 
-use super::{Mask, Moments, Number, PieceIntegrals, Row, Shape, WIDEST, Weight};
+use super::{Mask, Moments, Number, PieceIntegrals, Row, Shape, WIDEST, Weight, distance_squared, dot, minus};
+use crate::knn::Point;
 use crate::rvd::{clip::Integrals, parallel::order::Vertex};
 
 /// A segment's end may be off by this share of the farthest corner's distance, in the worst case, and the facet is
@@ -33,13 +33,12 @@ pub(crate) const LISTED: usize = 32;
 const ERROR: f64 = 2.5 * f64::EPSILON;
 
 /// Facets and seeds, one facet in each lane.
-#[derive(Default)]
-pub(crate) struct Given {
+pub(crate) struct Given<P: Point> {
     /// Corners, coordinate by coordinate.
-    corner: [[Row; 3]; 3],
+    corner: [P::Each<Row>; 3],
     weight: [Row; 3],
     /// Of each seed, coordinate by coordinate.
-    seed: [[Row; 3]; LISTED],
+    seed: [P::Each<Row>; LISTED],
     /// How far each seed may move.
     skin: [Row; LISTED],
 }
@@ -72,25 +71,41 @@ struct Bounds<S: Simd> {
 }
 
 /// Pieces of as many members as there are; one in each lane.
-#[derive(Default)]
-pub(crate) struct Found {
+pub(crate) struct Found<P: Point> {
     /// Where rounding could decide.
     pub unsure: Row,
-    pub pieces: [PieceRows; MEMBERS],
+    pub pieces: [PieceRows<P>; MEMBERS],
 }
 
 /// What stands for a piece that is there, but of less than [`LEAST_SHARE`].
 const SMALL: f64 = 2.0;
 
-#[derive(Clone, Copy, Default)]
-pub(crate) struct PieceRows {
+#[derive(Clone, Copy)]
+pub(crate) struct PieceRows<P: Point> {
     /// 1 where it is there, and [`SMALL`].
     there: Row,
-    /// Mass, moment, energy, area.
-    values: [Row; 6],
+    mass: Row,
+    moment: P::Each<Row>,
+    energy: Row,
+    area: Row,
 }
 
-impl PieceRows {
+impl<P: Point> Default for Given<P> {
+    fn default() -> Self {
+        let rows = P::each(|_| Row::default());
+        Self { corner: [rows; 3], weight: Default::default(), seed: [rows; LISTED], skin: Default::default() }
+    }
+}
+
+impl<P: Point> Default for Found<P> {
+    fn default() -> Self {
+        let row = Row::default();
+        let none = PieceRows { there: row, mass: row, moment: P::each(|_| row), energy: row, area: row };
+        Self { unsure: row, pieces: [none; MEMBERS] }
+    }
+}
+
+impl<P: Point> PieceRows<P> {
     /// Whether there is a piece in one lane that is too small for [`Self::get`].
     #[inline(always)]
     pub(crate) fn is_small(&self, lane: usize) -> bool {
@@ -98,36 +113,33 @@ impl PieceRows {
     }
 
     #[inline(always)]
-    pub(crate) fn get(&self, lane: usize) -> Option<Integrals> {
-        let [mass, x, y, z, energy, area] = &self.values;
+    pub(crate) fn get(&self, lane: usize) -> Option<Integrals<P>> {
         (self.there.0[lane] != 0.0).then(|| Integrals {
-            mass: mass.0[lane],
-            moment: DVec3::new(x.0[lane], y.0[lane], z.0[lane]),
-            energy: energy.0[lane],
-            area: area.0[lane],
+            mass: self.mass.0[lane],
+            moment: P::from_coordinates(P::each(|k| self.moment.as_ref()[k].0[lane])),
+            energy: self.energy.0[lane],
+            area: self.area.0[lane],
         })
     }
 }
 
-impl Given {
+impl<P: Point> Given<P> {
     #[inline(always)]
-    pub(crate) fn set_facet(&mut self, lane: usize, vertices: &[Vertex; 3]) {
+    pub(crate) fn set_facet(&mut self, lane: usize, vertices: &[Vertex<P>; 3]) {
         let lane = lane % WIDEST;
         for (corner, Vertex { p, .. }) in self.corner.iter_mut().zip(vertices) {
-            (corner[0].0[lane], corner[1].0[lane], corner[2].0[lane]) = (p.x, p.y, p.z);
+            put(corner, lane, *p);
         }
     }
 
     #[inline(always)]
-    pub(crate) fn set_weights(&mut self, lane: usize, vertices: &[Vertex; 3]) {
+    pub(crate) fn set_weights(&mut self, lane: usize, vertices: &[Vertex<P>; 3]) {
         self.weight.iter_mut().zip(vertices).for_each(|(row, vertex)| row.0[lane % WIDEST] = vertex.weight);
     }
 
     #[inline(always)]
-    pub(crate) fn set_seed(&mut self, lane: usize, k: usize, p: DVec3) {
-        let seed = &mut self.seed[k];
-        let lane = lane % WIDEST;
-        (seed[0].0[lane], seed[1].0[lane], seed[2].0[lane]) = (p.x, p.y, p.z);
+    pub(crate) fn set_seed(&mut self, lane: usize, k: usize, p: P) {
+        put(&mut self.seed[k], lane % WIDEST, p);
     }
 
     #[inline(always)]
@@ -138,8 +150,18 @@ impl Given {
 
 /// Two groups' lanes. The next one's are set before those of the one at hand are read: what was written number by
 /// number could not be read as a whole at once.
-#[derive(Default)]
-pub(crate) struct InTurn([Given; 2]);
+pub(crate) struct InTurn<P: Point>([Given<P>; 2]);
+
+impl<P: Point> Default for InTurn<P> {
+    fn default() -> Self {
+        Self(Default::default())
+    }
+}
+
+#[inline(always)]
+fn put<P: Point>(rows: &mut P::Each<Row>, lane: usize, p: P) {
+    rows.as_mut().iter_mut().zip(p.coordinates().as_ref()).for_each(|(row, x)| row.0[lane] = *x);
+}
 
 /// A group to set, and one to read that was set before.
 pub(crate) struct Turn<'a> {
@@ -148,7 +170,7 @@ pub(crate) struct Turn<'a> {
     into: usize,
 }
 
-impl InTurn {
+impl<P: Point> InTurn<P> {
     pub(crate) fn turns(facets: &[u32], lanes: usize) -> impl Iterator<Item = Turn<'_>> {
         let groups = facets.chunks(lanes).map(Some);
         let set = groups.clone().chain([None]);
@@ -156,35 +178,31 @@ impl InTurn {
     }
 
     #[inline(always)]
-    pub(crate) fn next(&mut self, turn: &Turn<'_>) -> &mut Given {
+    pub(crate) fn next(&mut self, turn: &Turn<'_>) -> &mut Given<P> {
         &mut self.0[turn.into]
     }
 
     #[inline(always)]
-    pub(crate) fn present(&self, turn: &Turn<'_>) -> &Given {
+    pub(crate) fn present(&self, turn: &Turn<'_>) -> &Given<P> {
         &self.0[1 - turn.into]
     }
 }
 
 impl Facets {
     #[inline(always)]
-    fn measure<S: Simd>(&mut self, simd: S, n: usize, given: &Given) {
+    fn measure<S: Simd, P: Point>(&mut self, simd: S, n: usize, given: &Given<P>) {
         for c in 0..3 {
-            let [x, y, z] = load(simd, &given.corner[c]);
+            let corner = load_point::<S, P>(simd, &given.corner[c]);
             for k in 0..n {
-                let [dx, dy, dz] = [
-                    Number::load(simd, &given.seed[k][0]) - x,
-                    Number::load(simd, &given.seed[k][1]) - y,
-                    Number::load(simd, &given.seed[k][2]) - z,
-                ];
-                (dx * dx + dy * dy + dz * dz).store(&mut self.squared[k][c]);
+                let seed = load_point::<S, P>(simd, &given.seed[k]);
+                distance_squared::<S, P>(&seed, &corner).store(&mut self.squared[k][c]);
             }
         }
     }
 
     /// Of lists of `n` seeds those that are not farther than another one from all corners, as bits.
     #[inline(always)]
-    pub(crate) fn choose<S: Simd>(&mut self, simd: S, n: usize, given: &Given) -> [u32; WIDEST] {
+    pub(crate) fn choose<S: Simd, P: Point>(&mut self, simd: S, n: usize, given: &Given<P>) -> [u32; WIDEST] {
         self.measure(simd, n, given);
         // A seed beats another one by more than roundings.
         let room = Number::all(simd, 1.0 - 4.0 * ERROR);
@@ -198,7 +216,7 @@ impl Facets {
 
     /// The same, whatever way any two of them move within their skins.
     #[inline(always)]
-    pub(crate) fn choose_with_skin<S: Simd>(&mut self, simd: S, n: usize, given: &Given) -> [u32; WIDEST] {
+    pub(crate) fn choose_with_skin<S: Simd, P: Point>(&mut self, simd: S, n: usize, given: &Given<P>) -> [u32; WIDEST] {
         self.measure(simd, n, given);
         let room = Number::all(simd, 1.0 - 4.0 * ERROR);
         for k in 0..n {
@@ -231,15 +249,19 @@ impl Facets {
 
     /// Divides facets of `n` members among them. Weights are read where they are not 1.
     #[inline(always)]
-    pub(crate) fn divide<S: Simd, const N: usize>(&mut self, simd: S, n: usize, given: &Given, found: &mut Found) {
+    pub(crate) fn divide<S: Simd, P: Point, const N: usize>(
+        &mut self,
+        simd: S,
+        n: usize,
+        given: &Given<P>,
+        found: &mut Found<P>,
+    ) {
         self.measure(simd, n, given);
         let (zero, one) = (Number::all(simd, 0.0), Number::all(simd, 1.0));
-        let first = load(simd, &given.corner[0]);
-        let (e, f) = (minus(load(simd, &given.corner[1]), first), minus(load(simd, &given.corner[2]), first));
-        let cross = [e[1] * f[2] - e[2] * f[1], e[2] * f[0] - e[0] * f[2], e[0] * f[1] - e[1] * f[0]];
-        let twice_area = (cross[0] * cross[0] + cross[1] * cross[1] + cross[2] * cross[2]).sqrt();
-        let longest2 = (e[0] * e[0] + e[1] * e[1] + e[2] * e[2]).larger(f[0] * f[0] + f[1] * f[1] + f[2] * f[2]);
-        let shape = Shape { side: [e, f], twice_area };
+        let [first, second, third] = given.corner.each_ref().map(|corner| load_point::<S, P>(simd, corner));
+        let (e, f) = (minus::<S, P>(&second, &first), minus::<S, P>(&third, &first));
+        let shape = Shape { side: [e, f], twice_area: parallelogram::<S, P>(&e, &f) };
+        let longest2 = dot::<S, P>(&e, &e).larger(dot::<S, P>(&f, &f));
         let weight = Weight::new(load(simd, &given.weight));
         for k in 0..n {
             zero.store(&mut self.low[k]);
@@ -270,16 +292,13 @@ impl Facets {
             let small = Number::load(simd, &moments[0]).below(Number::all(simd, LEAST_SHARE));
             let piece = &mut found.pieces[k];
             there.choose(small.choose(Number::all(simd, SMALL), one), zero).store(&mut piece.there);
-            let origin = minus(first, load(simd, &given.seed[k]));
-            let PieceIntegrals { mass, moment: [x, y, z], energy, area } =
-                super::integrals::<S, N>(simd, moments, &shape, origin);
-            let [m, mx, my, mz, e, a] = &mut piece.values;
-            mass.store(m);
-            x.store(mx);
-            y.store(my);
-            z.store(mz);
-            energy.store(e);
-            area.store(a);
+            let origin = minus::<S, P>(&first, &load_point::<S, P>(simd, &given.seed[k]));
+            let PieceIntegrals { mass, moment, energy, area } =
+                super::integrals::<S, P, N>(simd, moments, &shape, &origin);
+            mass.store(&mut piece.mass);
+            moment.as_ref().iter().zip(piece.moment.as_mut()).for_each(|(number, row)| number.store(row));
+            energy.store(&mut piece.energy);
+            area.store(&mut piece.area);
         }
         unsure.choose(one, zero).store(&mut found.unsure);
     }
@@ -314,7 +333,7 @@ impl Facets {
         let (zero, one) = (Number::all(simd, 0.0), Number::all(simd, 1.0));
         let mine = load(simd, &self.squared[i]);
         let other = load(simd, &self.squared[j]);
-        let d = minus(other, mine);
+        let d = [other[0] - mine[0], other[1] - mine[1], other[2] - mine[2]];
         let inside = [zero.below(d[0]), zero.below(d[1]), zero.below(d[2])];
         let mut unsure =
             d[0].abs().at_most(bounds.value) | d[1].abs().at_most(bounds.value) | d[2].abs().at_most(bounds.value);
@@ -343,7 +362,7 @@ impl Facets {
                 continue;
             }
             let third = load(simd, &self.squared[k]);
-            let g = minus(third, mine);
+            let g = [third[0] - mine[0], third[1] - mine[1], third[2] - mine[2]];
             let ga = from[0] * g[0] + from[1] * g[1] + from[2] * g[2];
             let gb = to[0] * g[0] + to[1] * g[1] + to[2] * g[2];
             // What a slip along an edge changes, at most.
@@ -414,8 +433,17 @@ fn load<S: Simd>(simd: S, [x, y, z]: &[Row; 3]) -> [Number<S>; 3] {
 }
 
 #[inline(always)]
-fn minus<S: Simd>(a: [Number<S>; 3], b: [Number<S>; 3]) -> [Number<S>; 3] {
-    [a[0] - b[0], a[1] - b[1], a[2] - b[2]]
+fn load_point<S: Simd, P: Point>(simd: S, rows: &P::Each<Row>) -> P::Each<Number<S>> {
+    P::each(|k| Number::load(simd, &rows.as_ref()[k]))
+}
+
+/// As [`Point::parallelogram`].
+#[inline(always)]
+fn parallelogram<S: Simd, P: Point>(a: &P::Each<Number<S>>, b: &P::Each<Number<S>>) -> Number<S> {
+    let (a, b) = (a.as_ref(), b.as_ref());
+    let minor = |&(i, j): &(usize, usize)| a[i] * b[j] - a[j] * b[i];
+    let first = minor(&P::MINORS[0]);
+    P::MINORS[1..].iter().map(minor).fold(first * first, |sum, minor| sum + minor * minor).sqrt()
 }
 
 /// The second or the third value where `at` says so, or else the first.

@@ -4,12 +4,11 @@
 //! Invariant: what comes of a facet depends on nothing beside it, and the sums not on how many blocks a task has.
 //! Must not know: how tasks are shared out.
 
-use glam::DVec3;
 use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
 
 use super::{NONE, Written};
-use crate::knn::NeighbourTable;
+use crate::knn::{NeighbourTable, Point};
 use crate::rvd::clip::{Clipper, Integrals};
 use crate::rvd::incident::{Diagram, FacetWalker};
 use crate::rvd::parallel::candidates::members::{Chooser, Listed, Prune, choose_members};
@@ -21,9 +20,9 @@ use crate::rvd::{CellSums, PassStats, PieceBatch, incident};
 
 /// What one task found. Reused from wave to wave.
 #[derive(Default)]
-pub(crate) struct Chunk {
+pub(crate) struct Chunk<P> {
     /// Block by block, the integrals over the pieces of each cell that meets it.
-    cells: Vec<(u32, Integrals)>,
+    cells: Vec<(u32, Integrals<P>)>,
     pub pieces: PieceBatch,
     pub stats: PassStats,
     pub unlisted: u64,
@@ -34,10 +33,10 @@ const SHORT: usize = 10;
 
 /// What is asked for of facets without lists.
 #[derive(Clone, Copy)]
-pub(crate) struct Task<'a> {
-    pub diagram: Diagram<'a>,
+pub(crate) struct Task<'a, P: Point> {
+    pub diagram: Diagram<'a, P>,
     /// The places about which seeds have their skin, if those are not where they are; then the index is of the places.
-    pub about: Option<&'a [DVec3]>,
+    pub about: Option<&'a [P]>,
     pub skin: Skin<'a>,
     /// Facets with many members are walked by rows.
     pub by_rows: bool,
@@ -46,8 +45,8 @@ pub(crate) struct Task<'a> {
     pub block: usize,
 }
 
-impl<'a> Task<'a> {
-    pub(crate) fn listed(&self, facets: Stretch<'a>, starts: &'a [u32], lists: &'a Lists) -> Listed<'a> {
+impl<'a, P: Point> Task<'a, P> {
+    pub(crate) fn listed(&self, facets: Stretch<'a, P>, starts: &'a [u32], lists: &'a Lists) -> Listed<'a, P> {
         Listed { diagram: self.diagram, facets, starts, lists, by_rows: self.by_rows }
     }
 }
@@ -56,26 +55,26 @@ impl<'a> Task<'a> {
 const ASKED: usize = 16;
 
 #[derive(Default)]
-pub(crate) struct Walkers {
-    builder: ListBuilder,
+pub(crate) struct Walkers<P: Point> {
+    builder: ListBuilder<P>,
     /// Lists, before those that become Verlet lists are made shorter.
     lists: Lists,
-    chooser: Chooser,
-    found: Found,
-    pub walker: FacetWalker,
-    written: Written,
+    chooser: Chooser<P>,
+    found: Found<P>,
+    pub walker: FacetWalker<P>,
+    written: Written<P>,
     to_walk: Vec<u32>,
     /// Pieces that are clipped alone: facet, and place among the integrals.
     to_clip: Vec<(u32, usize)>,
 }
 
-struct Divide<'a> {
+struct Divide<'a, P: Point> {
     stats: &'a mut PassStats,
-    walkers: &'a mut Walkers,
-    listed: Listed<'a>,
+    walkers: &'a mut Walkers<P>,
+    listed: Listed<'a, P>,
 }
 
-impl WithSimd for Divide<'_> {
+impl<P: Point> WithSimd for Divide<'_, P> {
     type Output = ();
 
     #[inline(always)]
@@ -92,15 +91,15 @@ impl WithSimd for Divide<'_> {
     }
 }
 
-impl Walkers {
+impl<P: Point> Walkers<P> {
     #[inline(always)]
-    fn divide<S: Simd, const N: usize>(&mut self, simd: S, listed: Listed<'_>, stats: &mut PassStats) {
+    fn divide<S: Simd, const N: usize>(&mut self, simd: S, listed: Listed<'_, P>, stats: &mut PassStats) {
         let Self { chooser, found, written, to_walk, to_clip, .. } = self;
         let Chooser { facets, in_turn, groups, members, long } = chooser;
         let diagram = listed.diagram;
         groups.sort(MEMBERS, members.iter().map(|m| m.count_ones() as usize));
         for n in 1..=MEMBERS {
-            for turn in InTurn::turns(groups.of(n), Number::<S>::LANES) {
+            for turn in InTurn::<P>::turns(groups.of(n), Number::<S>::LANES) {
                 if let Some(group) = turn.set {
                     let given = in_turn.next(&turn);
                     for lane in 0..Number::<S>::LANES {
@@ -119,7 +118,7 @@ impl Walkers {
                     }
                 }
                 let Some(group) = turn.read else { continue };
-                facets.divide::<S, N>(simd, n, in_turn.present(&turn), found);
+                facets.divide::<S, P, N>(simd, n, in_turn.present(&turn), found);
                 for (lane, &at) in group.iter().enumerate() {
                     let first = written.first(at);
                     let (seeds, slots) = (&mut written.seeds[first..][..n], &mut written.integrals[first..][..n]);
@@ -144,7 +143,7 @@ impl Walkers {
     }
 
     /// Clips pieces and walks facets that are left, among their members alone: what else a list holds would change roundings.
-    fn walk(&mut self, listed: Listed<'_>, stats: &mut PassStats) {
+    fn walk(&mut self, listed: Listed<'_, P>, stats: &mut PassStats) {
         let Self { chooser: Chooser { members, long, .. }, walker, to_walk, to_clip, written, .. } = self;
         let Listed { diagram, facets, starts, lists, by_rows } = listed;
         for (k, &(at, slot)) in to_clip.iter().enumerate() {
@@ -168,7 +167,7 @@ impl Walkers {
             }
             let at = at as usize;
             let (facet, centroid) = (facets.facet(at), facets.centroid(at));
-            let visit = |i: u32, clipper: &Clipper| written.walked.push((i, clipper.integrals()));
+            let visit = |i: u32, clipper: &Clipper<P>| written.walked.push((i, clipper.integrals()));
             // A facet with many members was not tried. It is walked by rows, if there are any.
             let many = !(1..=MEMBERS as u32).contains(&members[at].count_ones());
             if lists.get(at).is_empty() || many && by_rows {
@@ -184,7 +183,7 @@ impl Walkers {
     }
 }
 
-impl Chunk {
+impl<P: Point> Chunk<P> {
     fn begin(&mut self) {
         self.cells.clear();
         self.pieces.clear();
@@ -196,9 +195,9 @@ impl Chunk {
     /// lists where there is a skin. Returns whether all could be listed, or walked by rows; nothing is summed otherwise.
     pub(crate) fn sum(
         &mut self,
-        walkers: &mut Walkers,
-        task: Task<'_>,
-        (facets, starts): (Stretch<'_>, &mut [u32]),
+        walkers: &mut Walkers<P>,
+        task: Task<'_, P>,
+        (facets, starts): (Stretch<'_, P>, &mut [u32]),
         kept: &mut Lists,
     ) -> bool {
         let Task { about, skin, by_rows, even, block, .. } = task;
@@ -233,9 +232,9 @@ impl Chunk {
     /// The same from lists that hold but for escaped seeds. Nothing is summed, and `false`, if a facet with such got no list.
     pub(crate) fn sum_from_lists(
         &mut self,
-        walkers: &mut Walkers,
-        listed: Listed<'_>,
-        (verlet, table): (Verlet<'_>, &NeighbourTable),
+        walkers: &mut Walkers<P>,
+        listed: Listed<'_, P>,
+        (verlet, table): (Verlet<'_, P>, &NeighbourTable),
         block: usize,
     ) -> bool {
         if !walkers.builder.meets_escaped(listed.lists, verlet) {
@@ -252,7 +251,7 @@ impl Chunk {
         done
     }
 
-    fn sum_listed(&mut self, walkers: &mut Walkers, listed: Listed<'_>, block: usize) {
+    fn sum_listed(&mut self, walkers: &mut Walkers<P>, listed: Listed<'_, P>, block: usize) {
         self.begin();
         walkers.chooser.begin(listed);
         Arch::new().dispatch(Divide { stats: &mut self.stats, walkers, listed });
@@ -261,7 +260,14 @@ impl Chunk {
     }
 
     /// Pieces of the facets from `first` on, whose nearest seeds are `starts`; with `flat` of those without area too.
-    pub(crate) fn cut(&mut self, walkers: &mut Walkers, diagram: Diagram<'_>, first: u32, starts: &[u32], flat: bool) {
+    pub(crate) fn cut(
+        &mut self,
+        walkers: &mut Walkers<P>,
+        diagram: Diagram<'_, P>,
+        first: u32,
+        starts: &[u32],
+        flat: bool,
+    ) {
         self.begin();
         let surface = diagram.surface;
         let Self { pieces, stats, .. } = self;
@@ -272,7 +278,7 @@ impl Chunk {
             if if flat { surface.joins(facet as usize) } else { !surface.skips(facet as usize) } {
                 walkers.walker.walk(None, diagram, facet, start, stats, |i, clipper| {
                     let origin = diagram.seeds[i as usize];
-                    pieces.push(facet, i, clipper.polygon().iter().map(|v| (origin + v.p, v.w, v.edge)));
+                    pieces.push(facet, i, clipper.polygon().iter().map(|v| ((origin + v.p).place(), v.w, v.edge)));
                 });
             }
         }
@@ -308,7 +314,7 @@ fn sorted(list: &[u32], mut members: u32, out: &mut [u32]) {
 }
 
 /// Every thread owns a range of seeds and reads everything, so each cell is added up in the order of blocks without a lock.
-pub(crate) fn add_up(out: &mut CellSums, chunks: &[Chunk]) {
+pub(crate) fn add_up<P: Point>(out: &mut CellSums<P>, chunks: &[Chunk<P>]) {
     let share = out.mass.len().div_ceil(rayon::current_num_threads()).max(1);
     out.mass
         .par_chunks_mut(share)
@@ -346,7 +352,7 @@ mod tests {
     use crate::rvd::{Capacities, Surface};
 
     /// What a chunk of all facets finds with registers of one kind.
-    fn found<S: Simd>(simd: S, listed: Listed<'_>) -> Vec<(u32, Integrals)> {
+    fn found<S: Simd>(simd: S, listed: Listed<'_, DVec3>) -> Vec<(u32, Integrals)> {
         let (mut stats, mut walkers, mut all) = (PassStats::default(), Walkers::default(), Vec::new());
         walkers.chooser.begin(listed);
         simd.vectorize(Divide { stats: &mut stats, walkers: &mut walkers, listed });

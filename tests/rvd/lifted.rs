@@ -1,0 +1,203 @@
+//! Promise: the diagram of a surface lifted to R^6 by its normals is the one that brute force finds in the planes of its facets,
+//! on every backend, with the same bits on any number of threads.
+
+use std::sync::Arc;
+
+use glam::DVec3;
+use rand::RngExt;
+use tessera::mesh::TriMesh;
+use tessera::mesh::shapes::Shape;
+use tessera::rvd::{Backend, CellSums, Lifted, Parallel, PieceBatch, Point, Serial, SessionOptions, Surface};
+use tessera::token::Token;
+
+use crate::points::rng;
+use crate::surfaces;
+
+/// The surface lifted by `share` of its diagonal times the normals of its vertices.
+fn lifted(mesh: &TriMesh, weights: Option<&[f64]>, share: f64) -> Arc<Surface<Lifted>> {
+    let mut normals = vec![DVec3::ZERO; mesh.positions().len()];
+    for (f, facet) in mesh.facets().iter().enumerate() {
+        let [a, b, c] = mesh.corners(f);
+        facet.iter().for_each(|&v| normals[v as usize] += (b - a).cross(c - a));
+    }
+    let (low, high) = mesh.bounds();
+    let length = share * (high - low).length();
+    let lift: Vec<DVec3> = normals.iter().map(|n| length * n.normalize_or_zero()).collect();
+    Arc::new(Surface::lifted(mesh, weights, &lift, &Token::default()).unwrap())
+}
+
+/// Random points of the lifted surface, some of which are moved away from it.
+fn seeds_on(surface: &Surface<Lifted>, n: usize, seed: u64) -> Vec<Lifted> {
+    let mut rng = rng(seed);
+    let facets: Vec<u32> = (0..surface.facets().len() as u32).filter(|&f| !surface.skips(f as usize)).collect();
+    let mut point = || {
+        let [a, b, c] = surface.corners(facets[rng.random_range(0..facets.len())]);
+        let (s, t) = (rng.random::<f64>().sqrt(), rng.random::<f64>());
+        let away = if rng.random_bool(0.2) { 0.03 } else { 0.0 };
+        let mut any = || away * DVec3::new(rng.random(), rng.random(), rng.random());
+        a * (1.0 - s) + b * (s * (1.0 - t)) + c * (s * t) + Lifted { place: any(), lift: any() }
+    };
+    (0..n).map(|_| point()).collect()
+}
+
+/// Sums over all cells by clipping every facet, in a frame of its plane, by all bisectors: a lifted facet meets the cells in a
+/// power diagram in two dimensions.
+fn brute_force(surface: &Surface<Lifted>, seeds: &[Lifted]) -> CellSums<Lifted> {
+    let mut sums = CellSums::default();
+    sums.reset(seeds.len());
+    for f in (0..surface.facets().len() as u32).filter(|&f| !surface.skips(f as usize)) {
+        let corners = surface.corners(f);
+        let weights = surface.facets()[f as usize].map(|v| surface.weights()[v as usize]);
+        let side = [corners[1] - corners[0], corners[2] - corners[0]];
+        let e1 = side[0] * (1.0 / side[0].length());
+        let across = side[1] - e1 * e1.dot(side[1]);
+        let e2 = across * (1.0 / across.length());
+        for (i, &seed) in seeds.iter().enumerate() {
+            let w = corners[0] - seed;
+            let start = [e1.dot(w), e2.dot(w)];
+            let rest = w - e1 * start[0] - e2 * start[1];
+            let uv = |p: Lifted| [start[0] + e1.dot(p - corners[0]), start[1] + e2.dot(p - corners[0])];
+            let mut polygon: Vec<[f64; 3]> =
+                (0..3).map(|c| [uv(corners[c])[0], uv(corners[c])[1], weights[c]]).collect();
+            for (j, &other) in seeds.iter().enumerate().filter(|(j, _)| *j != i) {
+                let b = other - seed;
+                if b == Lifted::ZERO {
+                    if j < i {
+                        polygon.clear();
+                    }
+                    continue;
+                }
+                let (g, c) = ([e1.dot(b), e2.dot(b)], 0.5 * b.length_squared() - rest.dot(b));
+                let value = |p: &[f64; 3]| c - p[0] * g[0] - p[1] * g[1];
+                let mut next = Vec::new();
+                for k in 0..polygon.len() {
+                    let (p, q) = (polygon[k], polygon[(k + 1) % polygon.len()]);
+                    let (here, there) = (value(&p), value(&q));
+                    if here > 0.0 {
+                        next.push(p);
+                    }
+                    if (here > 0.0) != (there > 0.0) {
+                        let t = here / (here - there);
+                        next.push([0, 1, 2].map(|x| p[x] + t * (q[x] - p[x])));
+                    }
+                }
+                polygon = next;
+                if polygon.is_empty() {
+                    break;
+                }
+            }
+            let rest2 = rest.length_squared();
+            for k in 2..polygon.len() {
+                let corner = [polygon[0], polygon[k - 1], polygon[k]];
+                let [a, b, c] = corner;
+                let area = 0.5 * ((b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]));
+                // The integral of a product of three linear functions, by the midpoints and corners that are exact for cubics.
+                let mut middle = [0.0; 3];
+                let mut add = |p: [f64; 3], share: f64| {
+                    let dm = share * area * p[2];
+                    sums.mass[i] += dm;
+                    sums.energy[i] += dm * (p[0] * p[0] + p[1] * p[1] + rest2);
+                    sums.moment[i] += (e1 * p[0] + e2 * p[1] + rest) * dm;
+                };
+                for e in 0..3 {
+                    let (p, q) = (corner[e], corner[(e + 1) % 3]);
+                    (0..3).for_each(|x| middle[x] += p[x] / 3.0);
+                    add(p, 1.0 / 20.0);
+                    add([0, 1, 2].map(|x| 0.5 * (p[x] + q[x])), 2.0 / 15.0);
+                }
+                add(middle, 9.0 / 20.0);
+                sums.area[i] += area;
+            }
+        }
+    }
+    sums
+}
+
+#[test]
+fn cells_are_those_of_brute_force() {
+    let parallel = Parallel::new(Some(2)).unwrap();
+    for (k, shape) in [Shape::Torus, Shape::Hills, Shape::Block, Shape::Sheets].into_iter().enumerate() {
+        let mesh = shape.build(250);
+        let uneven: Vec<f64> = (0..mesh.positions().len()).map(|v| 0.2 + (v % 5) as f64).collect();
+        for (share, weights) in [(0.02, None), (0.1, Some(&uneven[..])), (0.3, None), (1.0, Some(&uneven[..]))] {
+            let surface = lifted(&mesh, weights, share);
+            for n in [1, 7, 60, 400] {
+                let mut seeds = seeds_on(&surface, n, (k * 10 + n) as u64);
+                if n == 60 {
+                    // Later duplicates have no cell; one in the same place with another normal has.
+                    seeds[40] = seeds[3];
+                    seeds[41] = Lifted { lift: -seeds[3].lift, ..seeds[3] };
+                }
+                let want = brute_force(&surface, &seeds);
+                let spacing = (surface.area() / n as f64).sqrt();
+                let cell = spacing * spacing;
+                for backend in [&Serial as &dyn Backend, &parallel] {
+                    let mut session = backend.lifted_session(Arc::clone(&surface), SessionOptions::new(n)).unwrap();
+                    let (mut sums, token) = (CellSums::default(), Token::default());
+                    session.set_seeds(&seeds).unwrap();
+                    session.sums(&mut sums, &token).unwrap();
+                    let what = format!("{shape}, s {share}, {n} seeds, {}", backend.kind().name());
+                    for i in 0..n {
+                        let near = |a: f64, b: f64, of: f64| (a - b).abs() <= 1e-10 * of;
+                        assert!(
+                            near(sums.area[i], want.area[i], cell),
+                            "{what}: cell {i} has {} for {}",
+                            sums.area[i],
+                            want.area[i]
+                        );
+                        assert!(near(sums.mass[i], want.mass[i], cell), "{what}: {i}");
+                        // Energies and moments about a seed that is far from its cell are larger than the cell's own.
+                        let far = spacing.max((want.energy[i] / want.mass[i].max(1e-30)).sqrt());
+                        assert!(near(sums.energy[i], want.energy[i], cell * far * far), "{what}: {i}");
+                        assert!((sums.moment[i] - want.moment[i]).length() <= 1e-10 * cell * far, "{what}: {i}");
+                    }
+                    // Pieces are those of the surface in space.
+                    let mut pieces = PieceBatch::default();
+                    session.pieces(0..surface.facets().len() as u32, &mut pieces, &token).unwrap();
+                    let area: f64 = (0..pieces.len()).map(|p| pieces.area(p)).sum();
+                    let whole: f64 = (0..mesh.facets().len()).map(|f| area_in_space(&surface, f as u32)).sum();
+                    assert!((area - whole).abs() <= 1e-10 * whole, "{what}: {area} of {whole}");
+                }
+            }
+        }
+    }
+}
+
+fn area_in_space(surface: &Surface<Lifted>, f: u32) -> f64 {
+    let [a, b, c] = surface.corners(f).map(|p| p.place);
+    if surface.skips(f as usize) { 0.0 } else { 0.5 * (b - a).cross(c - a).length() }
+}
+
+/// Lloyd's steps, so that lists of neighbours are kept from pass to pass, with a jump and a seed that goes astray.
+#[test]
+fn threads_and_earlier_passes_change_no_bit() {
+    for share in [0.05, 0.4] {
+        let surface = lifted(&Shape::Torus.build(4000), None, share);
+        let [one, two] = [1, 2].map(|threads| Parallel::new(Some(threads)).unwrap());
+        let open = |backend: &Parallel| backend.lifted_session(Arc::clone(&surface), SessionOptions::new(700)).unwrap();
+        let [mut first, mut second] = [open(&one), open(&two)];
+        let (mut seeds, token) = (seeds_on(&surface, 700, 5), Token::default());
+        for step in 0..12 {
+            let [mut a, mut b, mut fresh] = [(); 3].map(|()| CellSums::default());
+            for (session, sums) in [(&mut first, &mut a), (&mut second, &mut b), (&mut open(&one), &mut fresh)] {
+                session.set_seeds(&seeds).unwrap();
+                session.sums(sums, &token).unwrap();
+            }
+            assert!(a == b && a == fresh, "s {share}: step {step}");
+            seeds = (0..seeds.len()).map(|i| a.centroid(i, seeds[i])).collect();
+            if step == 7 {
+                seeds[100].lift += DVec3::splat(0.2);
+            }
+        }
+    }
+}
+
+#[test]
+fn a_flat_lift_is_the_surface_itself() {
+    let mesh = surfaces::all().into_iter().find(|(name, _)| name == "plane").unwrap().1;
+    let surface = lifted(&mesh, None, 0.5);
+    assert!((surface.area() - Surface::new(&mesh, None).unwrap().area()).abs() < 1e-14);
+    let lift = vec![DVec3::NAN; mesh.positions().len()];
+    assert!(Surface::lifted(&mesh, None, &lift, &Token::default()).is_err());
+    assert!(Surface::lifted(&mesh, None, &[], &Token::default()).is_err());
+}
