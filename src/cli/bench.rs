@@ -5,6 +5,7 @@
 //! warms up is not counted. Must not know: how a phase is done.
 
 mod args;
+mod baselines;
 mod cvt;
 mod figures;
 mod measure;
@@ -34,6 +35,8 @@ enum What {
     /// Times against the number of points, and against the number of facets: Figure 3 of the same.
     Fig3(figures::Fig3Args),
     /// Times of a fixed number of Lloyd steps for a few thousand points: Figure 4 of the same.
+    ///
+    /// `--baseline` puts the methods beside it that the publication compares with, and says what they cost and miss.
     Fig4(figures::Fig4Args),
 }
 

@@ -84,6 +84,11 @@ impl Gpu {
         Ok(gpu)
     }
 
+    /// The device, for shaders of a caller's own.
+    pub fn device(&self) -> &Arc<Device> {
+        &self.device
+    }
+
     /// From now on the device's own clock times the stages ([`Session::device_phases`]). Returns whether it can.
     pub fn keep_time(&self) -> Result<bool> {
         Ok(self.device.keep_time()?)

@@ -30,6 +30,9 @@ pub use backends::{BackendOptions, NoGpu, auto_backend};
 pub(crate) use device::Traffic;
 #[cfg(feature = "device")]
 pub use device::{Device, DeviceOptions};
+/// For callers with shaders of their own.
+#[cfg(feature = "device")]
+pub use wgpu;
 
 /// What can go wrong on a device.
 #[cfg(feature = "device")]

@@ -166,6 +166,49 @@ fn times_grow_and_end() {
 }
 
 #[test]
+fn baselines_are_measured_beside_the_exact_diagram() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    let methods = "--baseline jfa --baseline band --baseline geometry-image --voxels 24 --shell 2 --texels 64";
+    let text = run(folder, &format!("bench fig4 --points 30,60 {methods} {SMALL}"));
+    assert_eq!(text.matches("not run: the surface is no disk").count(), 4, "{text}");
+    let report = json(folder, "out.json");
+    check(&report, 2);
+    assert_eq!(report["baseline_options"], serde_json::json!({ "voxels": 24, "shell": 2, "texels": 64 }));
+    let names = ["exact", "jfa", "jfa, warm", "band", "geometry-image", "geometry-image, L-BFGS"];
+    let rows = report["baselines"].as_array().unwrap();
+    assert_eq!(rows.len(), 2 * names.len());
+    for (k, row) in rows.iter().enumerate() {
+        assert_eq!((&row["method"], &row["points"]), (&names[k % 6].into(), &[30, 60][k / 6].into()));
+        if k % 6 >= 4 {
+            assert!(row["not_run"].is_string() && row["iteration_ms"].is_null(), "{row}");
+            continue;
+        }
+        let exact = k % 6 == 0;
+        assert_eq!((&row["exact"], &row["iterations"]), (&exact.into(), &3.into()));
+        assert!(
+            row["iteration_ms"]["median"].as_f64() > Some(0.0) && row["energy_ratio"].as_f64() > Some(0.9),
+            "{row}"
+        );
+        assert!(row["exact_dual"]["q_avg"].as_f64() > Some(0.3), "{row}");
+        for key in ["memory_bytes", "wrong_area_percent", "wrong_labels_percent", "own_dual"] {
+            assert_eq!(row[key].is_null(), exact, "{key}: {row}");
+        }
+    }
+    assert!(picture(&folder.join("out.png")).2 > 20);
+
+    io::write(&folder.join("hills.ply"), &Shape::Hills.build(500)).unwrap();
+    let line = "bench fig4 --mesh hills.ply --points 40 --baseline geometry-image --texels 64 --iterations 3 \
+                --backend serial --json out.json";
+    run(folder, line);
+    let report = json(folder, "out.json");
+    let rows = report["baselines"].as_array().unwrap();
+    let kinds: Vec<&str> = rows.iter().map(|row| row["kind"].as_str().unwrap()).collect();
+    assert_eq!(kinds, ["lloyd", "lloyd", "lbfgs"]);
+    assert!(rows[1]["wrong_labels_percent"].as_f64() < Some(5.0), "{report}");
+}
+
+#[test]
 fn wrong_usage_is_refused_before_any_work() {
     let folder = tempfile::tempdir().unwrap();
     let folder = folder.path();
@@ -185,6 +228,9 @@ fn wrong_usage_is_refused_before_any_work() {
         ("bench fig3 --seeds seeds.xyz", 2),
         ("bench fig3 --threads 0", 2),
         ("bench fig4 --points 10,x", 2),
+        ("bench fig4 --baseline dijkstra", 2),
+        ("bench fig4 --baseline jfa --voxels 4", 2),
+        ("bench fig4 --voxels 64", 2),
         ("bench fig4 --json nowhere/out.json", 73),
         ("bench table1 --points 10,20", 2),
         ("bench table1 --facets 10,20", 2),
@@ -240,6 +286,25 @@ fn reports_of_a_cpu_count_nothing() {
     assert!(report["iterations"].as_array().unwrap().iter().all(|step| work(step) == [0; 5]));
     run(folder, "rvd in.ply --points 60 --backend serial --report report.json");
     assert_eq!(work(&json(folder, "report.json")["device"]), [0; 5]);
+}
+
+#[needs(gpu)]
+#[test]
+fn jump_flooding_on_a_gpu_has_the_labels_of_the_cpu() {
+    if crate::gpu::device().is_none() {
+        return;
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    let line = "bench fig4 --facets 2000 --points 100 --iterations 5 --baseline jfa --voxels 37 --gpu-software --json out.json";
+    run(folder, line);
+    let report = json(folder, "out.json");
+    let row = |name: &str| report["baselines"].as_array().unwrap().iter().find(|row| row["method"] == name).unwrap();
+    for (cpu, gpu) in [("jfa", "jfa, GPU"), ("jfa, warm", "jfa, warm, GPU")] {
+        let [cpu, gpu] = [cpu, gpu].map(|name| row(name)["energy_ratio"].as_f64().unwrap());
+        assert!((cpu / gpu - 1.0).abs() < 0.01, "{cpu} {gpu}");
+        assert!(row("jfa, warm, GPU")["wrong_labels_percent"].as_f64() < Some(0.5), "{report}");
+    }
 }
 
 #[needs(gpu)]

@@ -200,6 +200,11 @@ impl Worker {
         Self { backend, gpu: Some(gpu), clock: false }
     }
 
+    /// Of any backend but the GPU's.
+    pub(super) fn on_cpu(backend: Arc<dyn Backend>) -> Self {
+        Self { backend, gpu: None, clock: false }
+    }
+
     /// The one that the options ask for.
     pub(super) fn one(args: &BackendArgs) -> Result<Self> {
         if matches!(args.backend, BackendArg::Auto | BackendArg::Gpu)
@@ -208,7 +213,7 @@ impl Worker {
             return Ok(Self::on_gpu(gpu));
         }
         // Says why not, if only a GPU will do.
-        Ok(Self { backend: backends::one(args)?, gpu: None, clock: false })
+        Ok(Self::on_cpu(backends::one(args)?))
     }
 
     /// All that are there, if the options leave it open: GPU, parallel, serial.

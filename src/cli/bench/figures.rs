@@ -3,7 +3,7 @@
 //! Purpose: time against points on one mesh, and against facets with one number of points (\[HYWZ17\], Figure 3), with slopes by
 //! decade; time of a fixed number of Lloyd steps against a few thousand points (Figure 4). Invariant: it ends: no case of Figure 3
 //! takes much longer than its limit, and a backend that a case was too much for is left out of larger ones. Must not know: how a
-//! step is taken.
+//! step is taken, what a baseline does.
 
 use std::time::Duration;
 
@@ -12,6 +12,7 @@ use clap::Args;
 use serde_json::{Value, json};
 
 use super::args::{RunArgs, SurfaceArgs, Worker, report, slopes};
+use super::baselines::{self, BaselineArgs};
 use super::measure::Load;
 use crate::server::number;
 use crate::shape::parse_facets;
@@ -206,6 +207,8 @@ pub(super) struct Fig4Args {
           default_value = "1000,2000,3000,4000,5000,6000,7000,8000,9000")]
     points: Vec<u32>,
     #[command(flatten)]
+    baselines: BaselineArgs,
+    #[command(flatten)]
     run: RunArgs,
 }
 
@@ -218,22 +221,43 @@ pub(super) fn fig4(args: &Fig4Args) -> Result<()> {
     let heads: String = workers.iter().map(|w| format!("{:>12} s{:>9} ms", w.name(), "")).collect();
     outln!("{:<10}{heads}", "points")?;
     let mut lines = vec![Vec::new(); workers.len()];
-    let mut cases = Vec::new();
+    let (mut cases, mut rows) = (Vec::new(), Vec::new());
+    let mut of_baselines: Vec<Series> = Vec::new();
     for &points in &args.points {
         let seeds = args.run.drawn(points);
         let mut load = Load::new(mesh.clone(), seeds, DensityOptions::default())?;
         let mut line = format!("{points:<10}");
         let times = load.time_all(&workers, &args.run, Duration::MAX, &token)?;
-        for (k, (worker, timed)) in workers.iter().zip(times).enumerate() {
+        for (k, (worker, timed)) in workers.iter().zip(&times).enumerate() {
             line += &format!("{:>14.3}{:>12.3}", timed.total_ms / 1e3, timed.step_ms().mean);
             lines[k].push((f64::from(points), timed.total_ms / 1e3));
             cases.push(timed.json(&load, worker));
         }
         outln!("{line}")?;
+        if !args.baselines.is_empty() {
+            outln!("{}", baselines::head())?;
+            for row in args.baselines.measure(&load, &workers, times, args.run.iterations as usize, &token)? {
+                outln!("{}", row.line())?;
+                rows.push(row.json(&load));
+                let Some(at) = row.at().filter(|_| row.method != baselines::EXACT) else { continue };
+                match of_baselines.iter_mut().find(|series| series.name == row.method) {
+                    Some(series) => series.points.push(at),
+                    None => of_baselines.push(Series { name: row.method.to_owned(), points: vec![at] }),
+                }
+            }
+        }
     }
-    let series = workers.iter().zip(lines).map(|(worker, points)| Series { name: worker.describe(), points }).collect();
-    let panel = Panel { x: Axis::linear("points"), y: Axis::linear("seconds"), series, ..Panel::default() };
-    args.run.output.write(&report(&workers, cases), &Figure { title, panels: vec![panel] })
+    let exact = workers.iter().zip(lines).map(|(worker, points)| Series { name: worker.describe(), points });
+    // Baselines take many times as long, or as short.
+    let y = if of_baselines.is_empty() { Axis::linear("seconds") } else { Axis::log("seconds") };
+    let series = exact.chain(of_baselines).collect();
+    let panel = Panel { x: Axis::linear("points"), y, series, ..Panel::default() };
+    let mut report = report(&workers, cases);
+    if !args.baselines.is_empty() {
+        report["baseline_options"] = args.baselines.json();
+        report["baselines"] = rows.into();
+    }
+    args.run.output.write(&report, &Figure { title, panels: vec![panel] })
 }
 
 #[cfg(test)]

@@ -118,7 +118,7 @@ impl Load {
         let total_ms = first.elapsed().as_secs_f64() * 1e3;
         let cut = taken.len() < steps && taken.len() <= FEWEST;
         let last = cvt.present(token)?;
-        Ok(Timed { kind, steps: taken, total_ms, cut, energy_ratio: last.energy_ratio })
+        Ok(Timed { kind, steps: taken, total_ms, cut, energy_ratio: last.energy_ratio, seeds: cvt.seeds()? })
     }
 }
 
@@ -132,6 +132,8 @@ pub(super) struct Timed {
     pub(super) cut: bool,
     /// After the last.
     pub(super) energy_ratio: f64,
+    /// The same, caller's coordinates.
+    pub(super) seeds: Vec<DVec3>,
 }
 
 /// Names of the phases, and what else a step takes.
@@ -140,7 +142,7 @@ pub(super) const PHASES: [&str; 5] = ["neighbours", "start", "clip", "update", "
 impl Timed {
     /// Those of several rounds, each of which began at the same seeds.
     pub(super) fn joined<'a>(kind: StepKind, rounds: impl Iterator<Item = &'a Self>) -> Self {
-        let none = Self { kind, steps: Vec::new(), total_ms: 0.0, cut: false, energy_ratio: 0.0 };
+        let none = Self { kind, steps: Vec::new(), total_ms: 0.0, cut: false, energy_ratio: 0.0, seeds: Vec::new() };
         rounds.fold(none, |mut all, round| {
             all.steps.extend_from_slice(&round.steps);
             all.total_ms += round.total_ms;
