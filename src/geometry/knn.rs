@@ -38,7 +38,7 @@ pub enum Threads {
 }
 
 /// The squared distance that orders all rows, with the same rounding in every search.
-pub(super) fn squared_distance(a: &[f64; 3], b: &[f64; 3]) -> f64 {
+fn squared_distance(a: &[f64; 3], b: &[f64; 3]) -> f64 {
     let [x, y, z] = [a[0] - b[0], a[1] - b[1], a[2] - b[2]];
     x * x + y * y + z * z
 }

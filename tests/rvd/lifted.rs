@@ -200,4 +200,6 @@ fn a_flat_lift_is_the_surface_itself() {
     let lift = vec![DVec3::NAN; mesh.positions().len()];
     assert!(Surface::lifted(&mesh, None, &lift, &Token::default()).is_err());
     assert!(Surface::lifted(&mesh, None, &[], &Token::default()).is_err());
+    let lift = vec![DVec3::splat(1e12); mesh.positions().len()];
+    assert!(Surface::lifted(&mesh, None, &lift, &Token::default()).is_err());
 }

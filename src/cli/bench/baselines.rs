@@ -135,7 +135,7 @@ impl BaselineArgs {
         if self.wants(Method::Flood) {
             for (name, warm) in [("jfa", false), ("jfa, warm", true)] {
                 let made = |run: &Run<'_>| -> Result<_> {
-                    let voxels = self.voxels(run, flood::BYTES)?;
+                    let voxels = self.voxels(run, flood::BYTES, 1)?;
                     Ok(Flood::new(voxels, surface, warm, OnHost::new(self.voxels)))
                 };
                 rows.push(run.of(name, made, token)?);
@@ -144,7 +144,7 @@ impl BaselineArgs {
             for (name, warm) in [("jfa, GPU", false), ("jfa, warm, GPU", true)] {
                 let Some(gpu) = gpu else { break };
                 let made = |run: &Run<'_>| -> Result<_> {
-                    let voxels = self.voxels(run, 0)?;
+                    let voxels = self.voxels(run, 0, 1)?;
                     let labels = OnDevice::new(gpu.device(), self.voxels, &voxels.codes, load.seeds.len());
                     let labels = labels.map_err(RvdError::from).context("--voxels: the labels on the GPU");
                     Ok(Flood::new(voxels, surface, warm, labels?))
@@ -153,7 +153,11 @@ impl BaselineArgs {
             }
         }
         if self.wants(Method::Band) {
-            rows.push(run.of("band", |run| Ok(Band::new(self.voxels(run, 0)?, surface, self.shell)), token)?);
+            rows.push(run.of(
+                "band",
+                |run| Ok(Band::new(self.voxels(run, 0, u64::from(2 * self.shell - 1))?, surface, self.shell)),
+                token,
+            )?);
         }
         if self.wants(Method::Image) {
             for (name, kind) in [("geometry-image", StepKind::Lloyd), ("geometry-image, L-BFGS", StepKind::Lbfgs)] {
@@ -167,10 +171,10 @@ impl BaselineArgs {
         Ok(rows)
     }
 
-    fn voxels(&self, run: &Run<'_>, of_all: u64) -> Result<Voxels> {
+    /// The surface's voxels, if there is memory for them with so many layers, and for `of_all` bytes a voxel of the grid.
+    fn voxels(&self, run: &Run<'_>, of_all: u64, layers: u64) -> Result<Voxels> {
         let grid = Grid::new(&run.load.surface, self.voxels);
-        let layers = u64::from(2 * self.shell - 1);
-        check(grid.plan(&run.load.surface, of_all) * if of_all > 0 { 1 } else { layers }, limit())?;
+        check(layers * grid.plan(&run.load.surface, of_all), limit())?;
         Ok(Voxels::new(&run.load.surface, grid))
     }
 

@@ -91,7 +91,8 @@ impl<P: Point> SeedIndex<P> {
         self.grid.as_ref().filter(|_| P::IS_PLACE)
     }
 
-    /// Appends all seeds whose places are in a closed box, and some around it; no later duplicate. `false` if over `most` or if it were slow.
+    /// Appends all seeds whose places are in a closed box, and some around it; no later duplicate. `false` if over `most` or if
+    /// it were slow.
     pub fn in_box(&self, low: DVec3, high: DVec3, most: usize, out: &mut Vec<u32>) -> bool {
         self.each_in_box(low, high, most, |seed, _| out.push(seed))
     }

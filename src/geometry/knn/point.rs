@@ -1,10 +1,11 @@
 //! Points between which distances are measured.
 //!
 //! Purpose: [`Point`] is what the diagram needs of its points, so that one kernel serves the surface in R^3 and the surface
-//! lifted to R^6 by its normals (\[LB12\] and Lévy and Bonneel 2012).
+//! lifted to R^6 by its normals (\[LB12\]).
 //! Invariant: a distance is at least that of the [`Point::place`]s, so that a search among places finds everything; sums of
 //! coordinates are in one order. Must not know: what lifts a surface, facets.
 
+use std::collections::BTreeMap;
 use std::fmt::Debug;
 use std::ops::{Add, AddAssign, Div, Mul, MulAssign, Neg, Sub};
 
@@ -56,9 +57,6 @@ pub trait Point:
 
     /// The point that was found at a place, `whole` if that is not all there is.
     fn found_at(place: DVec3, whole: impl FnOnce() -> Self) -> Self;
-
-    /// The same at another place, or, of a difference, another part in R^3.
-    fn at(self, place: DVec3) -> Self;
 
     /// The scalar product.
     fn dot(self, other: Self) -> f64;
@@ -129,11 +127,6 @@ impl Point for DVec3 {
 
     #[inline(always)]
     fn found_at(place: DVec3, _: impl FnOnce() -> Self) -> Self {
-        place
-    }
-
-    #[inline(always)]
-    fn at(self, place: DVec3) -> Self {
         place
     }
 
@@ -279,13 +272,10 @@ impl Point for Lifted {
     }
 
     #[inline(always)]
-    fn at(self, place: DVec3) -> Self {
-        Self { place, ..self }
-    }
-
-    #[inline(always)]
     fn dot(self, other: Self) -> f64 {
-        self.place.dot(other.place) + self.lift.dot(other.lift)
+        // One after the other, as the search tree adds squares: rows are then in one order, whatever made them.
+        let (a, b) = (self.lift, other.lift);
+        self.place.dot(other.place) + a.x * b.x + a.y * b.y + a.z * b.z
     }
 
     #[inline(always)]
@@ -314,7 +304,7 @@ impl Point for Lifted {
     fn coincident(points: &[Self]) -> Vec<(u32, u32)> {
         // Points in one place are few, but for those of creases: each is compared with the others there.
         let places: Vec<DVec3> = points.iter().map(|p| p.place).collect();
-        let mut at_place: std::collections::BTreeMap<u32, Vec<u32>> = std::collections::BTreeMap::new();
+        let mut at_place: BTreeMap<u32, Vec<u32>> = BTreeMap::new();
         let mut pairs = Vec::new();
         for (later, first) in coincident::find(&places) {
             let others = at_place.entry(first).or_insert_with(|| vec![first]);

@@ -4,7 +4,7 @@ use glam::DVec3;
 use rand::{RngExt, SeedableRng};
 
 use super::grid::Grid;
-use super::{NeighbourRow, NeighbourTable, SeedIndex, Threads};
+use super::{Lifted, NeighbourRow, NeighbourTable, Point, SeedIndex, Threads};
 
 fn random(n: usize) -> Vec<DVec3> {
     let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(n as u64);
@@ -69,17 +69,12 @@ fn sets() -> Vec<(&'static str, Vec<DVec3>, bool)> {
 }
 
 /// The whole row of seed `i`: later duplicates are in no row, and own a row of one.
-fn brute(seeds: &[DVec3], i: usize) -> Vec<u32> {
+fn brute<P: Point>(seeds: &[P], i: usize) -> Vec<u32> {
     let first = |j: usize| seeds.iter().position(|s| *s == seeds[j]).unwrap_or(j);
     if first(i) != i {
         return vec![first(i) as u32];
     }
-    let mut all: Vec<(f64, u32)> = (0..seeds.len())
-        .map(|j| {
-            let d = seeds[j] - seeds[i];
-            (d.x * d.x + d.y * d.y + d.z * d.z, j as u32)
-        })
-        .collect();
+    let mut all: Vec<(f64, u32)> = (0..seeds.len()).map(|j| (seeds[j].distance_squared(seeds[i]), j as u32)).collect();
     all.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
     all.into_iter().map(|x| x.1).filter(|&j| j as usize != i && first(j as usize) == j as usize).collect()
 }
@@ -87,29 +82,31 @@ fn brute(seeds: &[DVec3], i: usize) -> Vec<u32> {
 #[test]
 fn rows_are_prefixes_of_the_whole_order() {
     for (name, seeds, _) in sets() {
-        let index = SeedIndex::new(&seeds);
-        let unique = seeds.len() - index.duplicates();
-        let mut row = NeighbourRow::default();
-        let squared = |i: usize, j: u32| {
-            let d = seeds[i] - seeds[j as usize];
-            d.x * d.x + d.y * d.y + d.z * d.z
-        };
-        for i in (0..seeds.len()).step_by(7) {
-            let all = brute(&seeds, i);
-            for k in [1, 4, 5, 16, 24, 100, 400, 10_000] {
-                index.row(i as u32, k, &mut row);
-                assert_eq!(row.seeds[..], all[..row.seeds.len()], "{name}: seed {i}, k {k}");
-                assert_eq!(row.complete, row.seeds.len() == all.len(), "{name}: seed {i}, k {k}");
-                if !index.is_duplicate(i as u32) {
-                    // All that are nearer than the k-th, and no others.
-                    let whole = k + 1 >= unique;
-                    let len = if whole {
-                        all.len()
-                    } else {
-                        all.partition_point(|&j| squared(i, j) < squared(i, all[k - 1]))
-                    };
-                    assert_eq!(row.seeds.len(), len, "{name}: seed {i}, k {k}");
-                }
+        rows_are_prefixes(name, &seeds);
+        // With as many ties in six dimensions, and two seeds in each third place.
+        let lifted = seeds.iter().map(|&place| Lifted { place, lift: 0.5 * DVec3::new(place.y, place.z, place.x) });
+        let others = lifted.clone().step_by(3).map(|seed| Lifted { lift: -seed.lift, ..seed });
+        rows_are_prefixes(name, &lifted.clone().chain(others).collect::<Vec<_>>());
+    }
+}
+
+fn rows_are_prefixes<P: Point>(name: &str, seeds: &[P]) {
+    let index = SeedIndex::new(seeds);
+    let unique = seeds.len() - index.duplicates();
+    let mut row = NeighbourRow::default();
+    let squared = |i: usize, j: u32| seeds[i].distance_squared(seeds[j as usize]);
+    for i in (0..seeds.len()).step_by(7) {
+        let all = brute(seeds, i);
+        for k in [1, 4, 5, 16, 24, 100, 400, 10_000] {
+            index.row(i as u32, k, &mut row);
+            assert_eq!(row.seeds[..], all[..row.seeds.len()], "{name}: seed {i}, k {k}");
+            assert_eq!(row.complete, row.seeds.len() == all.len(), "{name}: seed {i}, k {k}");
+            if !index.is_duplicate(i as u32) {
+                // All that are nearer than the k-th, and no others.
+                let whole = k + 1 >= unique;
+                let len =
+                    if whole { all.len() } else { all.partition_point(|&j| squared(i, j) < squared(i, all[k - 1])) };
+                assert_eq!(row.seeds.len(), len, "{name}: seed {i}, k {k}");
             }
         }
     }

@@ -190,8 +190,8 @@ pub enum RvdError {
         /// Its weight.
         value: f64,
     },
-    /// A vertex has no finite lift, or there is no such vertex.
-    #[error("vertex {vertex} has no finite lift; give one per vertex")]
+    /// A vertex has no lift that can be computed with, or there is no such vertex.
+    #[error("vertex {vertex} has no lift of at most {MAX_SEED_DISTANCE:e} bounding boxes; give one per vertex")]
     BadLift {
         /// Its index, from 0.
         vertex: usize,

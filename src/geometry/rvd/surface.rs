@@ -7,7 +7,7 @@
 use glam::DVec3;
 use rayon::prelude::*;
 
-use super::RvdError;
+use super::{MAX_SEED_DISTANCE, RvdError};
 use crate::knn::{Lifted, Point};
 use crate::mesh::closest_point::ClosestPoint;
 use crate::mesh::{TriMesh, adjacency::weld_unless};
@@ -95,16 +95,17 @@ impl Surface {
 impl Surface<Lifted> {
     /// The surface lifted to R^6: vertex v of `mesh` at (p, `lift[v]`), in the caller's unit of length. The lift is a normal
     /// times a length; where the normal turns at a crease, the mesh has a vertex for each side. Errors: as
-    /// [`Surface::unless`]; `BadLift` if one is not finite, or not as many as vertices.
+    /// [`Surface::unless`]; `BadLift` if one is longer than [`MAX_SEED_DISTANCE`] boxes or not finite, or if there are not as many
+    /// as vertices.
     pub fn lifted(mesh: &TriMesh, weights: Option<&[f64]>, lift: &[DVec3], token: &Token) -> Result<Self, RvdError> {
-        let vertices = mesh.positions().len();
-        if let Some(vertex) =
-            (0..vertices.max(lift.len())).find(|&v| v >= vertices || !lift.get(v).is_some_and(|n| n.is_finite()))
-        {
-            return Err(RvdError::BadLift { vertex });
-        }
         let (low, high) = mesh.bounds();
         let scale = Frame::of_bounds(low, high).scale;
+        let vertices = mesh.positions().len();
+        // Exact decisions hold coordinates as far out as those of seeds.
+        let fits = |v: usize| v < vertices && lift.get(v).is_some_and(|n| (*n * scale).length() <= MAX_SEED_DISTANCE);
+        if let Some(vertex) = (0..vertices.max(lift.len())).find(|&v| !fits(v)) {
+            return Err(RvdError::BadLift { vertex });
+        }
         Self::of(mesh, weights, |v, place| Lifted { place, lift: snap(lift[v] * scale) }, token)
     }
 }
