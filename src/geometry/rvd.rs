@@ -31,6 +31,8 @@ use crate::token::Token;
 pub use cells::{PieceBatch, facet_edge};
 pub use diagram::{Cells, Diagram};
 pub use figures::RvdFigures;
+#[doc(hidden)]
+pub use on_host::OnHost;
 pub use options::{Accumulate, CELLS_PER_FACET, Capacities, SessionOptions, Strategy, Together, Tuning};
 pub use options::{MAX_SEED_DISTANCE, RvdError};
 pub use parallel::Parallel;

@@ -18,7 +18,7 @@ use crate::knn::{Point, Threads};
 use crate::token::Token;
 
 /// A session on the CPU and the vectors of its seeds.
-pub(super) struct OnHost<S, P> {
+pub struct OnHost<S, P> {
     session: S,
     /// Whose threads serve long vectors; the caller's alone if there is none.
     pool: Option<Arc<rayon::ThreadPool>>,
@@ -49,7 +49,8 @@ const LEAST_CURVATURE: f64 = 1e-10;
 const LONG: usize = 4096;
 
 impl<S, P: Point> OnHost<S, P> {
-    pub(super) fn new(session: S, pool: Option<Arc<rayon::ThreadPool>>) -> Self {
+    /// A session that is no [`Resident`] made one.
+    pub fn new(session: S, pool: Option<Arc<rayon::ThreadPool>>) -> Self {
         let [x, g, trial, trial_g, d] = Default::default();
         let (sums, trial_sums) = Default::default();
         let (held, history) = (Vec::new(), VecDeque::with_capacity(HISTORY));
