@@ -233,6 +233,21 @@ fn operators_see_and_drain_servers() {
     assert_eq!((overview.queued(), overview.running(), overview.capacity()), (2, 1, (2, 4)));
     assert_eq!((overview.lines[0].tenant.as_str(), overview.leases[0].holder.as_str()), ("t", "a"));
     assert!(overview.leases[0].left_ms > 0);
+    // A server knows its address once its port is open, which may be after it has said that it is alive.
+    let address = || {
+        wait(operator.overview())
+            .unwrap()
+            .members
+            .iter()
+            .find(|member| member.node.name == "one")
+            .unwrap()
+            .node
+            .address
+            .clone()
+    };
+    assert_eq!(address(), "");
+    wait(stores[0].shared().unwrap().beat(Node { address: "http://one:1".to_owned(), ..node("one") })).unwrap();
+    assert_eq!(address(), "http://one:1");
     assert_eq!(wait(operator.drain("none", true)).unwrap(), 0);
     assert_eq!(wait(operator.drain("two", true)).unwrap(), 1);
     assert!(wait(stores[1].shared().unwrap().beat(node("two"))).unwrap());

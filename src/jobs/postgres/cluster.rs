@@ -39,7 +39,7 @@ pub(super) async fn beat(
         "insert into tessera.nodes as n (holder, name, role, version, address, class, places, host_bytes, device_bytes, \
          at_work, host_planned, device_planned, process, started, seen) \
          values ($1, $2, $3, $4, $5, $6, $7, $8, $9, $10, $11, $12, $14, tessera.now_ms(), tessera.now_ms()) \
-         on conflict (holder) do update set class = excluded.class, places = excluded.places, \
+         on conflict (holder) do update set address = excluded.address, class = excluded.class, places = excluded.places, \
          host_bytes = excluded.host_bytes, device_bytes = excluded.device_bytes, at_work = excluded.at_work, \
          host_planned = excluded.host_planned, device_planned = excluded.device_planned, seen = excluded.seen \
          returning n.drain, (select count(*) from tessera.nodes o where o.holder <> n.holder and o.seen > tessera.now_ms() - $13)",
