@@ -80,12 +80,11 @@ pub mod rvd {
     //! The restricted Voronoi diagram: one trait, and the backends that implement it.
 
     #[doc(inline)]
-    pub use geometry::knn::{Lifted, Point};
-    #[doc(inline)]
     pub use geometry::rvd::{
         Accumulate, Backend, BackendChoice, BackendKind, CELLS_PER_FACET, Capacities, CellSums, Cells, DeviceFacts,
-        DeviceWork, Diagram, Frame, MAX_SEED_DISTANCE, PairStatus, Parallel, PassStats, PhasesMs, PieceBatch, RvdError,
-        Serial, Session, SessionOptions, Strategy, Surface, Together, Tuning, facet_edge, on_threads_of,
+        DeviceWork, Diagram, Frame, Lifted, MAX_SEED_DISTANCE, PairStatus, Parallel, PassStats, PhasesMs, PieceBatch,
+        Point, RvdError, Serial, Session, SessionOptions, Strategy, Surface, Together, Tuning, facet_edge,
+        on_threads_of,
     };
     #[doc(hidden)]
     pub use geometry::rvd::{Evaluation, Resident};
@@ -108,8 +107,8 @@ pub mod remesh {
 
     #[doc(inline)]
     pub use geometry::remesh::{
-        Observer, Placement, Provenance, Refine, Remesh, RemeshError, RemeshOptions, Report, Seeds, Share, Tolerance,
-        Warning, remesh, report,
+        Anisotropy, Observer, Placement, Provenance, Refine, Remesh, RemeshError, RemeshOptions, Report, Seeds, Share,
+        Tolerance, Warning, remesh, report,
     };
 }
 
@@ -129,7 +128,8 @@ pub use mesh::{MeshError, TriMesh};
 pub use picture;
 #[doc(inline)]
 pub use remesh::{
-    Observer, Placement, Refine, Remesh, RemeshError, RemeshOptions, Report, Seeds, Share, Tolerance, remesh,
+    Anisotropy, Observer, Placement, Refine, Remesh, RemeshError, RemeshOptions, Report, Seeds, Share, Tolerance,
+    remesh,
 };
 #[doc(inline)]
 pub use rvd::{Backend, BackendChoice, BackendKind, BackendOptions, Cells, Diagram, RvdError, auto_backend};

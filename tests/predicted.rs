@@ -254,6 +254,7 @@ fn cases(server: &Server) -> Vec<Case> {
         });
         job_spec_of(Some(JobMesh { source: Some(source) }), remesh(200))
     };
+    let lifted = |options| RemeshOptions { anisotropy_auto: true, ..options };
     let on_fine = on(&fine, remesh(200));
     let seeds = |count: usize, form| {
         let seeds: Vec<DVec3> = fine.positions().iter().copied().step_by(vertices / count).take(count).collect();
@@ -340,6 +341,9 @@ fn cases(server: &Server) -> Vec<Case> {
         case("creases of a text", on_fine.clone(), edges(ArrayForm::Text)),
         case("edge length without points", on(&cube, implied(0.2)), on(&cube, implied(0.02))),
         upper("tolerance", base(), with(&|o| (o.max_deviation, o.max_points) = (Some(0.5), Some(5000)))),
+        upper("a lift", base(), with(&|o| (o.points, o.anisotropy) = (Some(5000), Some(1.0)))),
+        upper("a lift of a fine surface", on_fine.clone(), on(&fine, lifted(remesh(200)))),
+        upper("a lift by curvature", base(), with(&|o| (o.points, o.anisotropy_auto) = (Some(20_000), true))),
         upper(
             "curvature",
             on_fine.clone(),
@@ -409,6 +413,8 @@ const GROWN: &[&str] = &[
     "CvtOptions.points_percent",
     "DiagramOptions.points_percent",
     "RemeshOptions.points_percent",
+    "RemeshOptions.anisotropy",
+    "RemeshOptions.anisotropy_auto",
     "RemeshOptions.facets",
     "CvtOptions.max_seeds",
     "CvtOptions.points",

@@ -41,8 +41,10 @@ pub(crate) type Words<T> = &'static [(&'static str, &'static str, T)];
 
 /// Reads one of these words.
 pub(crate) fn words<T: Clone + Send + Sync + 'static>(all: Words<T>) -> impl TypedValueParser<Value = T> {
-    PossibleValuesParser::new(all.iter().map(|(word, help, _)| PossibleValue::new(*word).help(*help))).try_map(|word| {
-        let known = all.iter().find(|(known, ..)| *known == word);
+    // Messages and HTTP have underscores.
+    let value = |word: &'static str, help| PossibleValue::new(word).alias(word.replace('-', "_")).help(help);
+    PossibleValuesParser::new(all.iter().map(|(word, help, _)| value(word, *help))).try_map(|word| {
+        let known = all.iter().find(|(known, ..)| *known == word.replace('_', "-"));
         known.map(|(.., value)| value.clone()).ok_or("is no such word")
     })
 }

@@ -71,6 +71,8 @@ fn options_come_through_the_message() {
         "--lloyd 0 --newton 0 --seed 9 --crease-angle 0 --boundaries free --thin even --placement surface",
         "--lloyd 3 --newton 4 --projection surface --placement centroids --density curvature --gradation 0.5",
         "--density lfs --adaptivity 0 --max-deviation 2 --max-points 60",
+        "--anisotropy auto --density error",
+        "--anisotropy 0.1 --density error-max",
     ] {
         let (_, given) = asked(line);
         let message = options::of_remesh(&given);
@@ -123,9 +125,9 @@ fn text_of(path: &str) -> String {
 }
 
 /// Options of the message that the command has not.
-const NOT_OF_COMMAND: &[&str] = &["max_deviation_length", "measure", "points_percent"];
-/// Options of the message that Python has not: `points` takes a share too.
-const NOT_OF_PYTHON: &[&str] = &["max_deviation_length", "points_percent"];
+const NOT_OF_COMMAND: &[&str] = &["anisotropy_auto", "max_deviation_length", "measure", "points_percent"];
+/// Options of the message that Python has not: `points` takes a share too, and `anisotropy` a word.
+const NOT_OF_PYTHON: &[&str] = &["anisotropy_auto", "max_deviation_length", "points_percent"];
 
 /// An option of the message has its place in every interface: the command, HTTP, the page's document, Python, docs.
 #[test]

@@ -8,6 +8,7 @@
 pub(crate) mod curves;
 pub mod density;
 pub(crate) mod figures;
+pub(crate) mod lifts;
 mod line_search;
 mod placement;
 mod step;
@@ -18,11 +19,13 @@ use glam::DVec3;
 
 use crate::mesh::closest_point::ClosestPoint;
 use crate::rvd::{
-    Backend, CellSums, DeviceWork, Evaluation, Resident, RvdError, Session, SessionOptions, Surface, check_seeds,
+    Backend, CellSums, DeviceWork, Evaluation, Resident, RvdError, Session, SessionOptions, Space, Surface, check_seeds,
 };
 use curves::CurveSeeds;
 pub use density::{Count, DensityError, DensityFigures, DensityOptions, DensitySource};
+use lifts::CurveLifts;
 pub use placement::SeedEdit;
+pub(crate) use placement::lifted;
 pub use step::{Iteration, StepKind};
 
 /// Where the present seeds are.
@@ -36,12 +39,16 @@ enum Newest {
 
 /// One surface, its seeds, and the session that computes their diagram. An error of the device, such as
 /// [`RvdError::DeviceLost`], changes no seeds; the session must be opened again.
-pub struct Cvt {
-    surface: Arc<Surface>,
-    session: Box<dyn Session>,
+pub struct Cvt<P: Space = DVec3> {
+    surface: Arc<Surface<P>>,
+    session: Box<dyn Session<P>>,
     options: CvtOptions,
     /// Unit frame; behind the session's where that has moved them.
-    seeds: Vec<DVec3>,
+    seeds: Vec<P>,
+    /// Further points of seeds of curves, where the surface is lifted: one for each side. The session has them behind the seeds.
+    sides: Vec<(u32, P)>,
+    /// Finds them.
+    lifts: Option<Arc<CurveLifts>>,
     newest: Newest,
     /// Seeds that never move; empty if all do.
     held: Vec<bool>,
@@ -53,7 +60,7 @@ pub struct Cvt {
     fresh: bool,
     convergence: Convergence,
     converged: bool,
-    sums: CellSums,
+    sums: CellSums<P>,
     /// The surface in the unit frame, built when it is first needed.
     closest: Option<ClosestPoint>,
     steps: usize,
@@ -65,17 +72,34 @@ impl Cvt {
         backend: &dyn Backend,
         surface: Arc<Surface>,
         seeds: &[DVec3],
+        options: CvtOptions,
+    ) -> Result<Self, RvdError> {
+        let seeds = seeds.iter().map(|&p| surface.frame().to_unit(p)).collect();
+        Self::open(backend, surface, seeds, options, None)
+    }
+}
+
+impl<P: Space> Cvt<P> {
+    /// Opens a session for `seeds` (unit frame) and room for more.
+    pub(crate) fn open(
+        backend: &dyn Backend,
+        surface: Arc<Surface<P>>,
+        seeds: Vec<P>,
         mut options: CvtOptions,
+        lifts: Option<Arc<CurveLifts>>,
     ) -> Result<Self, RvdError> {
         options.max_seeds = options.max_seeds.max(seeds.len());
-        let session = backend.session(Arc::clone(&surface), SessionOptions::new(options.max_seeds))?;
-        let seeds: Vec<DVec3> = seeds.iter().map(|&p| surface.frame().to_unit(p)).collect();
+        // Curves may get further seeds, and each has a few sides.
+        let room = options.max_seeds + lifts.as_ref().map_or(0, |_| SIDES * options.max_seeds);
+        let session = P::session(backend, Arc::clone(&surface), SessionOptions::new(room))?;
         check_seeds(&seeds, options.max_seeds)?;
         Ok(Self {
             surface,
             session,
             options,
             seeds,
+            sides: Vec::new(),
+            lifts,
             newest: Newest::OnHost,
             held: Vec::new(),
             curves: CurveSeeds::default(),
@@ -97,12 +121,17 @@ impl Cvt {
     /// The seeds now, caller's coordinates.
     pub fn seeds(&mut self) -> Result<Vec<DVec3>, RvdError> {
         self.download()?;
-        Ok(self.seeds.iter().map(|&p| self.surface.frame().to_world(p)).collect())
+        Ok(self.seeds.iter().map(|p| self.surface.frame().to_world(p.place())).collect())
     }
 
     /// How many seeds there are.
     pub fn len(&self) -> usize {
         self.seeds.len()
+    }
+
+    /// How many points a session needs room for.
+    pub(crate) fn room(&self) -> usize {
+        self.options.max_seeds + self.lifts.as_ref().map_or(0, |_| SIDES * self.options.max_seeds)
     }
 
     /// Whether there are no seeds (there always are).
@@ -111,13 +140,30 @@ impl Cvt {
     }
 
     /// The seeds now, unit frame.
-    pub fn unit_seeds(&mut self) -> Result<&[DVec3], RvdError> {
+    pub fn unit_seeds(&mut self) -> Result<&[P], RvdError> {
         self.download()?;
         Ok(&self.seeds)
     }
 
+    /// Where the seeds are now, unit frame.
+    pub(crate) fn unit_places(&mut self) -> Result<Vec<DVec3>, RvdError> {
+        self.download()?;
+        Ok(self.places())
+    }
+
+    fn places(&self) -> Vec<DVec3> {
+        self.seeds.iter().map(|p| p.place()).collect()
+    }
+
+    /// The points whose diagram the session has, unit frame: the seeds, and then further sides of some, with their seeds.
+    pub(crate) fn points_and_owners(&mut self) -> Result<(Vec<P>, Vec<u32>), RvdError> {
+        self.download()?;
+        let (owners, sides): (Vec<u32>, Vec<P>) = self.sides.iter().copied().unzip();
+        Ok(([&self.seeds[..], &sides].concat(), owners))
+    }
+
     /// The diagram's session with the present seeds set, for a caller that wants cells.
-    pub fn session(&mut self) -> Result<&mut dyn Session, RvdError> {
+    pub fn session(&mut self) -> Result<&mut dyn Session<P>, RvdError> {
         self.upload()?;
         Ok(&mut *self.session)
     }
@@ -129,7 +175,7 @@ impl Cvt {
     }
 
     /// The surface.
-    pub fn surface(&self) -> &Arc<Surface> {
+    pub fn surface(&self) -> &Arc<Surface<P>> {
         &self.surface
     }
 
@@ -144,11 +190,19 @@ impl Cvt {
     }
 
     fn upload(&mut self) -> Result<(), RvdError> {
-        if self.newest == Newest::OnHost {
+        if self.newest == Newest::OnHost && self.sides.is_empty() {
             self.session.set_seeds(&self.seeds)?;
             if !self.held.is_empty() {
                 resident(&mut *self.session)?.hold(&self.held)?;
             }
+            self.newest = Newest::OnBoth;
+        } else if self.newest == Newest::OnHost {
+            let all: Vec<P> = self.seeds.iter().copied().chain(self.sides.iter().map(|side| side.1)).collect();
+            self.session.set_seeds(&all)?;
+            let mut held = self.held.clone();
+            held.resize(self.seeds.len(), false);
+            held.resize(all.len(), true);
+            resident(&mut *self.session)?.hold(&held)?;
             self.newest = Newest::OnBoth;
         }
         Ok(())
@@ -157,6 +211,7 @@ impl Cvt {
     fn download(&mut self) -> Result<(), RvdError> {
         if self.newest == Newest::InSession {
             resident(&mut *self.session)?.read(&mut self.seeds)?;
+            self.seeds.truncate(self.seeds.len() - self.sides.len());
             self.newest = Newest::OnBoth;
         }
         Ok(())
@@ -168,9 +223,12 @@ impl Cvt {
     }
 }
 
-fn resident(session: &mut dyn Session) -> Result<&mut dyn Resident, RvdError> {
+fn resident<P: Space>(session: &mut dyn Session<P>) -> Result<&mut dyn Resident<P>, RvdError> {
     session.resident().ok_or_else(|| RvdError::Internal("this backend cannot move seeds".to_owned()))
 }
+
+/// Further sides of a seed, on average and at most.
+const SIDES: usize = 4;
 
 /// Where seeds go after each step.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]

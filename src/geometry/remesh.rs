@@ -12,6 +12,7 @@ mod distance;
 mod features;
 mod fit;
 mod improve;
+mod lift;
 mod manifold;
 mod pipeline;
 pub mod report;
@@ -146,6 +147,25 @@ pub enum Placement {
     Centroids,
 }
 
+/// How much longer cells may be along the direction in which the surface bends least.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub enum Anisotropy {
+    /// Cells as wide as long.
+    #[default]
+    None,
+    /// Cells are as wide as long on the surface lifted by its normals times this share of the bounding box's diagonal (Lévy and
+    /// Bonneel 2012): a cell where the curvatures are k₁ and k₂ is √((1 + s²k₁²) / (1 + s²k₂²)) times as long as wide.
+    Share(f64),
+    /// As long as the best triangles for their number are, √(k₁/k₂), where the surface is curved twice, and up to eight times as
+    /// long as wide where it bends one way: the length of the lift is |k₁k₂|^(-1/2), and at most √63/k₁.
+    Auto,
+}
+
+impl Anisotropy {
+    /// The shares that there may be. With the diagonal itself a sphere's cells are already as long as wide again.
+    pub const SHARES: std::ops::RangeInclusive<f64> = 0.0..=10.0;
+}
+
 /// More points where the result is far from the input. Needs [`Placement::Fitted`].
 ///
 /// The distance is measured both ways, at samples of facets, edges and vertices. Drawn seeds are drawn again, up to nine times,
@@ -239,6 +259,8 @@ pub struct RemeshOptions {
     /// Whether edges become shorter where the surface is too thin for their length, so that horns, fingers and bridges
     /// stay. Only where seeds are drawn, and not for lengths or weights that are given.
     pub keep_thin: bool,
+    /// How long cells may be along the surface's lines of least curvature.
+    pub anisotropy: Anisotropy,
     /// Whether to measure the result (Hausdorff distance and the like) for the report.
     pub measure: bool,
     /// What `mesh` carries and the result is to carry. Some, even if empty, asks for the provenance too.
@@ -263,6 +285,7 @@ impl RemeshOptions {
             refine: None,
             keep_boundaries: true,
             keep_thin: true,
+            anisotropy: Anisotropy::None,
             measure: true,
             attributes: None,
         }
@@ -285,6 +308,7 @@ impl RemeshOptions {
         with_refine(refine: Refine => Some(refine)),
         with_keep_boundaries(keep_boundaries: bool),
         with_keep_thin(keep_thin: bool),
+        with_anisotropy(anisotropy: Anisotropy),
         with_measure(measure: bool),
         with_attributes(attributes: Attributes => Some(attributes)),
     }

@@ -26,7 +26,7 @@ use std::sync::Arc;
 
 use glam::DVec3;
 
-use crate::knn::{Lifted, Point};
+pub use crate::knn::{Lifted, Point};
 use crate::token::Token;
 pub use cells::{PieceBatch, facet_edge};
 pub use diagram::{Cells, Diagram};
@@ -110,6 +110,59 @@ pub trait Backend: Send + Sync {
     ) -> Result<Box<dyn Session<Lifted>>, RvdError> {
         let parallel = self.pool().map_or_else(|| Parallel::new(None), |pool| Ok(Parallel::on(pool)))?;
         parallel.lifted_session(surface, options)
+    }
+}
+
+/// The spaces in which there are diagrams: the points of a surface, or of one that is lifted.
+pub trait Space: Point {
+    /// A session of a backend.
+    fn session(
+        backend: &dyn Backend,
+        surface: Arc<Surface<Self>>,
+        options: SessionOptions,
+    ) -> Result<Box<dyn Session<Self>>, RvdError>;
+
+    /// As [`Backend::exact_session`].
+    fn exact_session(
+        backend: &dyn Backend,
+        surface: Arc<Surface<Self>>,
+        options: SessionOptions,
+    ) -> Result<Box<dyn Session<Self>>, RvdError>;
+}
+
+impl Space for DVec3 {
+    fn session(
+        backend: &dyn Backend,
+        surface: Arc<Surface>,
+        options: SessionOptions,
+    ) -> Result<Box<dyn Session>, RvdError> {
+        backend.session(surface, options)
+    }
+
+    fn exact_session(
+        backend: &dyn Backend,
+        surface: Arc<Surface>,
+        options: SessionOptions,
+    ) -> Result<Box<dyn Session>, RvdError> {
+        backend.exact_session(surface, options)
+    }
+}
+
+impl Space for Lifted {
+    fn session(
+        backend: &dyn Backend,
+        surface: Arc<Surface<Self>>,
+        options: SessionOptions,
+    ) -> Result<Box<dyn Session<Self>>, RvdError> {
+        backend.lifted_session(surface, options)
+    }
+
+    fn exact_session(
+        backend: &dyn Backend,
+        surface: Arc<Surface<Self>>,
+        options: SessionOptions,
+    ) -> Result<Box<dyn Session<Self>>, RvdError> {
+        backend.lifted_session(surface, options)
     }
 }
 

@@ -80,9 +80,11 @@ impl Field {
             Kind::Uint32 => whole(u32::MAX.into()).map(|number| Value::U32(number as u32)),
             Kind::Uint64 => whole(u64::MAX).map(Value::U64),
             Kind::Enum(values) => {
-                let place = self.words().iter().position(|word| word == text);
+                let text = text.replace('-', "_");
+                let place = self.words().iter().position(|word| *word == text);
                 place.and_then(|place| Some(Value::EnumNumber(values.values().nth(place + 1)?.number())))
             }
+            Kind::Bool => text.parse().ok().map(Value::Bool),
             _ => text.parse::<f64>().ok().filter(|number| number.is_finite()).map(Value::F64),
         };
         read.ok_or_else(|| match kind {
@@ -92,6 +94,8 @@ impl Field {
                 let (last, others) = words.split_last().map_or(("", &[][..]), |(last, others)| (last.as_str(), others));
                 format!("{} or {last}", others.join(", "))
             }
+            Kind::Bool => "true or false".to_owned(),
+            _ if self.name == "anisotropy" => "a number or auto".to_owned(),
             _ => "a number".to_owned(),
         })
     }
@@ -140,9 +144,10 @@ impl Default for Fields {
 impl Fields {
     /// Takes an option. Whether there is one of this name.
     pub fn set(&mut self, name: &str, text: &str) -> Result<bool, String> {
-        // A number of points may be a share of the vertices.
-        let (name, text) = match text.trim().strip_suffix('%') {
-            Some(percent) if name == "points" => ("points_percent", percent),
+        let (name, text) = match (name, text.trim(), text.trim().strip_suffix('%')) {
+            // A number of points may be a share of the vertices.
+            ("points", _, Some(percent)) => ("points_percent", percent),
+            ("anisotropy", "auto", _) => ("anisotropy_auto", "true"),
             _ => (name, text),
         };
         let Some(field) = self.all.iter().find(|field| field.name == name) else { return Ok(false) };

@@ -12,7 +12,7 @@ use super::proto::{self, BoundaryRule, Measure, RvdOutput, ThinRule};
 use super::{WireError, unknown_enum};
 use geometry::cvt::density::{DensityOptions, DensitySource};
 use geometry::cvt::{CvtOptions, Projection};
-use geometry::remesh::{Placement, Refine, RemeshOptions, Seeds, Share, Tolerance};
+use geometry::remesh::{Anisotropy, Placement, Refine, RemeshOptions, Seeds, Share, Tolerance};
 
 type Read<T> = Result<T, WireError>;
 
@@ -128,6 +128,22 @@ pub fn remesh(given: &proto::RemeshOptions, beside: Beside, bounds: &Bounds) -> 
     if let Some(angle) = given.crease_angle.filter(|angle| !(0.0..=180.0).contains(angle)) {
         return Err(WireError::field("crease_angle", format!("is {angle}; give an angle from 0 to 180 degrees")));
     }
+    let anisotropy = match given.anisotropy {
+        Some(_) if given.anisotropy_auto => {
+            return Err(WireError::field("anisotropy_auto", "is given beside anisotropy; give one of the two"));
+        }
+        None if given.anisotropy_auto => Anisotropy::Auto,
+        None => usual.anisotropy,
+        Some(0.0) => Anisotropy::None,
+        Some(share) if Anisotropy::SHARES.contains(&share) => Anisotropy::Share(share),
+        Some(share) => {
+            let [least, most] = [Anisotropy::SHARES.start(), Anisotropy::SHARES.end()];
+            return Err(WireError::field(
+                "anisotropy",
+                format!("is {share}; give a share of the diagonal from {least} to {most}"),
+            ));
+        }
+    };
     let placement = match choice("placement", given.placement)? {
         proto::Placement::Unspecified => usual.placement,
         proto::Placement::Fitted => Placement::Fitted,
@@ -160,6 +176,7 @@ pub fn remesh(given: &proto::RemeshOptions, beside: Beside, bounds: &Bounds) -> 
             Measure::Full => true,
             Measure::Topology => false,
         },
+        anisotropy,
         creases: usual.creases,
         attributes: usual.attributes,
     })
@@ -273,6 +290,8 @@ fn density(given: Option<&proto::Density>, beside: Beside, bounds: &Bounds) -> R
             Source::EdgeLengths => DensitySource::Sizes(Vec::new()),
             Source::Curvature => DensitySource::Curvature,
             Source::Lfs => DensitySource::FeatureSize,
+            Source::Error => DensitySource::Error,
+            Source::ErrorMax => DensitySource::ErrorMax,
         },
         edge_length,
         adaptivity: adaptivity.unwrap_or(usual.adaptivity),
@@ -364,6 +383,8 @@ pub fn source(density: &DensityOptions) -> proto::DensitySource {
         DensitySource::Sizes(_) => proto::DensitySource::EdgeLengths,
         DensitySource::Curvature => proto::DensitySource::Curvature,
         DensitySource::FeatureSize => proto::DensitySource::Lfs,
+        DensitySource::Error => proto::DensitySource::Error,
+        DensitySource::ErrorMax => proto::DensitySource::ErrorMax,
     }
 }
 
@@ -400,5 +421,11 @@ pub fn of_remesh(options: &RemeshOptions) -> proto::RemeshOptions {
         max_deviation_length: if let Some(Tolerance::Length(length)) = tolerance { Some(length) } else { None },
         max_points: options.refine.and_then(|refine| refine.max_points).map(count),
         measure: if options.measure { Measure::Full } else { Measure::Topology }.into(),
+        anisotropy: match options.anisotropy {
+            Anisotropy::None => Some(0.0),
+            Anisotropy::Share(share) => Some(share),
+            Anisotropy::Auto => None,
+        },
+        anisotropy_auto: options.anisotropy == Anisotropy::Auto,
     }
 }

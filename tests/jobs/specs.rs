@@ -132,11 +132,12 @@ fn number() -> impl Strategy<Value = f64> {
 /// Options that make sense, any of which may be open.
 fn options() -> impl Strategy<Value = RemeshOptions> {
     let numbers = (of(any::<u64>()), of(0u32..900), of(0u32..900), of(0.0..=180.0f64), of(0.0..=1.0f64), of(number()));
-    let rules = (0..3i32, 0..3i32, 0..3i32, 0..3i32, select(vec![0, 1, 4, 5]));
+    let rules = (0..3i32, 0..3i32, 0..3i32, 0..3i32, select(vec![0, 1, 4, 5, 6, 7]), 0..3usize);
     (1..1000u32, numbers, rules, of((number(), any::<bool>(), of(1000..2000u32)))).prop_map(
         |(points, (seed, lloyd, newton, crease_angle, adaptivity, gradation), rules, refine)| {
-            let (projection, boundaries, thin, measure, source) = rules;
+            let (projection, boundaries, thin, measure, source, lift) = rules;
             let (mut max_deviation, mut max_deviation_length) = (None, None);
+            let (anisotropy, anisotropy_auto) = [(None, false), (Some(0.25), false), (None, true)][lift];
             let max_points = refine.and_then(|(tolerance, percent, most)| {
                 *(if percent { &mut max_deviation } else { &mut max_deviation_length }) = Some(tolerance);
                 most
@@ -158,6 +159,8 @@ fn options() -> impl Strategy<Value = RemeshOptions> {
                 measure,
                 points_percent: None,
                 facets: None,
+                anisotropy,
+                anisotropy_auto,
             }
         },
     )

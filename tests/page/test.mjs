@@ -386,6 +386,8 @@ const tests = {
         { points: 240, max_deviation_length: 0.1 },
         { points_percent: 5000 },
         { facets: 500 },
+        { points: 300, density: "error_max", anisotropy: "auto" },
+        { points: 310, density: "error", anisotropy: 0.1 },
         { points: 290, sizes: (await json(`${at}v1/blobs`, { method: "POST", body: ".3\n.4\n.5\n.3\n.4\n.5\n" })).digest,
           creases: (await json(`${at}v1/blobs`, { method: "POST", body: "0 2\n2 1\n" })).digest, gradation: 0.5 },
       ];
@@ -413,6 +415,8 @@ const tests = {
         await ended(page);
         await compared(page);
         await copiesAreRight(page, "octahedron.obj");
+        // The last copy is the call in Python, where a number has no quotes.
+        if (options.anisotropy) assert.ok((await page.textContent("#as-text")).includes(`, anisotropy=${JSON.stringify(options.anisotropy)}`));
       }
       assert.ok(await page.isVisible("#others"));
       await page.click("#others-drop");
@@ -428,6 +432,7 @@ const tests = {
         ["-o.obj", { to: "off", boundaries: "free", density: "" }, { points: "260", lloyd: "3", newton: "2", max_deviation: "3" }],
         ["no extension", { to: "ply" }, { points: "0.2k", max_deviation: "" }],
         ["share.obj", { to: "obj" }, { points: "4000%" }],
+        ["long.obj", { density: "error", anisotropy: "auto" }, { points: "300" }],
       ];
       await page.click("summary");
       for (const [name, choices, values] of cases) {

@@ -25,6 +25,7 @@ mod rough;
 #[path = "../common/surfaces.rs"]
 mod surfaces;
 
+mod anisotropy;
 mod attributes;
 mod curves;
 mod density;

@@ -45,7 +45,9 @@ function command(call: Call, options: Readonly<Record<string, unknown>>, output:
     if (key in ELSEWHERE || key === "measure") return [];
     if (FILES.includes(key)) return [`--${key} ${key}.txt`];
     if (key === "attributes") return value === false ? ["--no-attributes"] : [];
-    return [`--${key.replaceAll("_", "-")} ${shell(String(value))}`];
+    // The command has hyphens in the words of a density too.
+    const word = key === "density" ? String(value).replaceAll("_", "-") : String(value);
+    return [`--${key.replaceAll("_", "-")} ${shell(word)}`];
   });
   const { name, format } = call;
   const input = isNamed(name, format) ? [] : [`--input-format ${format}`];

@@ -46,11 +46,13 @@ export class Options {
   /** Fills the form as a job has it. */
   fill(spec: Spec): void {
     this.clearAll();
-    const { density, points_percent: percent, ...remesh } = spec.remesh ?? {};
+    const { density, points_percent: percent, anisotropy, anisotropy_auto: isAuto, ...remesh } = spec.remesh ?? {};
+    this.share(Number(anisotropy ?? 0));
     const { source, ...ofDensity } = density ?? {};
     const set: Record<string, unknown> = {
       ...remesh, ...ofDensity, density: source, backend: spec.backend, to: spec.result?.file, attributes: spec.mesh?.file?.attributes,
       ...(percent === undefined ? {} : { points: `${String(percent)}%` }),
+      ...(isAuto ? { anisotropy: "auto" } : anisotropy ? { anisotropy } : {}),
     };
     const left = Object.keys(spec).filter((name) => !["mesh", "remesh", "backend", "result", "labels", "arrays"].includes(name));
     for (const [name, { digest, form }] of Object.entries(spec.arrays ?? {})) {
@@ -61,7 +63,7 @@ export class Options {
     for (const field of this.fields()) {
       const value = this.plain(field.name, set[field.name]);
       const standard = field instanceof HTMLSelectElement ? (field.options[0]?.value ?? "") : "";
-      const isKnown = !(field instanceof HTMLSelectElement) || [...field.options].some((option) => option.value === value);
+      const isKnown = !(field instanceof HTMLSelectElement) || [...field.options].some((option) => option.value === String(value));
       field.value = value !== undefined && isKnown ? String(value) : standard;
       const isFilled = field.value !== standard && field.closest("details");
       if (isFilled) isFilled.open = true;
@@ -70,6 +72,13 @@ export class Options {
     const rest = Object.entries(set).map(([name, value]) => [name, this.plain(name, value)] as const);
     const isStandard = (name: string, value: unknown): boolean => value === undefined || typeof value === "object" || value === this.schemas[name]?.default;
     this.keep(Object.fromEntries(rest.filter(([name, value]) => !isStandard(name, value) && !(name === "attributes" && value === true))), left);
+  }
+
+  /** Offers the anisotropy of a job, if it is a number above 0. */
+  private share(value: number): void {
+    const field = the("anisotropy", HTMLSelectElement);
+    field.querySelector("[data-share]")?.remove();
+    if (value > 0) field.append(make("option", { value: String(value), "data-share": "" }, `Long: anisotropy ${value}`));
   }
 
   private keep(others: Readonly<Record<string, unknown>>, left: readonly string[] = []): void {
@@ -132,7 +141,8 @@ export class Options {
         Object.assign(options, size(field.value));
         continue;
       }
-      options[field.name] = field instanceof HTMLInputElement && field.type === "number" ? field.valueAsNumber : field.value;
+      const number = Number(field.value);
+      options[field.name] = Number.isNaN(number) ? field.value : number;
     }
     return options;
   }

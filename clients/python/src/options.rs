@@ -10,7 +10,8 @@ use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyString};
 use tessera::mesh::attributes::{Attributes, ColourDepth, Colours, Normals, PerCorner, Scalar};
 use tessera::{
-    DensityOptions, DensitySource, Placement, Projection, Refine, RemeshOptions, Seeds, Share, Tolerance, TriMesh,
+    Anisotropy, DensityOptions, DensitySource, Placement, Projection, Refine, RemeshOptions, Seeds, Share, Tolerance,
+    TriMesh,
 };
 
 use crate::arrays;
@@ -102,12 +103,15 @@ impl<'py> Options<'py> {
 
     /// Where edges are short and where long.
     pub(crate) fn density(&self) -> PyResult<DensityOptions> {
-        let named = self.word("density", &[("uniform", 0), ("curvature", 1), ("lfs", 2)])?;
+        let words = [("uniform", 0), ("curvature", 1), ("lfs", 2), ("error", 3), ("error_max", 4)];
+        let named = self.word("density", &words)?;
         let (sizes, weights) = (self.list("sizes", arrays::numbers)?, self.list("weights", arrays::numbers)?);
         let source = match (named, sizes, weights) {
             (None | Some(0), None, None) => DensitySource::Uniform,
             (Some(1), None, None) => DensitySource::Curvature,
-            (Some(_), None, None) => DensitySource::FeatureSize,
+            (Some(2), None, None) => DensitySource::FeatureSize,
+            (Some(3), None, None) => DensitySource::Error,
+            (Some(_), None, None) => DensitySource::ErrorMax,
             (None | Some(0), Some(sizes), None) => DensitySource::Sizes(sizes),
             (None | Some(0), None, Some(weights)) => DensitySource::Weights(weights),
             _ => return Err(input("density, sizes and weights exclude each other; give one of them")),
@@ -150,10 +154,26 @@ impl<'py> Options<'py> {
         options.keep_boundaries =
             self.word("boundaries", &[("keep", true), ("free", false)])?.unwrap_or(options.keep_boundaries);
         options.keep_thin = self.word("thin", &[("finer", true), ("even", false)])?.unwrap_or(options.keep_thin);
+        options.anisotropy = self.anisotropy()?;
         options.measure = self.get("measure", "True or False")?.unwrap_or(options.measure);
         options.refine = self.refine(&options.seeds)?;
         options.attributes = self.any("attributes")?.map(|given| attributes(&given, mesh)).transpose()?;
         Ok(options)
+    }
+
+    /// A number, or "auto".
+    fn anisotropy(&self) -> PyResult<Anisotropy> {
+        let needed = "a number from 0 to 10, or \"auto\"";
+        if let Some(given) = self.any("anisotropy")?
+            && given.extract::<String>().is_ok_and(|word| word == "auto")
+        {
+            return Ok(Anisotropy::Auto);
+        }
+        match self.get("anisotropy", needed)? {
+            None | Some(0.0) => Ok(Anisotropy::None),
+            Some(share) if Anisotropy::SHARES.contains(&share) => Ok(Anisotropy::Share(share)),
+            Some(share) => Err(input(format!("anisotropy is {share}; {needed} is needed"))),
+        }
     }
 
     /// Points that are added, as the command adds them.

@@ -20,7 +20,7 @@ use geometry::mesh::TriMesh;
 use geometry::mesh::attributes::Attributes;
 use geometry::mesh::features::Features;
 use geometry::mesh::io::Format;
-use geometry::remesh::{RemeshOptions, Seeds};
+use geometry::remesh::{Anisotropy, RemeshOptions, Seeds};
 use geometry::token::Token;
 use server::config::{BackendArgs, count, whole};
 use wire::counts::Bounds;
@@ -135,6 +135,10 @@ pub(crate) struct ShapeArgs {
     /// What happens where the surface is too thin for edges as long as elsewhere.
     #[arg(long, default_value = "finer", value_parser = words(THIN))]
     pub(crate) thin: ThinRule,
+    /// Longer facets where the surface bends less: by how much normals lift the surface, as a share of its diagonal, 0 to 10, or
+    /// auto, by its curvature.
+    #[arg(long, value_name = "S|auto", default_value = "0", value_parser = lift, allow_negative_numbers = true)]
+    pub(crate) anisotropy: String,
     /// Where the vertices of the remesh go.
     #[arg(long, default_value = "fitted", value_parser = words(PLACEMENTS))]
     pub(crate) placement: Placement,
@@ -162,6 +166,8 @@ pub(crate) const DENSITIES: Words<DensitySource> = &[
     ("uniform", "Edges of one length", DensitySource::Uniform),
     ("curvature", "Where the surface bends", DensitySource::Curvature),
     ("lfs", "Where the surface is thin, hollow or sharp: local feature size", DensitySource::FeatureSize),
+    ("error", "Where it lowers the mean distance most; for --anisotropy", DensitySource::Error),
+    ("error-max", "Where it lowers the largest distance most; for --anisotropy", DensitySource::ErrorMax),
 ];
 
 fn positive(text: &str) -> Result<f64, String> {
@@ -171,6 +177,13 @@ fn positive(text: &str) -> Result<f64, String> {
 
 fn angle(text: &str) -> Result<f64, String> {
     number(text, 0.0..=180.0, "an angle from 0 to 180 is needed")
+}
+
+fn lift(text: &str) -> Result<String, String> {
+    if text != "auto" {
+        number(text, Anisotropy::SHARES, "a share of the diagonal from 0 to 10 is needed, or auto")?;
+    }
+    Ok(text.to_owned())
 }
 
 const BOUNDARIES: Words<BoundaryRule> = &[

@@ -82,14 +82,21 @@ const MAX_SEGMENT: f64 = 1.2;
 
 /// The edge length in the unit frame that `seeds` seeds have where the weight is 1: 1/u of (4/√3) u² ∫√w + u ∫_boundary
 /// w^(1/4) = 2n, since a triangulation of n vertices, b of them on the boundary, has 2n - b - 2χ triangles of area √3/4 h².
-pub(crate) fn edge_length(surface: &Surface, features: &Features, seeds: usize, token: &Token) -> Result<f64, Stopped> {
+/// `root_mass` is that of the surface, lifted or not, and `stretch` as in [`Path::new`].
+pub(crate) fn edge_length(
+    surface: &Surface,
+    (features, stretch): (&Features, &[f64]),
+    root_mass: f64,
+    seeds: usize,
+    token: &Token,
+) -> Result<f64, Stopped> {
     use crate::mesh::features::CurveKind::Boundary;
     let mut one = 0.0;
     for curve in features.curves.iter().filter(|c| c.kind == Boundary) {
         token.check()?;
-        one += Path::new(surface, curve, 1.0).total();
+        one += Path::new(surface, curve, stretch, 1.0).total();
     }
-    let two = 4.0 / 3f64.sqrt() * surface.root_mass();
+    let two = 4.0 / 3f64.sqrt() * root_mass;
     let u = 0.5 * ((one * one + 8.0 * two * seeds as f64).sqrt() - one) / two;
     Ok(1.0 / u)
 }
@@ -98,7 +105,7 @@ impl CurveSeeds {
     /// Seeds for all curves, about `edge` (where the weight is 1) apart; `None` if these are more than `most`.
     pub fn place(
         surface: &Surface,
-        features: &Features,
+        (features, stretch): (&Features, &[f64]),
         edge: f64,
         most: usize,
         token: &Token,
@@ -116,7 +123,7 @@ impl CurveSeeds {
         token.check()?;
         for (number, curve) in features.curves.iter().enumerate() {
             token.check()?;
-            let path = Path::new(surface, curve, edge);
+            let path = Path::new(surface, curve, stretch, edge);
             let total = path.total();
             if !curve.closed && total < MIN_CURVE {
                 all.short.push(number as u32);
@@ -387,12 +394,10 @@ impl CurveSeeds {
         Ok(out)
     }
 
-    /// Moves intruders away from their segments, to the distance that the next row of a regular
-    /// triangulation has; none if it is stopped. Returns how many there were. One pass: a moved seed may intrude elsewhere.
-    pub fn push_out(&self, seeds: &mut [DVec3], stays: impl Fn(u32) -> bool, token: &Token) -> Result<usize, Stopped> {
-        let mut intruders = self.intruders(seeds, token)?;
-        intruders.retain(|&(seed, _)| !stays(seed));
-        for &(seed, segment) in &intruders {
+    /// Moves intruders away from their segments, to the distance that the next row of a regular triangulation has beside a chord
+    /// of this length. One pass: a moved seed may intrude elsewhere.
+    pub fn push_out(&self, seeds: &mut [DVec3], intruders: &[(u32, u32)], chord: impl Fn(&Segment) -> f64) {
+        for &(seed, segment) in intruders {
             let segment = &self.segments[segment as usize];
             let (ends, middle) = (segment.ends, segment.middle());
             let along = seeds[ends[1] as usize] - seeds[ends[0] as usize];
@@ -400,9 +405,8 @@ impl CurveSeeds {
             // Across the curve, where there is such a direction.
             let across = away - along * (away.dot(along) / along.length_squared().max(f64::MIN_POSITIVE));
             let direction = across.try_normalize().or_else(|| away.try_normalize()).unwrap_or(DVec3::X);
-            seeds[seed as usize] = middle + 0.75 * along.length() * direction;
+            seeds[seed as usize] = middle + 0.75 * chord(segment) * direction;
         }
-        Ok(intruders.len())
     }
 
     /// The points farther from every curve seed and every middle of a segment than this share of the spacing there.

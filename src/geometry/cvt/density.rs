@@ -24,13 +24,14 @@ use serde::Serialize;
 use crate::mesh::TriMesh;
 use crate::token::{Stopped, Token};
 
+pub(crate) use curvature::principal;
 pub use expected::Expected;
 pub use net::Net;
 pub use options::{Count, DensityError, DensityOptions, DensitySource};
 pub use outline::Outline;
 pub(crate) use size_field::SizeField;
 
-use lengths::{Bounded, Least, adapt, fill_gaps, of_curvature, resolved, without_noise};
+use lengths::{Bounded, Least, adapt, fill_gaps, of_curvature, of_error, resolved, without_noise};
 
 /// What came of a density, for a report. Lengths are in the caller's units.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
@@ -187,6 +188,8 @@ fn varying<'a>(mesh: &'a TriMesh, options: &DensityOptions, count: Count, token:
             let size = feature_size::local(&net, token)?;
             (size.all, Some(size.between_sheets))
         }
+        DensitySource::Error => (of_error(&net, target.unwrap_or(1.0), 1.0 / 6.0, token)?, None),
+        DensitySource::ErrorMax => (of_error(&net, target.unwrap_or(1.0), 0.25, token)?, None),
         _ => (of_curvature(&net, target.unwrap_or(1.0), token)?, None),
     };
     let given = matches!(options.source, DensitySource::Sizes(_));

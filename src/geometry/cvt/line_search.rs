@@ -32,8 +32,8 @@ struct Point {
     evaluation: Evaluation,
 }
 
-struct Search<'a> {
-    vectors: &'a mut dyn Resident,
+struct Search<'a, P: crate::knn::Point> {
+    vectors: &'a mut dyn Resident<P>,
     token: &'a Token,
     /// Energy and slope at step 0.
     energy: f64,
@@ -42,7 +42,12 @@ struct Search<'a> {
 }
 
 /// Searches from a point whose slope is below 0, beginning with the step `first`.
-pub(super) fn search(vectors: &mut dyn Resident, at: Evaluation, first: f64, token: &Token) -> Result<Found, RvdError> {
+pub(super) fn search<P: crate::knn::Point>(
+    vectors: &mut dyn Resident<P>,
+    at: Evaluation,
+    first: f64,
+    token: &Token,
+) -> Result<Found, RvdError> {
     let found = Found { evaluation: None, probes: 0, stats: PassStats::default() };
     let mut search = Search { vectors, token, energy: at.energy, slope: at.slope, found };
     let mut before = Point { step: 0.0, evaluation: at };
@@ -66,7 +71,7 @@ pub(super) fn search(vectors: &mut dyn Resident, at: Evaluation, first: f64, tok
     Ok(search.end(Some(before)))
 }
 
-impl Search<'_> {
+impl<P: crate::knn::Point> Search<'_, P> {
     fn probe(&mut self, step: f64) -> Result<Point, RvdError> {
         let evaluation = self.vectors.probe(step, self.token)?;
         self.found.probes += 1;

@@ -10,10 +10,10 @@ use std::collections::HashSet;
 
 use glam::DVec3;
 
-use super::Cvt;
 use super::curves::{CurveSeeds, INNER_POINTS};
+use super::{Cvt, SIDES};
 use crate::mesh::closest_point::{ClosestPoint, SurfacePoint};
-use crate::rvd::{CellSums, RvdError, Surface, check_seeds};
+use crate::rvd::{CellSums, RvdError, Space, Surface, check_seeds};
 use crate::token::{Stopped, Token};
 
 /// Intruders that become seeds of a curve; more of them are a curve that the seeds cannot resolve.
@@ -21,11 +21,12 @@ const MOST_ADOPTED: usize = 64;
 /// Times that seeds are pushed off curves after they were put on the surface: a moved seed may intrude elsewhere.
 const PUSHES: usize = 4;
 
-impl Cvt {
+impl<P: Space> Cvt<P> {
     /// Holds the first seeds, which are those of `curves`, and keeps the others clear of them in every Lloyd step.
     pub fn keep_curves(&mut self, curves: CurveSeeds, token: &Token) -> Result<(), RvdError> {
         self.hold((0..self.seeds.len()).map(|i| i < curves.len()).collect())?;
         self.curves = curves;
+        self.find_sides();
         self.clear_curves(token).map(|_| ())
     }
 
@@ -35,13 +36,14 @@ impl Cvt {
             return Ok(0);
         }
         self.download()?;
-        let mut seeds = self.seeds.clone();
-        let pushed = self.curves.push_out(&mut seeds, |_| false, token)?;
-        if pushed > 0 {
-            self.seeds = seeds;
+        let mut places = self.places();
+        let intruders = self.intruders(token)?;
+        if !intruders.is_empty() {
+            self.push_out(&mut places, &intruders);
+            self.move_to(&places, token)?;
             self.seeds_changed();
         }
-        Ok(pushed)
+        Ok(intruders.len())
     }
 
     /// Makes seeds between two neighbours on a curve that could not be pushed off seeds of that curve. Returns how many.
@@ -52,7 +54,7 @@ impl Cvt {
             // One for each segment: another seed between the same two may be none once these have a new one between them. Seeds ascend, so
             // that none of those to come changes its number.
             let mut split = HashSet::new();
-            let mut intruders = self.curves.intruders(&self.seeds, token)?;
+            let mut intruders = self.intruders(token)?;
             intruders.retain(|&(_, segment)| split.insert(segment));
             intruders.truncate(MOST_ADOPTED - adopted);
             if intruders.is_empty() {
@@ -62,10 +64,12 @@ impl Cvt {
                 let place = self.curves.len();
                 self.seeds.swap(place, seed as usize);
                 self.held.swap(place, seed as usize);
-                self.seeds[place] = self.curves.split(segment, INNER_POINTS / 2);
+                // Its first side; for lifted ones both are found below.
+                self.seeds[place] = self.seeds[place].at(self.curves.split(segment, INNER_POINTS / 2));
                 self.held[place] = true;
             }
             adopted += intruders.len();
+            self.find_sides();
         }
         if adopted > 0 {
             self.seeds_changed();
@@ -93,34 +97,121 @@ impl Cvt {
     pub fn put_on_surface(&mut self, token: &Token) -> Result<(), RvdError> {
         self.project_seeds(token)?;
         for _ in 0..PUSHES {
-            let stays = |i: u32| is_held(&self.held, i);
-            if self.curves.is_empty() || self.curves.push_out(&mut self.seeds, stays, token)? == 0 {
+            if self.curves.is_empty() {
                 break;
             }
+            let mut intruders = self.intruders(token)?;
+            intruders.retain(|&(seed, _)| !is_held(&self.held, seed));
+            if intruders.is_empty() {
+                break;
+            }
+            let mut places = self.places();
+            self.push_out(&mut places, &intruders);
+            // Where they are on the surface says what they are there.
+            self.seeds.iter_mut().zip(places).for_each(|(seed, place)| *seed = seed.at(place));
             self.project_seeds(token)?;
         }
         Ok(())
     }
 
-    fn project(&mut self, seeds: &mut [DVec3], token: &Token) -> Result<(), RvdError> {
+    fn project(&mut self, seeds: &mut [P], token: &Token) -> Result<(), RvdError> {
         let closest = closest(&mut self.closest, &self.surface)?;
-        let placed = closest.project_all(seeds, token)?;
+        let places: Vec<DVec3> = seeds.iter().map(|p| p.place()).collect();
+        let placed = closest.project_all(&places, token)?;
         let moved = (0..).zip(seeds.iter_mut().zip(placed)).filter(|(i, _)| !is_held(&self.held, *i));
-        moved.for_each(|(_, (seed, place))| *seed = place.position);
+        moved.for_each(|(_, (seed, at))| *seed = self.surface.point(&at));
         Ok(())
     }
 
+    fn lifted(&mut self, places: &[DVec3], token: &Token) -> Result<Vec<P>, RvdError> {
+        Ok(lifted(&self.surface, closest(&mut self.closest, &self.surface)?, places, token)?)
+    }
+
+    /// Moves seeds to places; those that stay keep their points.
+    fn move_to(&mut self, places: &[DVec3], token: &Token) -> Result<(), RvdError> {
+        let moved: Vec<usize> = (0..places.len()).filter(|&i| self.seeds[i].place() != places[i]).collect();
+        let at: Vec<DVec3> = moved.iter().map(|&i| places[i]).collect();
+        let points = self.lifted(&at, token)?;
+        moved.iter().zip(points).for_each(|(&i, point)| self.seeds[i] = point);
+        Ok(())
+    }
+
+    /// Free seeds whose cells hold a part of a curve, each with the segment.
+    fn intruders(&self, token: &Token) -> Result<Vec<(u32, u32)>, Stopped> {
+        match &self.lifts {
+            None => self.curves.intruders(&self.places(), token),
+            Some(lifts) => lifts.intruders(&self.surface, &self.curves, (&self.seeds, &self.sides), token),
+        }
+    }
+
+    fn push_out(&self, places: &mut [DVec3], intruders: &[(u32, u32)]) {
+        let seeds = places.to_vec();
+        self.curves.push_out(places, intruders, |segment| {
+            let [a, b] = segment.ends.map(|e| seeds[e as usize]);
+            match &self.lifts {
+                None => a.distance(b),
+                Some(lifts) => lifts.chord(&self.surface, [a, b]),
+            }
+        });
+    }
+
+    /// The sides of the curves' seeds on a lifted surface: the first is the seed, the others follow all seeds.
+    fn find_sides(&mut self) {
+        let Some(lifts) = &self.lifts else { return };
+        self.sides.clear();
+        for (seed, &place) in (0..).zip(&self.curves.seeds) {
+            for (k, point) in lifts.sides(&self.surface, place).into_iter().enumerate() {
+                if k == 0 {
+                    self.seeds[seed as usize] = point;
+                } else if k <= SIDES {
+                    self.sides.push((seed, point));
+                }
+            }
+        }
+    }
+
     /// New places for seeds with empty cells, by the sums and the seeds that are at hand.
-    pub(super) fn new_places(&mut self, token: &Token) -> Result<Vec<(u32, DVec3)>, RvdError> {
+    pub(super) fn new_places(&mut self, token: &Token) -> Result<Vec<(u32, P)>, RvdError> {
         let empty: Vec<u32> = (0..self.seeds.len() as u32)
             .filter(|&i| self.sums.area[i as usize] <= 0.0 && !is_held(&self.held, i))
             .collect();
         let closest = closest(&mut self.closest, &self.surface)?;
         let clearance = (!self.curves.is_empty()).then(|| self.curves.clearance(STAYS));
         let may = |p| clearance.as_ref().is_none_or(|clearance| clearance.holds(p));
-        Ok(place(&empty, &self.sums, &self.seeds, (&self.surface, closest), may, token)?)
+        Ok(place(&empty, &self.sums, &self.seeds, (&*self.surface, closest), may, token)?)
     }
 
+    /// Which seeds never move, one entry a seed.
+    pub fn hold(&mut self, held: Vec<bool>) -> Result<(), RvdError> {
+        if held.len() != self.seeds.len() {
+            return Err(RvdError::Internal(format!("{} marks for {} seeds", held.len(), self.seeds.len())));
+        }
+        self.download()?;
+        self.held = held;
+        self.seeds_changed();
+        Ok(())
+    }
+
+    /// Puts seeds at places (unit frame), where they stay, and adds and holds new ones within the room. Returns how many.
+    pub fn pin(&mut self, pins: &[(u32, DVec3)], new: &[DVec3]) -> Result<usize, RvdError> {
+        self.download()?;
+        self.held.resize(self.seeds.len(), false);
+        let places: Vec<DVec3> = pins.iter().map(|pin| pin.1).chain(new.iter().copied()).collect();
+        let points = self.lifted(&places, &Token::default())?;
+        for (&(seed, _), &point) in pins.iter().zip(&points) {
+            *seed_at(&mut self.seeds, seed)? = point;
+            self.held[seed as usize] = true;
+        }
+        let room = self.options.max_seeds - self.seeds.len().min(self.options.max_seeds);
+        let added = new.len().min(room);
+        self.seeds.extend(&points[pins.len()..][..added]);
+        self.held.resize(self.seeds.len(), true);
+        self.seeds_changed();
+        Ok(added)
+    }
+}
+
+impl Cvt {
     /// Applies edits in order; nothing is changed if one of them is wrong: `TooManySeeds` beyond the room reserved, `NonFiniteSeed`, `NoSeeds` if none would be left, `NoSuchSeed`.
     pub fn edit(&mut self, edits: &[SeedEdit]) -> Result<(), RvdError> {
         self.download()?;
@@ -153,37 +244,27 @@ impl Cvt {
         self.seeds_changed();
         Ok(())
     }
+}
 
-    /// Which seeds never move, one entry a seed.
-    pub fn hold(&mut self, held: Vec<bool>) -> Result<(), RvdError> {
-        if held.len() != self.seeds.len() {
-            return Err(RvdError::Internal(format!("{} marks for {} seeds", held.len(), self.seeds.len())));
-        }
-        self.download()?;
-        self.held = held;
-        self.seeds_changed();
-        Ok(())
+/// Places as points, with what the surface has beside the place where it is nearest.
+pub(crate) fn lifted<P: Space>(
+    surface: &Surface<P>,
+    closest: &ClosestPoint,
+    places: &[DVec3],
+    token: &Token,
+) -> Result<Vec<P>, Stopped> {
+    if P::IS_PLACE {
+        return Ok(places.iter().map(|&place| P::ZERO.at(place)).collect());
     }
-
-    /// Puts seeds at places (unit frame), where they stay, and adds and holds new ones within the room. Returns how many.
-    pub fn pin(&mut self, pins: &[(u32, DVec3)], new: &[DVec3]) -> Result<usize, RvdError> {
-        self.download()?;
-        self.held.resize(self.seeds.len(), false);
-        for &(seed, to) in pins {
-            *seed_at(&mut self.seeds, seed)? = to;
-            self.held[seed as usize] = true;
-        }
-        let room = self.options.max_seeds - self.seeds.len().min(self.options.max_seeds);
-        let added = new.len().min(room);
-        self.seeds.extend(&new[..added]);
-        self.held.resize(self.seeds.len(), true);
-        self.seeds_changed();
-        Ok(added)
-    }
+    let found = closest.project_all(places, token)?;
+    Ok(found.iter().zip(places).map(|(at, &place)| surface.point(at).at(place)).collect())
 }
 
 /// Made on first use.
-pub(super) fn closest<'a>(slot: &'a mut Option<ClosestPoint>, surface: &Surface) -> Result<&'a ClosestPoint, RvdError> {
+pub(super) fn closest<'a, P: Space>(
+    slot: &'a mut Option<ClosestPoint>,
+    surface: &Surface<P>,
+) -> Result<&'a ClosestPoint, RvdError> {
     match slot {
         Some(tree) => Ok(tree),
         None => Ok(slot.insert(surface.closest_points(&Token::default())?)),
@@ -195,14 +276,14 @@ const STAYS: f64 = 0.75;
 
 /// New places for the seeds `empty`, each in another cell, by falling energy, and where `may` lets a seed stay as long as
 /// there are such; if there are more empty cells than full ones, several share a cell on smaller and smaller circles.
-fn place(
+fn place<P: Space>(
     empty: &[u32],
-    sums: &CellSums,
-    seeds: &[DVec3],
-    (surface, closest): (&Surface, &ClosestPoint),
+    sums: &CellSums<P>,
+    seeds: &[P],
+    (surface, closest): (&Surface<P>, &ClosestPoint),
     may: impl Fn(DVec3) -> bool,
     token: &Token,
-) -> Result<Vec<(u32, DVec3)>, Stopped> {
+) -> Result<Vec<(u32, P)>, Stopped> {
     let mut hosts: Vec<usize> = (0..seeds.len()).filter(|&i| sums.area[i] > 0.0).collect();
     hosts.sort_by(|&a, &b| sums.energy[b].total_cmp(&sums.energy[a]).then(a.cmp(&b)));
     let mut places = Vec::with_capacity(empty.len());
@@ -211,9 +292,9 @@ fn place(
     }
     // Where hosts are, and a tangent there. All at once: one search may look at all facets that lie on one another.
     let footing = |hosts: &[usize]| -> Result<Vec<(usize, DVec3, DVec3)>, Stopped> {
-        let at: Vec<DVec3> = hosts.iter().map(|&host| seeds[host]).collect();
+        let at: Vec<DVec3> = hosts.iter().map(|&host| seeds[host].place()).collect();
         let of = |(&host, centre): (&usize, SurfacePoint)| {
-            let [a, b, c] = surface.facets()[centre.facet as usize].map(|v| surface.positions()[v as usize]);
+            let [a, b, c] = surface.corners(centre.facet).map(P::place);
             // The longest edge is a tangent that even a sliver has.
             let tangent = [b - a, c - b, a - c]
                 .into_iter()
@@ -229,8 +310,8 @@ fn place(
         let way = if round.is_multiple_of(2) { radius } else { -radius };
         centre + way * tangent
     };
-    let on_surface = |points: Vec<DVec3>| -> Result<Vec<DVec3>, Stopped> {
-        Ok(closest.project_all(&points, token)?.into_iter().map(|p| p.position).collect())
+    let on_surface = |points: Vec<DVec3>| -> Result<Vec<P>, Stopped> {
+        Ok(closest.project_all(&points, token)?.iter().map(|at| surface.point(at)).collect())
     };
     // A place where no seed stays would leave its cell empty again, step after step.
     let mut rest = &hosts[..];
@@ -238,7 +319,7 @@ fn place(
         let (some, after) = rest.split_at(rest.len().min(empty.len() - places.len()));
         let tried = on_surface(footing(some)?.iter().map(|host| beside(host, 0)).collect())?;
         let left = &empty[places.len()..];
-        places.extend(left.iter().copied().zip(tried.into_iter().filter(|&p| may(p))));
+        places.extend(left.iter().copied().zip(tried.into_iter().filter(|p| may(p.place()))));
         rest = after;
     }
     let left = &empty[places.len()..];
@@ -277,7 +358,7 @@ fn is_held(held: &[bool], seed: u32) -> bool {
     held.get(seed as usize).is_some_and(|&held| held)
 }
 
-fn seed_at(seeds: &mut [DVec3], index: u32) -> Result<&mut DVec3, RvdError> {
+fn seed_at<P>(seeds: &mut [P], index: u32) -> Result<&mut P, RvdError> {
     let (seed, count) = (index as usize, seeds.len());
     seeds.get_mut(seed).ok_or(RvdError::NoSuchSeed { seed, seeds: count })
 }

@@ -9,7 +9,7 @@
 use std::time::Instant;
 
 use super::{Cvt, Newest, Projection, line_search, resident};
-use crate::rvd::{DeviceWork, Evaluation, PassStats, RvdError, elapsed_ms};
+use crate::rvd::{DeviceWork, Evaluation, PassStats, RvdError, Space, elapsed_ms};
 use crate::token::Token;
 
 /// A first step, where 1 takes seeds to their centroids. The energy falls most at about this: by 0.035 of 1.11 after
@@ -60,7 +60,7 @@ pub struct Iteration {
     pub stats: PassStats,
 }
 
-impl Cvt {
+impl<P: Space> Cvt<P> {
     /// One Lloyd step: every seed to the centroid of its cell, or, if that is empty, beside the cell of highest energy.
     /// After an error seeds are as before, or as after the step, if it was stopped on their way to the surface.
     pub fn lloyd(&mut self, token: &Token) -> Result<Iteration, RvdError> {
@@ -103,6 +103,7 @@ impl Cvt {
             return self.lloyd_from(report, begin, token);
         };
         vectors.accept()?;
+        let next = self.without_sides(next)?;
         (self.newest, self.fresh) = (Newest::InSession, false);
         self.present = Some(next);
         self.converged = self.convergence.judge(evaluation.energy, next.energy, next.gradient_squared.sqrt());
@@ -144,9 +145,19 @@ impl Cvt {
         }
         self.upload()?;
         let evaluation = resident(&mut *self.session)?.evaluate(token)?;
+        let evaluation = self.without_sides(evaluation)?;
         self.convergence.begin(evaluation.gradient_squared.sqrt());
         self.present = Some(evaluation);
         Ok((evaluation, 1))
+    }
+
+    /// Empty cells of further sides do not count: these stay where they are.
+    fn without_sides(&mut self, mut evaluation: Evaluation) -> Result<Evaluation, RvdError> {
+        if evaluation.empty_cells > 0 && !self.sides.is_empty() {
+            resident(&mut *self.session)?.read_sums(&mut self.sums)?;
+            evaluation.empty_cells = self.sums.area[..self.seeds.len()].iter().filter(|&&area| area <= 0.0).count();
+        }
+        Ok(evaluation)
     }
 
     /// The step to the centroids from seeds that were evaluated.

@@ -58,6 +58,9 @@ pub trait Point:
     /// The point that was found at a place, `whole` if that is not all there is.
     fn found_at(place: DVec3, whole: impl FnOnce() -> Self) -> Self;
 
+    /// The same point at another place.
+    fn at(self, place: DVec3) -> Self;
+
     /// The scalar product.
     fn dot(self, other: Self) -> f64;
 
@@ -127,6 +130,11 @@ impl Point for DVec3 {
 
     #[inline(always)]
     fn found_at(place: DVec3, _: impl FnOnce() -> Self) -> Self {
+        place
+    }
+
+    #[inline(always)]
+    fn at(self, place: DVec3) -> Self {
         place
     }
 
@@ -269,6 +277,11 @@ impl Point for Lifted {
     #[inline(always)]
     fn found_at(_: DVec3, whole: impl FnOnce() -> Self) -> Self {
         whole()
+    }
+
+    #[inline(always)]
+    fn at(self, place: DVec3) -> Self {
+        Self { place, lift: self.lift }
     }
 
     #[inline(always)]

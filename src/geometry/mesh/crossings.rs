@@ -27,8 +27,15 @@ pub struct Crossings {
     pub places: Vec<[f64; 3]>,
 }
 
-/// The facets of `mesh` that cross others. Facets without area count as none.
+/// How many facets of `mesh` cross others, and where. Facets without area count as none.
 pub fn crossings(mesh: &TriMesh, token: &Token) -> Result<Crossings, Stopped> {
+    let found = crossing_facets(mesh, token)?;
+    let place = |&facet: &u32| (mesh.corners(facet as usize).into_iter().sum::<DVec3>() / 3.0).to_array();
+    Ok(Crossings { count: found.len(), places: found.iter().take(PLACES).map(place).collect() })
+}
+
+/// The facets of `mesh` that cross others, ascending.
+pub(crate) fn crossing_facets(mesh: &TriMesh, token: &Token) -> Result<Vec<u32>, Stopped> {
     // By a power of two, which loses nothing: products of three coordinates neither overflow nor vanish.
     let (low, high) = mesh.bounds();
     let extent = low.abs().max(high.abs()).max_element();
@@ -53,8 +60,7 @@ pub fn crossings(mesh: &TriMesh, token: &Token) -> Result<Crossings, Stopped> {
     let mut found: Vec<u32> =
         order.iter().zip(crossed).filter(|(_, crossed)| *crossed).map(|(&facet, _)| facet).collect();
     found.sort_unstable();
-    let place = |&facet: &u32| (mesh.corners(facet as usize).into_iter().sum::<DVec3>() / 3.0).to_array();
-    Ok(Crossings { count: found.len(), places: found.iter().take(PLACES).map(place).collect() })
+    Ok(found)
 }
 
 /// Whether an edge of one facet passes through the other. Edges that the two share, and those that begin at a corner that they

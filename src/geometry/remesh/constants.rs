@@ -23,8 +23,8 @@ pub(super) const UNMEASURED_COSINE: f64 = 0.8;
 pub(super) const DEGREES_PER_QUALITY: f64 = 55.0;
 /// Least score of a facet where distances are measured, or its own. A higher one lets dense ridges stick out a fifth more.
 pub(super) const LEAST_SCORE: f64 = 35.3;
-/// Score below which a facet costs something where distances are measured: a margin of two degrees above the least.
-pub(super) const MEASURED_SCORE: f64 = LEAST_SCORE + 2.0;
+/// Where distances are measured, a facet costs something from this many degrees above the least score on.
+pub(super) const SCORE_MARGIN: f64 = 2.0;
 /// Score below which a facet is poor where distances are not measured. Poor facets are improved, and the fit makes none. An
 /// isotropic remesh has smallest angles of about 37°.
 pub(super) const POOR_SCORE: f64 = 37.0;
@@ -228,6 +228,44 @@ pub(super) const FIT_ROUNDS: usize = 2;
 pub(super) const BACKTRACKING_HALVINGS: usize = 4;
 /// Later rounds that drop the moves of bad facets.
 pub(super) const BACKTRACKING_DROPS: usize = 4;
+
+// Slender facets.
+
+/// Rounds with a shorter lift where cells fail, at most; by how much it is shorter after the first, and by the square of it after
+/// the second and so on; and quasi-Newton steps in a round.
+pub(super) const MAX_FOLD_ROUNDS: usize = 5;
+pub(super) const FOLD_SHORTER: f64 = 0.5;
+pub(super) const FOLD_STEPS: usize = 8;
+/// Score and largest angle of a facet, degrees, beyond which the fit makes none worse: an equilateral triangle that is stretched
+/// to eight times its height has 12 and 156 degrees, and corners may be nearer to one another than the ideal.
+pub(super) const SLENDER_SCORE: f64 = 5.0;
+pub(super) const SLENDER_ANGLE: f64 = 165.0;
+/// Share of the damping and the stiffness of the fit. Slender facets may slide to where they are nearer. Tried: 0.01 to 1. With 0.1
+/// the RMS distance is a tenth less, but facets begin to cross in thin parts; with 1 it is a tenth more.
+pub(super) const SLENDER_DAMPING: f64 = 0.3;
+/// Where the largest distances count: the power of squared residuals in the weights of least squares, 4 for the norm of power 10, the
+/// most that a weight is off 1, and the rounds of a fit.
+pub(super) const LARGEST_POWER: i32 = 4;
+pub(super) const LARGEST_WEIGHT: f64 = 1000.0;
+pub(super) const LARGEST_ROUNDS: usize = 4;
+/// Rounds in which vertices are moved to as far from the input on either side, and the share of the way in each.
+pub(super) const BALANCING_ROUNDS: usize = 8;
+pub(super) const BALANCING_SHARE: f64 = 0.5;
+/// Rounds of flips, each with a fit after it.
+pub(super) const SLENDER_ROUNDS: usize = 3;
+/// Rounds that take crossing facets back, half of the way each and the rest in the last.
+pub(super) const UNCROSSING_ROUNDS: usize = 5;
+/// Passes of flips at facets that face away from the surface, and the valences that they keep.
+pub(super) const UNFOLDING_ROUNDS: usize = 4;
+pub(super) const UNFOLDING_VALENCES: [usize; 2] = [3, 12];
+/// Passes of flips in a round, at most: few edges are flipped after the fifth.
+pub(super) const FLIPPING_ROUNDS: usize = 10;
+/// Valences of inner vertices that such flips keep.
+pub(super) const FLIPPING_VALENCES: [usize; 2] = [4, 9];
+/// Share of the sum of squared distances that a flip must leave, at most: rounding gains nothing.
+pub(super) const FLIPPING_SHARE: f64 = 0.999;
+/// Distance of a sample, edge lengths, from which on a flip is of use.
+pub(super) const FLIPPING_DISTANCE: f64 = 1e-3;
 
 // Normal equations of the fit.
 

@@ -15,7 +15,7 @@ use super::constants::*;
 use super::report::FeatureFigures;
 use super::{RemeshError, RemeshOptions, Seeds};
 use crate::cvt::curves::{CurveSeeds, INNER_POINTS, Segment, edge_length};
-use crate::cvt::density::Plan;
+use crate::cvt::density::{DensitySource, Plan};
 use crate::mesh::TriMesh;
 use crate::mesh::edges::undirected;
 use crate::mesh::features::{CurveKind, FeatureOptions, Features};
@@ -51,9 +51,12 @@ impl KeptCurves {
             return Ok(Self::default());
         }
         let points = plan.points;
+        // Edges are short where the surface bends both ways. What these alone resolve is noise more often than a crease.
+        let even = matches!(options.density.source, DensitySource::Error | DensitySource::ErrorMax);
+        let mass = if even { surface.area() } else { surface.root_mass() };
         // The shortest target edge, where the weight is 1.
-        let scale = edge_length(surface, &Features::default(), points, token)?;
-        let resolution = match surface.is_uniform() {
+        let scale = edge_length(surface, (&Features::default(), &[]), mass, points, token)?;
+        let resolution = match even || surface.is_uniform() {
             true => Vec::new(),
             false => surface.weights().iter().map(|w| w.powf(0.25)).collect(),
         };
@@ -74,12 +77,12 @@ impl KeptCurves {
             if !options.keep_boundaries {
                 features.retain(|_, c| c.kind != CurveKind::Boundary);
             }
-            let edge = edge_length(surface, &features, points, token)?;
+            let edge = edge_length(surface, (&features, &[]), surface.root_mass(), points, token)?;
             let creases = |features: &Features| features.curves.iter().filter(|c| c.kind == CurveKind::Crease).count();
             let share = |creases| if creases == 0 { 1.0 } else { LARGEST_SHARE };
             // Close curves are dropped next, but do not make room for more than this.
             let most = points.saturating_mul(MOST_SEEDS).saturating_add(SPARE_SEEDS);
-            let mut placed = CurveSeeds::place(surface, &features, edge, most, token)?;
+            let mut placed = CurveSeeds::place(surface, (&features, &[]), edge, most, token)?;
             while let Some(seeds) = &placed {
                 let too_close = seeds.too_close(&features, token)?;
                 if too_close.is_empty() {
@@ -87,7 +90,7 @@ impl KeptCurves {
                 }
                 dropped_curves += too_close.len();
                 features.retain(|k, _| !too_close.contains(&(k as u32)));
-                placed = CurveSeeds::place(surface, &features, edge, most, token)?;
+                placed = CurveSeeds::place(surface, (&features, &[]), edge, most, token)?;
             }
             if let Some(mut seeds) = placed {
                 seeds.split_by_deviation(token)?;
@@ -110,10 +113,12 @@ impl KeptCurves {
         }
     }
 
-    /// The curves' seeds and as many drawn ones as make `points`, clear of the curves; caller's coordinates.
+    /// The curves' seeds and as many drawn ones as make `points`, by the roots of `weights`, clear of the curves; caller's
+    /// coordinates.
     pub(crate) fn with_others(
         &self,
         plan: &Plan<'_>,
+        weights: Option<&[f64]>,
         surface: &Surface,
         seed: u64,
         token: &Token,
@@ -128,7 +133,7 @@ impl KeptCurves {
         let regions = self.features.regions(mesh);
         token.check()?;
         let draw = |count: usize| -> Result<(Vec<DVec3>, Vec<DVec3>), Stopped> {
-            let drawn = spread_unless(mesh, (plan.weights.as_deref(), Some(&regions)), count, seed, token)?;
+            let drawn = spread_unless(mesh, (weights, Some(&regions)), count, seed, token)?;
             Ok(drawn.par_iter().map(|s| s.position).partition(clear))
         };
         let (mut kept, mut rest) = draw(others + others / SPARE_POINTS)?;
@@ -187,6 +192,53 @@ impl KeptCurves {
         let kind = |s: &Segment| self.features.curves[s.curve as usize].kind;
         let missing = self.seeds.segments.iter().zip(edges).filter(|(s, e)| e.is_none() && counts(kind(s)));
         missing.filter_map(|(s, _)| Some([vertex(s.ends[0])?, vertex(s.ends[1])?])).collect()
+    }
+
+    /// Places the seeds again for a lifted surface, on which curves are longer by `stretch` at each vertex. Where they are more
+    /// than curves may have, they stay as they are.
+    pub(crate) fn place_lifted(
+        &mut self,
+        surface: &Surface,
+        stretch: &[f64],
+        root_mass: f64,
+        points: usize,
+        token: &Token,
+    ) -> Result<(), Stopped> {
+        let features = &self.features;
+        let edge = edge_length(surface, (features, stretch), root_mass, points, token)?;
+        let most = (LARGEST_SHARE * points as f64) as usize;
+        if let Some(mut seeds) = CurveSeeds::place(surface, (features, stretch), edge, most, token)? {
+            seeds.split_by_deviation(token)?;
+            if seeds.len() <= most {
+                self.seeds = seeds;
+            }
+        }
+        Ok(())
+    }
+
+    /// The segments of boundaries.
+    pub(crate) fn boundary_segments(&self) -> impl Iterator<Item = &Segment> {
+        let is_boundary = |s: &&Segment| self.features.curves[s.curve as usize].kind == CurveKind::Boundary;
+        self.seeds.segments.iter().filter(is_boundary)
+    }
+
+    /// Edges of all curves, by the first vertex at each place.
+    pub(crate) fn curve_edges(&self) -> impl Iterator<Item = [u32; 2]> {
+        self.features
+            .curves
+            .iter()
+            .flat_map(|c| c.round().zip(c.round().skip(1)).map(|(a, b)| [a, b]).collect::<Vec<_>>())
+    }
+
+    /// Edges of creases, by the first vertex at each place.
+    pub(crate) fn crease_edges(&self) -> impl Iterator<Item = [u32; 2]> {
+        let creases = self.features.curves.iter().filter(|c| c.kind == CurveKind::Crease);
+        creases.flat_map(|c| c.round().zip(c.round().skip(1)).map(|(a, b)| [a, b]).collect::<Vec<_>>())
+    }
+
+    /// Vertices of curves, by the first at each place; some more than once.
+    pub(crate) fn curve_vertices(&self) -> impl Iterator<Item = u32> {
+        self.features.curves.iter().flat_map(|c| &c.vertices).chain(&self.features.corners).copied()
     }
 
     pub(crate) fn is_corner(&self, seed: u32) -> bool {

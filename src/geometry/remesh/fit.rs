@@ -3,11 +3,13 @@
 //! Purpose: a triangulation whose vertices lie on a curved surface lies on one side of it, off by a share of κh² everywhere.
 //! [`fit`] moves the vertices so that the mean square distance from the input to the facets is least, tangent plane by
 //! tangent plane ([`normal_equations`]): along the normals where the surface is smooth, and towards a ridge where samples of
-//! its two sides ask for it. [`backtrack`] then shortens moves until no facet turns over or becomes a sliver beside what it was.
+//! its two sides ask for it. Where facets may be slender, edges are flipped between such moves ([`flips`]). [`backtrack`] then shortens moves until no facet turns over or becomes a sliver beside what it was.
 //! Invariant: fixed vertices stay. The answer of the backtracking is that of checking all facets each time, though a facet is
 //! checked again only if a corner's move was shortened. The same bits whatever the number of threads.
 //! Must not know: seeds, diagrams, files.
 
+mod balance;
+mod flips;
 mod normal_equations;
 
 use glam::DVec3;
@@ -18,9 +20,11 @@ use super::distance::InputSamples;
 use super::features::envelope::CurveSample;
 use super::manifold::LocalMesh;
 use super::triangle::{Wanted, unit_normal};
+use crate::mesh::TriMesh;
+use crate::mesh::crossings::crossing_facets;
 use crate::mesh::csr::ascending;
 use crate::mesh::measure::facet_quality;
-use crate::token::Token;
+use crate::token::{Stopped, Token};
 use normal_equations::NormalEquations;
 
 #[derive(Debug)]
@@ -32,21 +36,123 @@ pub(super) struct Target {
     pub(super) fixed: Vec<bool>,
 }
 
-/// Moves the vertices. Ends early where `token` is stopped.
-pub(super) fn fit(mesh: &mut LocalMesh, target: &Target, token: &Token) {
-    let (start, shapes) = (mesh.positions.clone(), FacetShape::all(mesh));
-    for _ in 0..FIT_ROUNDS {
-        let mut moves = NormalEquations::new(mesh, target, &start, token).solve(token);
+/// Facets as they are wanted.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Shapes {
+    /// As wide as long.
+    Round,
+    /// As long as the cells are: edges are those of the dual.
+    Slender,
+    /// As they are nearest to the surface.
+    Nearest(Norm),
+}
+
+/// Which distances a fit brings down.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Norm {
+    MeanSquare,
+    Largest,
+}
+
+impl Norm {
+    /// Of the squared distances, where their sum stands for the norm.
+    fn power(self) -> i32 {
+        match self {
+            Self::MeanSquare => 1,
+            Self::Largest => 4,
+        }
+    }
+}
+
+impl Shapes {
+    /// Least score of a facet where distances are measured, or its own.
+    pub(super) fn least_score(self) -> f64 {
+        match self {
+            Self::Round => LEAST_SCORE,
+            Self::Slender | Self::Nearest(_) => SLENDER_SCORE,
+        }
+    }
+
+    fn wanted(self) -> Wanted {
+        match self {
+            Self::Round => Wanted::new(POOR_SCORE, POOR_ANGLE),
+            Self::Slender | Self::Nearest(_) => Wanted::new(SLENDER_SCORE, SLENDER_ANGLE),
+        }
+    }
+}
+
+/// Moves the vertices; flips edges where facets are to be nearest. Ends early where `token` is stopped.
+pub(super) fn fit(mesh: &mut LocalMesh, target: &mut Target, shapes: Shapes, token: &Token) {
+    let wanted = shapes.wanted();
+    let start = mesh.positions.clone();
+    if shapes != Shapes::Round {
+        flips::unfold(mesh, target);
+    }
+    let Shapes::Nearest(norm) = shapes else {
+        return move_vertices(mesh, target, (&start, 1.0), (wanted, Norm::MeanSquare), token);
+    };
+    move_vertices(mesh, target, (&start, SLENDER_DAMPING), (wanted, norm), token);
+    for _ in 0..SLENDER_ROUNDS {
+        flips::flip(mesh, target, (wanted, norm), token);
+        move_vertices(mesh, target, (&start, SLENDER_DAMPING), (wanted, norm), token);
+    }
+    if norm == Norm::Largest {
+        balance::balance(mesh, target, wanted, token);
+    }
+}
+
+/// Flips edges, and moves no vertex.
+pub(super) fn flip(mesh: &mut LocalMesh, target: &mut Target, shapes: Shapes, token: &Token) {
+    flips::unfold(mesh, target);
+    if let Shapes::Nearest(norm) = shapes {
+        flips::flip(mesh, target, (shapes.wanted(), norm), token);
+    }
+}
+
+fn move_vertices(
+    mesh: &mut LocalMesh,
+    target: &Target,
+    (start, damping): (&[DVec3], f64),
+    (wanted, norm): (Wanted, Norm),
+    token: &Token,
+) {
+    let shapes = FacetShape::all(mesh, wanted);
+    // Of reweighted least squares, a whole step goes too far.
+    let (rounds, share) = match norm {
+        Norm::MeanSquare => (FIT_ROUNDS, 1.0),
+        Norm::Largest => (LARGEST_ROUNDS, 1.0 / (1.0 + 2.0 * f64::from(LARGEST_POWER))),
+    };
+    for _ in 0..rounds {
+        let equations = NormalEquations::new(mesh, target, (start, damping), norm, token);
+        let mut moves = equations.solve(token);
+        moves.iter_mut().for_each(|by| *by *= share);
         if token.is_stopped() {
             return;
         }
-        backtrack(mesh, &shapes, &mut moves);
+        backtrack(mesh, &shapes, wanted, &mut moves);
         mesh.positions.iter_mut().zip(moves).for_each(|(p, by)| *p += by);
     }
 }
 
+/// Takes vertices at and around facets that cross others back to where they were, half of the way a round.
+pub(super) fn uncross(mesh: &mut LocalMesh, start: &[DVec3], fixed: &[bool], token: &Token) -> Result<(), Stopped> {
+    for round in 1..=UNCROSSING_ROUNDS {
+        let Ok(now) = TriMesh::new(mesh.positions.clone(), mesh.facets().to_vec()) else { break };
+        let crossing = crossing_facets(&now, token)?;
+        if crossing.is_empty() {
+            break;
+        }
+        let share = if round < UNCROSSING_ROUNDS { 0.5 } else { 1.0 };
+        let corners = ascending(crossing.iter().flat_map(|&f| mesh.facets()[f as usize]));
+        for v in mesh.corners_around(&corners).into_iter().map(|v| v as usize).filter(|&v| !fixed[v]) {
+            mesh.positions[v] = mesh.positions[v].lerp(start[v], share);
+        }
+    }
+    Ok(())
+}
+
 /// The shape of a facet: its normal, and what it lacks of not being poor.
-pub(super) struct FacetShape {
+struct FacetShape {
     normal: DVec3,
     lack: f64,
 }
@@ -56,15 +162,13 @@ impl FacetShape {
         Self { normal: unit_normal(corners), lack: wanted.lack(corners, facet_quality(corners)) }
     }
 
-    pub(super) fn all(mesh: &LocalMesh) -> Vec<Self> {
-        let wanted = Wanted::new(POOR_SCORE, POOR_ANGLE);
+    fn all(mesh: &LocalMesh, wanted: Wanted) -> Vec<Self> {
         (0..mesh.facets().len() as u32).into_par_iter().map(|f| Self::of(mesh.corners(f), wanted)).collect()
     }
 }
 
 /// Shortens `moves`, one a vertex. `first` are the shapes before the fit.
-pub(super) fn backtrack(mesh: &LocalMesh, first: &[FacetShape], moves: &mut [DVec3]) {
-    let wanted = Wanted::new(POOR_SCORE, POOR_ANGLE);
+fn backtrack(mesh: &LocalMesh, first: &[FacetShape], wanted: Wanted, moves: &mut [DVec3]) {
     let mut checked: Vec<u32> = (0..mesh.facets().len() as u32).collect();
     for round in 0..BACKTRACKING_HALVINGS + BACKTRACKING_DROPS {
         let is_bad = |f: &u32| {

@@ -23,6 +23,7 @@ use glam::DVec3;
 
 use super::constants::{DIRECTIONS, MAX_HALVINGS, NORMAL_STEP};
 use super::distance::Reference;
+use super::fit::Shapes;
 use super::manifold::LocalMesh;
 use super::triangle::perimeter;
 use crate::mesh::csr::ascending;
@@ -37,6 +38,7 @@ pub(super) struct Context<'a> {
     pub(super) reference: &'a Reference<'a>,
     /// Vertices that may move.
     pub(super) movable: &'a [bool],
+    pub(super) shapes: Shapes,
     /// Where it is stopped, patches stay as they are and must not be used.
     pub(super) token: &'a Token,
 }
@@ -153,6 +155,7 @@ pub(crate) struct MeshEditor<'a> {
     mesh: &'a mut LocalMesh,
     reference: &'a Reference<'a>,
     movable: Vec<bool>,
+    shapes: Shapes,
     /// Patches that were put back so far.
     pub(super) edits: u32,
     /// By vertex, the number of the last edit that had it; 0 if none had.
@@ -164,17 +167,19 @@ impl<'a> MeshEditor<'a> {
     pub(crate) fn new(
         mesh: &'a mut LocalMesh,
         mobility: &[Mobility],
+        shapes: Shapes,
         reference: &'a Reference<'a>,
         token: &'a Token,
     ) -> Self {
         let is_movable = |(m, v): (&Mobility, u32)| *m == Mobility::Free && !mesh.is_on_boundary(v);
         let movable = mobility.iter().zip(0..).map(is_movable).collect();
         let last_edit = vec![0; mesh.positions.len()];
-        Self { mesh, reference, movable, edits: 0, last_edit, token }
+        Self { mesh, reference, movable, shapes, edits: 0, last_edit, token }
     }
 
     pub(super) fn context(&self) -> Context<'_> {
-        Context { mesh: self.mesh, reference: self.reference, movable: &self.movable, token: self.token }
+        let Self { reference, movable, shapes, token, .. } = self;
+        Context { mesh: self.mesh, reference, movable, shapes: *shapes, token }
     }
 
     fn put_back(&mut self, patch: &Patch) {

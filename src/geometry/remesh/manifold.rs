@@ -197,7 +197,19 @@ impl LocalMesh {
 
     /// The flip of a side of `f`, if that is allowed: the link condition holds, the edge is no curve's, inner valences stay in
     /// the range or come nearer to it, and neither new facet turns over.
-    pub(crate) fn flip(&self, f: u32, side: usize, [least, most]: [usize; 2]) -> Option<Flip> {
+    pub(crate) fn flip(&self, f: u32, side: usize, valences: [usize; 2]) -> Option<Flip> {
+        let flip = self.flip_any(f, side, valences)?;
+        let mean = flip.facets.iter().map(|&f| unit_normal(self.corners(f))).sum::<DVec3>().normalize_or_zero();
+        self.faces(&flip, mean, FLIPPED_COSINE).then_some(flip)
+    }
+
+    /// Whether both facets that a flip makes face a direction.
+    pub(crate) fn faces(&self, flip: &Flip, direction: DVec3, least_cosine: f64) -> bool {
+        flip.corners.iter().all(|&t| unit_normal(self.places(t)).dot(direction) >= least_cosine)
+    }
+
+    /// As [`Self::flip`], whichever way the facets face.
+    pub(crate) fn flip_any(&self, f: u32, side: usize, [least, most]: [usize; 2]) -> Option<Flip> {
         let t = self.facets[f as usize];
         let (a, b, c) = (t[side], t[(side + 1) % 3], t[(side + 2) % 3]);
         let g = self.facet_along(b, a)?;
@@ -209,10 +221,7 @@ impl LocalMesh {
         if joined || self.curves.contains(&undirected([a, b])) || !(loses(a) && loses(b) && gains(c) && gains(d)) {
             return None;
         }
-        let new = [[a, d, c], [d, b, c]];
-        let mean = (unit_normal(self.corners(f)) + unit_normal(self.corners(g))).normalize_or_zero();
-        let fine = new.iter().all(|&t| unit_normal(self.places(t)).dot(mean) >= FLIPPED_COSINE);
-        fine.then_some(Flip { facets: [f, g], corners: new })
+        Some(Flip { facets: [f, g], corners: [[a, d, c], [d, b, c]] })
     }
 
     pub(crate) fn apply(&mut self, flip: &Flip) {

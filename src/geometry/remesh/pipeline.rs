@@ -32,7 +32,8 @@ use glam::DVec3;
 use super::attributes::{self, Provenance};
 use super::report::{CountFigures, InputFigures, MemoryFigures, Report, ResultFigures, Timings};
 use super::{
-    Limits, Observer, Placement, Refine, Remesh, RemeshError, RemeshOptions, Result, Seeds, Tolerance, warnings,
+    Anisotropy, Limits, Observer, Placement, Refine, Remesh, RemeshError, RemeshOptions, Result, Seeds, Tolerance,
+    warnings,
 };
 use crate::cvt::density::{Count, DensitySource, Plan};
 use crate::mesh::TriMesh;
@@ -103,7 +104,8 @@ fn run_stages(
     token.enter("prepare");
     observer.stage("prepare");
     // Most inputs need no preprocessing: what is prepared meanwhile is then of use.
-    let (preprocessed, mut prepared) = rayon::join(|| preprocess(given, token), || prepare(given, options, token));
+    let (preprocessed, mut prepared) =
+        rayon::join(|| preprocess(given, token), || prepare(given, options, None, token));
     let (input, changed) = preprocessed?;
     let clean = changed.as_ref().unwrap_or(given);
     // Components are moved apart, so that no cell reaches through to another one.
@@ -113,7 +115,7 @@ fn run_stages(
     token.check()?;
     let separated = apart.as_ref().map_or(clean, |apart| &apart.mesh);
     if changed.is_some() || apart.is_some() {
-        prepared = prepare(separated, options, token);
+        prepared = prepare(separated, options, None, token);
     }
     let limits = match (options.refine, &prepared) {
         (Some(Refine { tolerance, max_points }), &Ok(Prepared { plan: Plan { points, .. }, .. })) => {
@@ -130,7 +132,9 @@ fn run_stages(
     let options = limited.as_ref().unwrap_or(options);
     // Given edge lengths are not changed.
     let free = !matches!(options.density.source, DensitySource::Sizes(_) | DensitySource::Weights(_));
-    let keep_thin = options.keep_thin && free && options.placement == Placement::Fitted;
+    let isotropic = options.anisotropy == Anisotropy::None;
+    // Cells are larger than they look where the lifted surface is, and are no measure of its thickness.
+    let keep_thin = options.keep_thin && free && isotropic && options.placement == Placement::Fitted;
     let (low, high) = clean.bounds();
     let diagonal = (high - low).length();
     // A tolerance decides itself how many points there are.

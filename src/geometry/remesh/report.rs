@@ -140,6 +140,8 @@ pub struct RefineFigures {
     pub ended: Option<RefineEnd>,
     /// Rounds that drew seeds again with shorter edges, where the surface was too thin for its cells.
     pub closed_ball_rounds: usize,
+    /// Rounds with less anisotropy where the dual folded.
+    pub fold_rounds: usize,
     /// Cells for which it still is.
     pub closed_ball_failures: usize,
     /// Rounds that drew fewer seeds, for the number of vertices that was asked for.

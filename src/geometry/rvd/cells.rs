@@ -64,6 +64,21 @@ impl PieceBatch {
         self.offset[i] as usize..self.offset[i + 1] as usize
     }
 
+    /// Gives the pieces of points from number `seeds` on to the seeds that own them.
+    pub(super) fn own(&mut self, seeds: u32, owners: &[u32]) {
+        if owners.is_empty() {
+            return;
+        }
+        let owner = |seed: &mut u32| {
+            if let Some(&owner) = seed.checked_sub(seeds).and_then(|k| owners.get(k as usize)) {
+                *seed = owner;
+            }
+        };
+        self.seed.iter_mut().for_each(owner);
+        self.opposite.iter_mut().for_each(owner);
+        self.sort();
+    }
+
     /// Appends a piece. `vertices` yields (position, weight, opposite).
     pub fn push(&mut self, facet: u32, seed: u32, vertices: impl IntoIterator<Item = (DVec3, f64, u32)>) {
         if self.offset.is_empty() {

@@ -15,6 +15,7 @@ use glam::DVec3;
 use rayon::prelude::*;
 
 use super::{PassStats, PieceBatch, RvdError, Session, Surface};
+use crate::knn::Point;
 use crate::mesh::edges::DisjointSets;
 use crate::token::Token;
 use pieces::Pieces;
@@ -68,11 +69,12 @@ pub struct Component {
 /// Facets per batch: bounds the memory of polygons whatever the mesh, and the next batch finds it there.
 const BATCH: u32 = 1 << 14;
 
-/// Reads the dual of the session's present seeds (there are `seeds` of them).
-pub(crate) fn extract(
-    session: &mut dyn Session,
+/// Reads the dual of the session's present seeds (there are `seeds` of them). The session may have further points behind these;
+/// `owners` says of which seed each is, and its cell is part of that seed's.
+pub(crate) fn extract<P: Point>(
+    session: &mut dyn Session<P>,
     surface: &Surface,
-    seeds: usize,
+    (seeds, owners): (usize, &[u32]),
     token: &Token,
 ) -> Result<Dual, RvdError> {
     let mut pieces = Pieces::default();
@@ -83,7 +85,12 @@ pub(crate) fn extract(
     for first in (0..facets).step_by(BATCH as usize) {
         token.check()?;
         let range = first..facets.min(first + BATCH);
-        let (done, ()) = rayon::join(|| session.pieces(range, &mut next, token), || pieces.take(&made));
+        let owned = |next: &mut PieceBatch| {
+            let done = session.pieces(range, next, token)?;
+            next.own(seeds as u32, owners);
+            Ok::<_, RvdError>(done)
+        };
+        let (done, ()) = rayon::join(|| owned(&mut next), || pieces.take(&made));
         stats.add(&done?);
         std::mem::swap(&mut made, &mut next);
     }

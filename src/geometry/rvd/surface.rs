@@ -9,7 +9,7 @@ use rayon::prelude::*;
 
 use super::{MAX_SEED_DISTANCE, RvdError};
 use crate::knn::{Lifted, Point};
-use crate::mesh::closest_point::ClosestPoint;
+use crate::mesh::closest_point::{ClosestPoint, SurfacePoint};
 use crate::mesh::{TriMesh, adjacency::weld_unless};
 use crate::token::Token;
 
@@ -218,6 +218,12 @@ impl<P: Point> Surface<P> {
     /// Corners of facet `f`.
     pub fn corners(&self, f: u32) -> [P; 3] {
         self.facets[f as usize].map(|v| self.positions[v as usize])
+    }
+
+    /// The point of the surface that has a place.
+    pub fn point(&self, at: &SurfacePoint) -> P {
+        let ([a, b, c], [u, v, w]) = (self.corners(at.facet), at.barycentric);
+        (a * u + b * v + c * w).at(at.position)
     }
 
     /// Centroid of facet `f`.

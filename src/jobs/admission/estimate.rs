@@ -10,7 +10,7 @@ use crate::observe::activity::Origin;
 pub use crate::record::Kind;
 use crate::record::{Bytes, JobId};
 use geometry::cvt::density::Expected;
-use geometry::remesh::{Placement, RemeshOptions};
+use geometry::remesh::{Anisotropy, Placement, RemeshOptions};
 use geometry::rvd::BackendKind;
 use gpu::SessionForecast;
 use wire::options::{Diagram, Session, source};
@@ -30,6 +30,7 @@ pub struct Counts {
     pub input_bytes: u64,
     pub density: DensitySource,
     pub placement: Placement,
+    pub anisotropy: Anisotropy,
     /// Numbers of all attributes that a remesh carries over, three for a normal.
     pub attributes: u64,
     /// Bytes of lists beside the surface (sizes, weights, creases): as they come, and as they are held.
@@ -59,6 +60,7 @@ impl Counts {
             input_bytes: vertices.saturating_mul(12).saturating_add(facets.saturating_mul(13)),
             density: DensitySource::Uniform,
             placement: Placement::Fitted,
+            anisotropy: Anisotropy::None,
             attributes: 0,
             list_bytes: 0,
             refines: false,
@@ -86,6 +88,7 @@ impl Counts {
             steps: options.lloyd as u64 + options.newton as u64,
             density: source(&options.density),
             placement: options.placement,
+            anisotropy: options.anisotropy,
             refines: options.refine.is_some(),
             measures: options.measure,
             ..self
@@ -159,6 +162,9 @@ fn host_bytes(counts: &Counts, threads: usize) -> u64 {
         Kind::Remesh => {
             let fitted = counts.placement == Placement::Fitted;
             let (facet, point) = (530, if fitted { 4000 } else { 3100 });
+            // The lifted surface and its session.
+            let lifted = counts.anisotropy != Anisotropy::None;
+            let (facet, point) = if lifted { (facet + 320, point * 8 / 5) } else { (facet, point) };
             // The best result is kept beside the next one.
             let (facet, point) = if counts.refines { (facet * 3 / 2, point * 7 / 4) } else { (facet, point) };
             (28 * MIB, each(counts, facet, point))
@@ -177,7 +183,9 @@ fn host_bytes(counts: &Counts, threads: usize) -> u64 {
     let carried = counts.attributes.saturating_mul(16);
     // Lengths of vertices, as they are found and bounded.
     let lengths = match counts.density {
-        DensitySource::Curvature | DensitySource::Lfs => counts.vertices.saturating_mul(32),
+        DensitySource::Curvature | DensitySource::Lfs | DensitySource::Error | DensitySource::ErrorMax => {
+            counts.vertices.saturating_mul(32)
+        }
         _ => 0,
     };
     let (pair, cells) = match counts.kind {
@@ -225,13 +233,13 @@ fn seconds(counts: &Counts, threads: usize) -> f64 {
     let density = match counts.density {
         DensitySource::Unspecified | DensitySource::Uniform | DensitySource::Weights => 0.0,
         DensitySource::EdgeLengths => 0.5,
-        DensitySource::Curvature => 1.4,
+        DensitySource::Curvature | DensitySource::Error | DensitySource::ErrorMax => 1.4,
         DensitySource::Lfs => 5.4,
     } * facets;
     // Where sheets are near one another, a cell has several times the neighbours, and lists for them are long.
     let pair = if counts.is_crowded { 20.0 } else { 0.5 };
     let pairs = counts.extra_pairs as f64 * pair;
-    let step = 0.025 * facets + 0.24 * points + pairs;
+    let step = (0.025 * facets + 0.24 * points + pairs) * lifted_share(counts.anisotropy);
     let fit = if counts.placement == Placement::Fitted { 2.7 * facets + 4.5 * points } else { 0.0 };
     let measure = if counts.measures { 0.07e6 + 0.2 * facets + 1.5 * points } else { 0.0 };
     let cells = if counts.cells { 1.5 * (facets + points) } else { 0.0 };
@@ -248,6 +256,16 @@ fn seconds(counts: &Counts, threads: usize) -> f64 {
     let attempts = if counts.refines { 6.0 } else { 1.0 };
     // Steps are shared by all threads, the rest by some.
     0.02 + 1e-6 * attempts * (steps * 2.0 / threads + other * (0.6 + 0.8 / threads))
+}
+
+/// How much longer steps take on a lifted surface: the longer the lift, the more cells are near one another in space. With the
+/// curvature's own lift a few rounds follow where cells fail.
+fn lifted_share(anisotropy: Anisotropy) -> f64 {
+    match anisotropy {
+        Anisotropy::None => 1.0,
+        Anisotropy::Auto => 2.5,
+        Anisotropy::Share(share) => 2.0 + 9.0 * share.min(1.0),
+    }
 }
 
 #[cfg(test)]

@@ -89,6 +89,8 @@ mod tests {
             measure: Measure::Full.into(),
             points_percent: Some(50.0),
             facets: Some(200),
+            anisotropy: Some(0.1),
+            anisotropy_auto: true,
         };
         let rvd = DiagramOptions { points: Some(9), seed: Some(1), outputs: vec![1, 2], points_percent: Some(50.0) };
         let options = CvtOptions {

@@ -254,7 +254,10 @@ mod tests {
             ("points=-1", "points is \"-1\""),
             ("points=1.5", "points is"),
             ("points=1&points=2", "points is there twice"),
-            ("density=blue", "density is \"blue\"; it must be uniform, weights, edge_lengths, curvature or lfs"),
+            (
+                "density=blue",
+                "density is \"blue\"; it must be uniform, weights, edge_lengths, curvature, lfs, error or error_max",
+            ),
             ("edge_length=nan", "edge_length"),
             ("label=a", "label is KEY=VALUE"),
             ("points=9&max_points=70", "spec.remesh.max_points is given without max_deviation"),

@@ -15,7 +15,7 @@ from .meshes import Attributes, Surface, warn
 from .progress import ProgressLike, listener
 from .results import CvtStep, Remesh, Report, Rvd
 
-Density = Literal["uniform", "curvature", "lfs"]
+Density = Literal["uniform", "curvature", "lfs", "error", "error_max"]
 
 
 def _density(given: Any) -> dict[str, Any]:
@@ -114,6 +114,7 @@ def remesh(
     creases: ArrayLike | None = None,
     boundaries: Literal["keep", "free"] | None = None,
     thin: Literal["finer", "even"] | None = None,
+    anisotropy: float | Literal["auto"] | None = None,
     placement: Literal["fitted", "surface", "centroids"] | None = None,
     lloyd: int | None = None,
     newton: int | None = None,
@@ -160,6 +161,8 @@ def remesh(
         creases: (k, 2) integer: edges that are creases whatever their angle.
         boundaries: "keep", or "free": the rim settles about half an edge inside.
         thin: "finer": shorter edges where the surface is too thin for its cells; or "even".
+        anisotropy: longer facets where the surface bends less: how far normals lift it, as a share of its diagonal from 0
+            (none) to 10, or "auto", by its curvature.
         placement: where vertices go: "fitted" (nearest to the surface in the mean), "surface", "centroids".
         lloyd: Lloyd steps.
         newton: quasi-Newton steps after them, at most.

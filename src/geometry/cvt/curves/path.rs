@@ -47,11 +47,13 @@ pub(super) struct Path {
 }
 
 impl Path {
-    pub(super) fn new(surface: &Surface, curve: &Curve, edge: f64) -> Self {
+    /// Where `stretch` has a number for each vertex, a curve is so much longer there for its seeds.
+    pub(super) fn new(surface: &Surface, curve: &Curve, stretch: &[f64], edge: f64) -> Self {
         let (mut points, mut along, mut per_length) = (Vec::new(), vec![0.0], Vec::new());
         let mut last: Option<(DVec3, f64)> = None;
         for v in curve.round() {
-            let (p, w) = (surface.positions()[v as usize], surface.weights()[v as usize]);
+            let p = surface.positions()[v as usize];
+            let w = surface.weights()[v as usize] * stretch.get(v as usize).map_or(1.0, |s| s.powi(4));
             let from = last.map_or(SAMPLES_PER_EDGE, |_| 1);
             let (q, u) = last.unwrap_or((p, w));
             for k in from..=SAMPLES_PER_EDGE {
@@ -340,8 +342,8 @@ mod tests {
         let (surface, curves) = sides(None);
         for curve in &curves {
             for count in [2, 3, 7, 15, 200] {
-                let side = Path::new(&surface, curve, 1.0);
-                let path = Path::new(&surface, curve, side.length() / count as f64);
+                let side = Path::new(&surface, curve, &[], 1.0);
+                let path = Path::new(&surface, curve, &[], side.length() / count as f64);
                 let mut places = path.tessellate(count, 1, &Token::default()).unwrap();
                 places.insert(0, 0.0);
                 places.push(path.length());
@@ -360,8 +362,8 @@ mod tests {
         let (surface, curves) = sides(Some(&[1.0, 1.0, 16.0, 16.0]));
         for curve in &curves {
             let ends = [curve.vertices[0], curve.vertices[1]].map(|v| surface.weights()[v as usize]);
-            let one = Path::new(&surface, curve, 1.0).total();
-            let path = Path::new(&surface, curve, one / 60.0);
+            let one = Path::new(&surface, curve, &[], 1.0).total();
+            let path = Path::new(&surface, curve, &[], one / 60.0);
             let mut places = path.tessellate(60, 1, &Token::default()).unwrap();
             places.insert(0, 0.0);
             places.push(path.length());

@@ -14,16 +14,21 @@ use crate::token::{Stopped, Token};
 /// Facets thinner than this (area over squared longest edges) say nothing of curvature.
 const THIN: f64 = 1e-6;
 
-/// The larger of |κ₁| and |κ₂| at each vertex, per extent of the mesh, from [`smoothed_normals`] after `steps` rounds.
-pub(super) fn largest(net: &Net, steps: usize, token: &Token) -> Result<Vec<f64>, Stopped> {
+/// [`principal`] at each vertex, per extent of the mesh, from [`smoothed_normals`] after `steps` rounds.
+pub(super) fn of(net: &Net, steps: usize, token: &Token) -> Result<Vec<[f64; 2]>, Stopped> {
     let normals = smoothed_normals(net, steps, token)?;
-    let tensors: Vec<Option<(DVec3, DMat3)>> = net
-        .facets
-        .par_iter()
-        .map(|&(v, _)| tensor(v.map(|v| net.points[v as usize]), v.map(|v| normals[v as usize])))
-        .collect();
-    let mut sums = vec![(DMat3::ZERO, 0.0); net.vertices()];
-    for (&(v, area), tensor) in net.facets.iter().zip(&tensors) {
+    let curvatures = principal(&net.points, &normals, &net.facets);
+    token.check()?;
+    Ok(curvatures)
+}
+
+/// The principal curvatures at points with these unit normals, the one of larger absolute value first; NaN without a usable
+/// facet. Facets have areas.
+pub(crate) fn principal(points: &[DVec3], normals: &[DVec3], facets: &[([u32; 3], f64)]) -> Vec<[f64; 2]> {
+    let of_facet = |&(v, _): &([u32; 3], f64)| tensor(v.map(|v| points[v as usize]), v.map(|v| normals[v as usize]));
+    let tensors: Vec<Option<(DVec3, DMat3)>> = facets.par_iter().map(of_facet).collect();
+    let mut sums = vec![(DMat3::ZERO, 0.0); points.len()];
+    for (&(v, area), tensor) in facets.iter().zip(&tensors) {
         let Some((normal, tensor)) = tensor else { continue };
         for v in v.map(|v| v as usize) {
             let turn = rotation(*normal, normals[v]);
@@ -31,9 +36,8 @@ pub(super) fn largest(net: &Net, steps: usize, token: &Token) -> Result<Vec<f64>
             sums[v].1 += area;
         }
     }
-    token.check()?;
-    let of = |(sum, area): (DMat3, f64)| if area > 0.0 { largest_eigenvalue(sum * area.recip()) } else { f64::NAN };
-    Ok(sums.into_par_iter().map(of).collect())
+    let of = |(sum, area): (DMat3, f64)| if area > 0.0 { eigenvalues(sum * area.recip()) } else { [f64::NAN; 2] };
+    sums.into_par_iter().map(of).collect()
 }
 
 /// The facet's normal and its second fundamental form, as a tensor of space that is zero along the normal.
@@ -80,12 +84,14 @@ fn rotation(from: DVec3, to: DVec3) -> DMat3 {
     DMat3::IDENTITY + cross + cross * cross * (1.0 / (1.0 + cosine))
 }
 
-/// The eigenvalue of largest absolute value of a symmetric tensor whose third eigenvalue is 0.
-fn largest_eigenvalue(m: DMat3) -> f64 {
+/// The eigenvalues of a symmetric tensor whose third eigenvalue is 0, the one of larger absolute value first.
+fn eigenvalues(m: DMat3) -> [f64; 2] {
     let trace = m.x_axis.x + m.y_axis.y + m.z_axis.z;
     let squares = m.x_axis.length_squared() + m.y_axis.length_squared() + m.z_axis.length_squared();
     let half = 0.5 * trace;
-    half.abs() + (0.5 * squares - half * half).max(0.0).sqrt()
+    let apart = (0.5 * squares - half * half).max(0.0).sqrt();
+    let sign = 1f64.copysign(half);
+    [half + sign * apart, half - sign * apart]
 }
 
 #[cfg(test)]
@@ -98,9 +104,13 @@ mod tests {
     /// Relative errors of `largest` against `want` per caller's unit: median and 99th percentile.
     fn errors(mesh: &TriMesh, steps: usize, want: impl Fn(DVec3) -> f64) -> [f64; 2] {
         let net = Net::new(mesh, &Token::default()).unwrap();
-        let got = largest(&net, steps, &Token::default()).unwrap();
-        let mut off: Vec<f64> =
-            mesh.positions().iter().zip(&got).map(|(&p, k)| (k / net.outline.extent / want(p) - 1.0).abs()).collect();
+        let got = of(&net, steps, &Token::default()).unwrap();
+        let mut off: Vec<f64> = mesh
+            .positions()
+            .iter()
+            .zip(&got)
+            .map(|(&p, k)| (k[0].abs() / net.outline.extent / want(p) - 1.0).abs())
+            .collect();
         off.sort_by(f64::total_cmp);
         [off[off.len() / 2], off[off.len() * 99 / 100]]
     }
@@ -164,10 +174,10 @@ mod tests {
     fn planes_and_rubbish_have_finite_curvatures() {
         for shape in Shape::ALL {
             let mesh = shape.build(500);
-            let got = largest(&Net::new(&mesh, &Token::default()).unwrap(), 3, &Token::default()).unwrap();
-            assert!(got.iter().all(|k| k.is_nan() || (*k >= 0.0 && k.is_finite())), "{shape}");
+            let got = of(&Net::new(&mesh, &Token::default()).unwrap(), 3, &Token::default()).unwrap();
+            assert!(got.iter().all(|k| k[0].is_nan() || k[0].is_finite() && k[0].abs() >= k[1].abs()), "{shape}");
             if matches!(shape, Shape::Plane | Shape::Square) {
-                assert!(got.iter().all(|&k| k == 0.0), "{shape}");
+                assert!(got.iter().all(|&k| k == [0.0; 2]), "{shape}");
             }
         }
     }

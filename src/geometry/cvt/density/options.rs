@@ -23,10 +23,16 @@ pub enum DensitySource {
     /// Length by local feature size: h ∝ the distance to the medial axis. Edges are short where the surface is thin, hollow
     /// or sharp. They are as short as by curvature, or shorter between close sheets.
     FeatureSize,
+    /// Length for the least mean of squared distances from the surface by triangles of the best shape: h ∝ |K|^(-1/6), where K is
+    /// the Gaussian curvature, or k₁²/64 where that is larger: triangles are at most eight times as long as wide. For
+    /// anisotropic remeshes.
+    Error,
+    /// The same for the least largest distance: h ∝ |K|^(-1/4).
+    ErrorMax,
 }
 
 impl DensitySource {
-    /// "uniform", "weights", "sizes", "curvature" or "lfs".
+    /// "uniform", "weights", "sizes", "curvature", "lfs", "error" or "error_max".
     pub fn name(&self) -> &'static str {
         match self {
             Self::Uniform => "uniform",
@@ -34,6 +40,8 @@ impl DensitySource {
             Self::Sizes(_) => "sizes",
             Self::Curvature => "curvature",
             Self::FeatureSize => "lfs",
+            Self::Error => "error",
+            Self::ErrorMax => "error_max",
         }
     }
 }

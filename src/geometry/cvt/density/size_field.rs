@@ -48,6 +48,10 @@ impl SizeField {
         sizes.iter().map(|&h| (least / h).powi(4)).collect()
     }
 
+    pub(crate) fn into_sizes(self) -> Vec<f64> {
+        self.sizes
+    }
+
     pub(crate) fn least(&self) -> f64 {
         self.sizes.iter().copied().fold(f64::INFINITY, f64::min)
     }

@@ -9,14 +9,14 @@
 use glam::{DMat3, DVec3};
 use rayon::prelude::*;
 
-use super::Target;
+use super::{Norm, Target};
 use crate::remesh::constants::*;
 use crate::remesh::distance::{RingQuery, SurfaceSample};
 use crate::remesh::features::envelope::CurveSample;
 use crate::remesh::manifold::LocalMesh;
 use crate::token::Token;
 
-const NONE: u32 = u32::MAX;
+pub(super) const NONE: u32 = u32::MAX;
 
 /// A symmetric matrix: xx xy xz yy yz zz.
 #[derive(Clone, Copy, Debug, Default)]
@@ -61,22 +61,28 @@ struct Share {
     normal: DVec3,
 }
 
+/// By how much a facet's point is off the tangent plane of a sample.
+pub(super) fn residual(sample: &SurfaceSample, corners: [DVec3; 3], weights: [f64; 3]) -> f64 {
+    let point: DVec3 = (0..3).map(|i| weights[i] * corners[i]).sum();
+    sample.normal.dot(point - sample.position)
+}
+
 /// Pairs of corners that have a block.
 const PAIRS: [(usize, usize); 6] = [(0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)];
 
 impl Share {
-    fn add(&mut self, sample: &SurfaceSample, corners: [DVec3; 3], weights: [f64; 3]) {
-        let point: DVec3 = (0..3).map(|i| weights[i] * corners[i]).sum();
+    /// `counts` is by how much more the residual counts than its area says.
+    fn add(&mut self, sample: &SurfaceSample, corners: [DVec3; 3], weights: [f64; 3], counts: f64) {
         let n = sample.normal;
-        let residual = n.dot(point - sample.position);
+        let residual = residual(sample, corners, weights);
         let plane = Symmetric::outer(n);
         self.normal += sample.area * n;
         for (i, weight) in weights.into_iter().enumerate() {
-            self.right[i] -= sample.area * weight * residual * n;
+            self.right[i] -= counts * sample.area * weight * residual * n;
             self.area[i] += sample.area * weight;
         }
         for (block, (i, j)) in self.blocks.iter_mut().zip(PAIRS) {
-            block.add(sample.area * weights[i] * weights[j], &plane);
+            block.add(counts * sample.area * weights[i] * weights[j], &plane);
         }
     }
 
@@ -122,14 +128,16 @@ impl CurveShare {
     }
 }
 
-struct NearestFacets {
-    /// In the order of the samples.
-    facet: Vec<u32>,
-    weights: Vec<[f64; 3]>,
+/// The facet of the one-ring of its vertex that is nearest to each sample.
+pub(super) struct NearestFacets {
+    /// In the order of the samples; [`NONE`] for a vertex without facets.
+    pub(super) facet: Vec<u32>,
+    /// Of the nearest point, by corner.
+    pub(super) weights: Vec<[f64; 3]>,
 }
 
 impl NearestFacets {
-    fn new(mesh: &LocalMesh, target: &Target, token: &Token) -> Self {
+    pub(super) fn new(mesh: &LocalMesh, target: &Target, token: &Token) -> Self {
         let samples = &target.input.samples;
         let (mut facet, mut weights) = (vec![NONE; samples.all().len()], vec![[0.0; 3]; samples.all().len()]);
         let (mut facets, mut rest) = (facet.as_mut_slice(), weights.as_mut_slice());
@@ -160,16 +168,30 @@ impl NearestFacets {
         Self { facet, weights }
     }
 
-    /// The sum over the samples that are nearest to facet `f`.
-    fn share(&self, mesh: &LocalMesh, target: &Target, f: u32) -> Share {
+    /// The sum over the samples that are nearest to facet `f`. `counts` says how much a residual counts.
+    fn share(&self, mesh: &LocalMesh, target: &Target, f: u32, counts: impl Fn(f64) -> f64) -> Share {
         let mut share = Share::default();
         let corners = mesh.corners(f);
         for v in mesh.facets()[f as usize] {
             let range = target.input.samples.range(v);
             let of = self.facet[range.clone()].iter().zip(&self.weights[range]).zip(target.input.samples.of(v));
-            of.filter(|((facet, _), _)| **facet == f).for_each(|((_, &w), sample)| share.add(sample, corners, w));
+            for ((_, &weights), sample) in of.filter(|((facet, _), _)| **facet == f) {
+                share.add(sample, corners, weights, counts(residual(sample, corners, weights)));
+            }
         }
         share
+    }
+
+    /// The mean of the squared residuals.
+    fn mean_square(&self, mesh: &LocalMesh, target: &Target) -> f64 {
+        let of = self.facet.iter().zip(&self.weights).zip(target.input.samples.all());
+        let of = of.filter(|((facet, _), _)| **facet != NONE);
+        let squares = of.map(|((&facet, &weights), sample)| {
+            let off = residual(sample, mesh.corners(facet), weights);
+            (sample.area * off * off, sample.area)
+        });
+        let (sum, area) = squares.fold((0.0, 0.0), |(a, b), (c, d)| (a + c, b + d));
+        if area > 0.0 { sum / area } else { 0.0 }
     }
 }
 
@@ -188,6 +210,7 @@ struct Parts<'a> {
     mesh: &'a LocalMesh,
     /// Where vertices were before the fit.
     start: &'a [DVec3],
+    damping: f64,
     shares: Vec<Share>,
     /// By vertex.
     curves: Vec<CurveShare>,
@@ -231,7 +254,7 @@ impl Parts<'_> {
             let t = mesh.facets()[f as usize];
             let share = &self.shares[f as usize];
             let moved = t.map(|u| self.moved(u));
-            let (sum, k) = (moved[0] + moved[1] + moved[2], share.stiffness());
+            let (sum, k) = (moved[0] + moved[1] + moved[2], self.damping * share.stiffness());
             for (i, _) in t.iter().enumerate().filter(|(_, u)| **u == v) {
                 own.add(1.0, share.block(i, i));
                 own.widen(2.0 * k);
@@ -249,8 +272,11 @@ impl Parts<'_> {
             couple(self.unknown[curve.other as usize], &curve.off, 0.0);
         }
         let mut extra = Symmetric::default();
-        extra.widen(TANGENT_DAMPING * area);
-        extra.add((NORMAL_DAMPING - TANGENT_DAMPING) * area, &Symmetric::outer(normal.normalize_or_zero()));
+        extra.widen(self.damping * TANGENT_DAMPING * area);
+        extra.add(
+            self.damping * (NORMAL_DAMPING - TANGENT_DAMPING) * area,
+            &Symmetric::outer(normal.normalize_or_zero()),
+        );
         // So does damping.
         right -= extra.times(self.moved(v));
         own.add(1.0, &extra);
@@ -270,17 +296,32 @@ pub(super) struct NormalEquations {
 }
 
 impl NormalEquations {
-    /// For the vertices that are not fixed. They were at `start` before the fit.
-    pub(super) fn new(mesh: &LocalMesh, target: &Target, start: &[DVec3], token: &Token) -> Self {
+    /// For the vertices that are not fixed. They were at `start` before the fit. `damping` is a share of that of round facets.
+    pub(super) fn new(
+        mesh: &LocalMesh,
+        target: &Target,
+        (start, damping): (&[DVec3], f64),
+        norm: Norm,
+        token: &Token,
+    ) -> Self {
         let found = NearestFacets::new(mesh, target, token);
         let facets = (0..mesh.facets().len() as u32).into_par_iter().with_min_len(ITEMS_PER_TASK);
-        let shares = facets.map(|f| found.share(mesh, target, f)).collect();
+        let shares = match norm {
+            Norm::MeanSquare => facets.map(|f| found.share(mesh, target, f, |_| 1.0)).collect(),
+            Norm::Largest => {
+                // Reweighted least squares.
+                let mean = found.mean_square(mesh, target).max(f64::MIN_POSITIVE);
+                let counts =
+                    |off: f64| (off * off / mean).powi(LARGEST_POWER).clamp(LARGEST_WEIGHT.recip(), LARGEST_WEIGHT);
+                facets.map(|f| found.share(mesh, target, f, counts)).collect()
+            }
+        };
         let mut curves: Vec<_> = target.curves.iter().flat_map(|s| CurveShare::both(&mesh.positions, s)).collect();
         curves.sort_by_key(|c| c.vertex);
         let unknowns: Vec<u32> = (0..mesh.positions.len() as u32).filter(|&v| !target.fixed[v as usize]).collect();
         let mut unknown = vec![NONE; mesh.positions.len()];
         unknowns.iter().zip(0..).for_each(|(&v, i)| unknown[v as usize] = i);
-        let parts = Parts { mesh, start, shares, curves, unknown };
+        let parts = Parts { mesh, start, damping, shares, curves, unknown };
         let rows = unknowns.par_chunks(VERTICES_PER_RUN).map(|vertices| parts.rows(vertices)).collect();
         Self { vertices: mesh.positions.len(), unknowns, rows }
     }

@@ -12,6 +12,7 @@ use crate::mesh::closest_point::closest_on_facet;
 use crate::mesh::facet_set::least_distance;
 use crate::mesh::measure::facet_quality;
 use crate::remesh::constants::*;
+use crate::remesh::fit::Shapes;
 use crate::remesh::manifold::LocalMesh;
 use crate::remesh::triangle::Wanted;
 
@@ -20,22 +21,24 @@ use crate::remesh::triangle::Wanted;
 pub(super) struct ShapeCost {
     wanted: Wanted,
     power: i32,
+    quality_weight: f64,
 }
 
 impl ShapeCost {
     /// Where distances are measured as well. Squares: near a ridge distances have to count beside facets that lack much.
-    pub(super) fn measured() -> Self {
-        Self { wanted: Wanted::new(MEASURED_SCORE, 180.0), power: 2 }
+    pub(super) fn measured(shapes: Shapes) -> Self {
+        let quality_weight = if shapes == Shapes::Round { QUALITY_WEIGHT } else { 0.0 };
+        Self { wanted: Wanted::new(shapes.least_score() + SCORE_MARGIN, 180.0), power: 2, quality_weight }
     }
 
     /// Where they are not. Cubes, so that the worse of two facets gains at the other's cost.
     pub(super) fn unmeasured() -> Self {
-        Self { wanted: Wanted::new(UNMEASURED_SCORE, UNMEASURED_ANGLE), power: 3 }
+        Self { wanted: Wanted::new(UNMEASURED_SCORE, UNMEASURED_ANGLE), power: 3, quality_weight: QUALITY_WEIGHT }
     }
 
     pub(super) fn of(&self, corners: [DVec3; 3]) -> f64 {
         let quality = facet_quality(corners);
-        (self.wanted.lack(corners, quality) / SCORE_SCALE).powi(self.power) + QUALITY_WEIGHT * (1.0 - quality)
+        (self.wanted.lack(corners, quality) / SCORE_SCALE).powi(self.power) + self.quality_weight * (1.0 - quality)
     }
 
     /// The cost of the facets around `v` with it at `p`, or of some of them as soon as that is not less than `most`. Infinite
@@ -168,7 +171,7 @@ impl<'a> VertexObjective<'a> {
             near,
             hint: 0,
             ring,
-            shape: ShapeCost::measured(),
+            shape: ShapeCost::measured(patch.shapes),
             corners,
         }
     }

@@ -12,6 +12,7 @@ use super::{Context, Steps};
 use crate::mesh::csr::ascending;
 use crate::mesh::facet_set::{FacetSet, sample_points, squared_distance};
 use crate::remesh::constants::*;
+use crate::remesh::fit::Shapes;
 use crate::remesh::manifold::{Flip, LocalMesh};
 use crate::remesh::triangle::{perimeter, score, unit_normal};
 use crate::token::Token;
@@ -27,6 +28,7 @@ pub(super) struct Patch {
     pub(super) start: Vec<DVec3>,
     /// Vertices that have all their facets inside and may move.
     pub(super) movable: Vec<u32>,
+    pub(super) shapes: Shapes,
     pub(super) steps: Steps,
     pub(super) centre: u32,
     pub(super) mean_edge: f64,
@@ -84,6 +86,7 @@ impl Patch {
         let edges: f64 = (0..facet_ids.len() as u32).map(|f| perimeter(mesh.corners(f))).sum();
         let mut patch = Self {
             movable,
+            shapes: context.shapes,
             steps: Steps::new(vertices.len()),
             centre,
             mean_edge: edges / (3 * facet_ids.len()) as f64,

@@ -16,6 +16,7 @@ use super::trial::{Goal, Measure, Trial, best};
 use super::{Context, MeshEditor, Place, Queue, distance_at};
 use crate::mesh::facet_set::squared_distance;
 use crate::remesh::constants::*;
+use crate::remesh::fit::Shapes;
 use crate::remesh::manifold::Flip;
 
 /// What is wrong at a place. The later ones come first.
@@ -36,14 +37,17 @@ enum Outcome {
     Failed(f64),
 }
 
-/// Improves places while that helps. `estimates` are about the distances around each vertex. Returns how many it improved.
+/// Improves places while that helps: irregular vertices only where facets are to be round. `estimates` are about the distances
+/// around each vertex. Returns how many it improved.
 pub(crate) fn improve(editor: &mut MeshEditor<'_>, estimates: &[f64]) -> usize {
     let share = (MAX_IMPROVED_SHARE * estimates.len() as f64) as usize;
     let mut run = Run { far_left: MAX_IMPROVED + share, failures_left: MAX_FAILURES, ..Run::default() };
     run.push_far(first_far(&editor.context(), estimates), 0);
     for _ in 0..QUEUE_ROUNDS {
         let before = run.improved;
-        run.queue.extend(irregular(&editor.context()).take(MAX_IRREGULAR));
+        if editor.context().shapes == Shapes::Round {
+            run.queue.extend(irregular(&editor.context()).take(MAX_IRREGULAR));
+        }
         run.take_all(editor);
         if run.improved == before {
             break;
@@ -77,7 +81,12 @@ pub(crate) fn recover_edge(editor: &mut MeshEditor<'_>, ends: [u32; 2]) -> bool 
 fn best_allowed(patch: &Patch, trials: &[Trial], score: f64) -> Option<Patch> {
     let allowed = patch.start_distance.largest().max(FREE_DISTANCE * patch.mean_edge);
     let goal = Goal { centre: allowed, rest: allowed, score, cosine: patch.sharpest_cosine() };
-    best(patch, trials, &goal, Measure { distance: allowed, floor: 1.0, score: MEASURED_SCORE })
+    best(
+        patch,
+        trials,
+        &goal,
+        Measure { distance: allowed, floor: 1.0, score: patch.shapes.least_score() + SCORE_MARGIN },
+    )
 }
 
 /// The queue, and what is left of the budgets.
@@ -237,7 +246,7 @@ fn attempt_far(patch: &Patch, before: f64) -> Outcome {
         return Outcome::Less(distance);
     }
     let centre = GAIN * distance;
-    let score = patch.worst_score().min(LEAST_SCORE);
+    let score = patch.worst_score().min(patch.shapes.least_score());
     let goal = Goal { centre, rest: now.rest.max(centre), score, cosine: patch.sharpest_cosine() };
     let measure = Measure { distance, floor: 0.0, score };
     let mut trials = vec![Trial::Relocate];

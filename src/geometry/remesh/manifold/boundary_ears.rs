@@ -48,6 +48,38 @@ pub(crate) fn fill(
     facets.len() - before
 }
 
+/// Vertices around a gap, at most.
+const MOST_AROUND: usize = 64;
+
+/// Closes gaps along creases: the diagrams on the two sides of a lifted crease need not pass from one seed to the next at the same
+/// places, and where a third seed comes between on one side alone, the dual has a small loop there. Loops with an edge of the
+/// surface's own boundary stay. Returns how many facets were added.
+pub(crate) fn close_gaps(positions: &[DVec3], facets: &mut Vec<[u32; 3]>, is_rim: impl Fn([u32; 2]) -> bool) -> usize {
+    let before = facets.len();
+    let boundary = Boundary { rings: &Csr::one_rings(positions.len(), facets), facets };
+    let (mut seen, mut added) = (HashSet::<u32>::new(), Vec::new());
+    for first in 0..positions.len() as u32 {
+        if seen.contains(&first) {
+            continue;
+        }
+        let mut around = vec![first];
+        while let Some(next) = boundary.only_after(around[around.len() - 1]) {
+            if next == first || around.len() > MOST_AROUND || around.contains(&next) {
+                break;
+            }
+            around.push(next);
+        }
+        let edges = || (0..around.len()).map(|k| [around[k], around[(k + 1) % around.len()]]);
+        let closed = around.len() >= 3 && boundary.only_after(around[around.len() - 1]) == Some(first);
+        if closed && around.len() <= MOST_AROUND && !edges().any(&is_rim) {
+            seen.extend(&around);
+            added.extend(boundary.ears(positions, around));
+        }
+    }
+    facets.extend(added);
+    facets.len() - before
+}
+
 /// The edges with one facet.
 struct Boundary<'a> {
     rings: &'a Csr<u32>,
@@ -73,6 +105,23 @@ impl Boundary<'_> {
         };
         let mut nexts = self.rings.of(a).iter().filter_map(next).filter(|&x| self.facet(x, a).is_none());
         nexts.next().filter(|_| nexts.next().is_none())
+    }
+
+    /// Facets that fill a loop: the best shaped ear first, whose new edge is none yet. None if it cannot be filled.
+    fn ears(&self, positions: &[DVec3], mut around: Vec<u32>) -> Vec<[u32; 3]> {
+        let mut facets = Vec::new();
+        while around.len() > 3 {
+            let n = around.len();
+            let ear = |k: usize| [around[(k + 1) % n], around[k], around[(k + n - 1) % n]];
+            let is_new = |k: &usize| !self.is_edge(around[(k + 1) % n], around[(k + n - 1) % n]);
+            let angle = |k: usize| least_angle(ear(k).map(|v| positions[v as usize]));
+            let best = (0..n).filter(is_new).max_by(|&a, &b| angle(a).total_cmp(&angle(b)));
+            let Some(best) = best else { return Vec::new() };
+            facets.push(ear(best));
+            around.remove(best);
+        }
+        facets.push([around[2], around[1], around[0]]);
+        facets
     }
 
     fn is_fair(&self, positions: &[DVec3], facet: [u32; 3]) -> bool {

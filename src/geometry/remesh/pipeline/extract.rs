@@ -10,6 +10,7 @@ use std::collections::HashSet;
 use glam::DVec3;
 use rayon::prelude::*;
 
+use crate::cvt::curves::Segment;
 use crate::mesh::TriMesh;
 use crate::mesh::closest_point::ClosestPoint;
 use crate::mesh::csr::Csr;
@@ -19,7 +20,7 @@ use crate::remesh::constants::OFF_CURVE_SHARE;
 use crate::remesh::distance::{HausdorffEstimate, InputSamples, Reference, SurfaceSample, missed_places};
 use crate::remesh::features::KeptCurves;
 use crate::remesh::features::envelope::CurveEnvelope;
-use crate::remesh::fit::{self, Target};
+use crate::remesh::fit::{self, Shapes, Target};
 use crate::remesh::improve::MeshEditor;
 use crate::remesh::improve::places::{improve, recover_edge};
 use crate::remesh::improve::shapes::{Mobility, MotionBounds, improve_shapes, restore, tighten};
@@ -40,6 +41,7 @@ pub(super) struct Extraction<'a> {
     pub(super) tolerance: Option<f64>,
     /// Whether seeds are added until nothing is missed.
     pub(super) adds: bool,
+    pub(super) shapes: Shapes,
     /// Where it is stopped, a draft is left as it is and must not be used.
     pub(super) token: &'a Token,
 }
@@ -111,10 +113,20 @@ impl<'a> Extraction<'a> {
         if boundary_ears::fill(&positions, &mut facets, &missing, is_free) > 0 {
             curve_edges = self.curves.edges_in(&facets, &vertex_seed);
         }
+        if self.shapes != Shapes::Round {
+            let of = |segment: &Segment| undirected(segment.ends);
+            let rim: HashSet<[u32; 2]> = self.curves.boundary_segments().map(of).collect();
+            let seeds = |edge: [u32; 2]| undirected(edge.map(|v| vertex_seed[v as usize]));
+            if boundary_ears::close_gaps(&positions, &mut facets, |edge| rim.contains(&seeds(edge))) > 0 {
+                curve_edges = self.curves.edges_in(&facets, &vertex_seed);
+            }
+        }
         let (fitted, missed, seeds) = (None, Missed::default(), seeds.len());
         let mut draft = Draft { positions, facets, vertex_seed, curve_edges, repair, fitted, missed, seeds };
-        if self.placement == Placement::Fitted {
-            self.fit(&mut draft, &repaired.source, dual);
+        match (self.placement, self.shapes) {
+            (Placement::Fitted, _) => self.fit(&mut draft, &repaired.source, dual),
+            (_, Shapes::Round) => {}
+            _ => self.flip(&mut draft, &repaired.source, dual),
         }
         self.token.check()?;
         Ok(draft)
@@ -129,6 +141,9 @@ impl<'a> Extraction<'a> {
         envelope: &CurveEnvelope,
         hold_curves: bool,
     ) {
+        if self.shapes != Shapes::Round {
+            return;
+        }
         let mut mobility = mobility(&mesh.positions, &draft.curve_edges, fixed);
         let held = mobility.iter_mut().filter(|m| hold_curves && **m != Mobility::Free);
         held.for_each(|m| *m = Mobility::Fixed);
@@ -152,28 +167,41 @@ impl<'a> Extraction<'a> {
         dual.components.iter().map(place).collect()
     }
 
+    /// Flips edges of a draft whose vertices stay. `component` is by vertex.
+    fn flip(&self, draft: &mut Draft<'a>, component: &[u32], dual: &dual::Dual) {
+        let (vertex, unit, kept) = (vertex_of(component, dual), self.unit(draft), kept_edges(draft));
+        let mut mesh = LocalMesh::new(unit, std::mem::take(&mut draft.facets), kept);
+        let (input, _) = self.input(&vertex, dual, draft.positions.len());
+        let mut target = Target { input, curves: Vec::new(), fixed: Vec::new() };
+        fit::flip(&mut mesh, &mut target, self.shapes, self.token);
+        draft.facets = mesh.into_parts().1;
+        draft.curve_edges = self.curves.edges_in(&draft.facets, &draft.vertex_seed);
+    }
+
+    fn unit(&self, draft: &Draft<'_>) -> Vec<DVec3> {
+        let frame = self.surface.frame();
+        draft.positions.par_iter().map(|&p| frame.to_unit(p)).collect()
+    }
+
     /// Moves the draft's vertices to where facets are nearest to the input. Corners stay. `component` is by vertex.
     fn fit(&self, draft: &mut Draft<'a>, component: &[u32], dual: &dual::Dual) {
-        let mut vertex = vec![u32::MAX; dual.components.len()];
-        component.iter().enumerate().rev().for_each(|(v, &c)| vertex[c as usize] = v as u32);
+        let vertex = vertex_of(component, dual);
         let is_fixed = |&s: &u32| self.curves.is_corner(s) || s >= self.first_added;
         let fixed: Vec<bool> = draft.vertex_seed.iter().map(is_fixed).collect();
         let curves = self.curves.samples(&draft.curve_edges);
-        let frame = self.surface.frame();
-        let unit: Vec<DVec3> = draft.positions.par_iter().map(|&p| frame.to_unit(p)).collect();
+        let unit = self.unit(draft);
         // Added seeds bring edges to the curves. An envelope as well would fold facets between them.
         let envelope = CurveEnvelope::new(&unit, &fixed, if self.adds { &[] } else { &curves });
         let facets = std::mem::take(&mut draft.facets);
         // Most poor facets are improved where the fit brings their vertices back to the surface. Curves have not settled yet.
         let improved = || {
-            let kept: HashSet<[u32; 2]> = draft.curve_edges.iter().flatten().map(|&e| undirected(e)).collect();
-            let mut mesh = LocalMesh::new(unit, facets, kept);
+            let mut mesh = LocalMesh::new(unit, facets, kept_edges(draft));
             self.improve_shapes(&mut mesh, draft, &fixed, &envelope, true);
             mesh
         };
         let (mut mesh, (input, reference)) = rayon::join(improved, || self.input(&vertex, dual, draft.positions.len()));
         let mut target = Target { input, curves, fixed };
-        fit::fit(&mut mesh, &target, self.token);
+        fit::fit(&mut mesh, &mut target, self.shapes, self.token);
         restore(&mut mesh, &envelope, self.token);
         self.improve_shapes(&mut mesh, draft, &target.fixed, &envelope, false);
         for v in tighten(&mut mesh, &envelope, &target.fixed, self.token) {
@@ -222,6 +250,10 @@ impl<'a> Extraction<'a> {
             missed = self.improve(&mut draft, &mut fitted);
             self.token.check()?;
             let frame = self.surface.frame();
+            if self.shapes != Shapes::Round {
+                let start = self.unit(&draft);
+                fit::uncross(&mut fitted.mesh, &start, &fitted.target.fixed, self.token)?;
+            }
             let (positions, facets) = fitted.mesh.into_parts();
             draft.facets = facets;
             let moved = draft.positions.iter_mut().zip(positions).zip(&fitted.target.fixed);
@@ -238,7 +270,7 @@ impl<'a> Extraction<'a> {
         let absent = self.curves.missing(&draft.curve_edges, &draft.vertex_seed, |_| true);
         if !absent.is_empty() {
             let mobility = mobility(&fitted.mesh.positions, &draft.curve_edges, &fitted.target.fixed);
-            let mut editor = MeshEditor::new(&mut fitted.mesh, &mobility, &fitted.reference, self.token);
+            let mut editor = MeshEditor::new(&mut fitted.mesh, &mobility, self.shapes, &fitted.reference, self.token);
             let recover = |&ends: &[u32; 2]| !self.token.is_stopped() && recover_edge(&mut editor, ends);
             if absent.into_iter().filter(recover).count() > 0 {
                 self.find_curves(draft, &mut fitted.mesh);
@@ -249,7 +281,7 @@ impl<'a> Extraction<'a> {
         }
         let Fitted { mesh, target, reference, distances, .. } = fitted;
         let mobility = mobility(&mesh.positions, &draft.curve_edges, &target.fixed);
-        let improved = improve(&mut MeshEditor::new(mesh, &mobility, reference, self.token), distances);
+        let improved = improve(&mut MeshEditor::new(mesh, &mobility, self.shapes, reference, self.token), distances);
         let before = draft.missed.places.len();
         if improved == 0 && before == 0 {
             return 0;
@@ -264,6 +296,17 @@ impl<'a> Extraction<'a> {
         draft.curve_edges = self.curves.edges_in(mesh.facets(), &draft.vertex_seed);
         draft.curve_edges.iter().flatten().for_each(|&edge| mesh.keep(edge));
     }
+}
+
+/// The vertex of each component of the dual, where it has one. `component` is by vertex.
+fn vertex_of(component: &[u32], dual: &dual::Dual) -> Vec<u32> {
+    let mut vertex = vec![u32::MAX; dual.components.len()];
+    component.iter().enumerate().rev().for_each(|(v, &c)| vertex[c as usize] = v as u32);
+    vertex
+}
+
+fn kept_edges(draft: &Draft<'_>) -> HashSet<[u32; 2]> {
+    draft.curve_edges.iter().flatten().map(|&e| undirected(e)).collect()
 }
 
 /// The midpoints of the longest edges with free ends, `count` of them. No two edges have an end in common.

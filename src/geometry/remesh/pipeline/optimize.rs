@@ -13,10 +13,10 @@ use std::sync::Arc;
 use glam::DVec3;
 
 use super::Job;
-use super::prepare::{Prepared, prepare, with_source};
+use super::prepare::{Metric, Prepared, prepare, with_source};
 use super::schedule::{Figures, Schedule};
 use crate::cvt::density::{DensitySource, Plan};
-use crate::cvt::{Cvt, CvtOptions};
+use crate::cvt::{Cvt, CvtOptions, lifted};
 use crate::mesh::TriMesh;
 use crate::mesh::closest_point::{ClosestPoint, SurfacePoint};
 use crate::mesh::measure::{self, Topology};
@@ -30,58 +30,81 @@ use crate::rvd::dual::Dual;
 use crate::rvd::{RvdError, Session, SessionOptions, Surface, dual};
 use crate::token::{Stopped, Token};
 
-pub(super) struct Optimized<'a> {
+pub(super) struct Optimized<'a, P: Metric> {
     pub(super) plan: Plan<'a>,
     pub(super) surface: Arc<Surface>,
     pub(super) curves: KeptCurves,
-    pub(super) cvt: Cvt,
+    pub(super) cvt: Cvt<P>,
     /// In double precision, for duals.
-    pub(super) session: Box<dyn Session>,
+    pub(super) session: Box<dyn Session<P>>,
     pub(super) dual: Dual,
     failing: FailingCells,
+    /// Of the lift, one for each vertex of the plan's mesh; none if there is no lift.
+    lift_lengths: Vec<f64>,
     pub(super) figures: Figures,
 }
 
 impl<'a> Job<'a, '_> {
     /// Seeds optimized for `options`, or for shorter edges where cells fail.
-    pub(super) fn optimize(&mut self, prepared: Prepared<'a>, options: &RemeshOptions) -> Result<Optimized<'a>> {
-        let optimized = self.optimize_once(prepared, options)?;
+    pub(super) fn optimize<P: Metric>(
+        &mut self,
+        prepared: Prepared<'a>,
+        options: &RemeshOptions,
+    ) -> Result<Optimized<'a, P>> {
+        let optimized = self.optimize_once(prepared, options, None)?;
         let optimized = self.resolve_thin_parts(optimized, options)?;
+        let optimized = self.resolve_folds(optimized, options)?;
         self.scale_seeds(optimized, options)
     }
 
     /// Prepares other options; `None` if their density needs too many points.
     pub(super) fn prepare_again(&mut self, options: &RemeshOptions) -> Result<Option<Prepared<'a>>> {
         self.enter("prepare");
-        match prepare(self.separated, options, self.token) {
+        match prepare(self.separated, options, None, self.token) {
             Err(RemeshError::Density(_)) => Ok(None),
             prepared => prepared.map(Some),
         }
     }
 
     /// Optimizes other seeds; `None` if there is no memory for them beside the best so far, which stays on the device.
-    fn optimize_again(&mut self, prepared: Prepared<'a>, options: &RemeshOptions) -> Result<Option<Optimized<'a>>> {
-        match self.optimize_once(prepared, options) {
+    fn optimize_again<P: Metric>(
+        &mut self,
+        prepared: Prepared<'a>,
+        options: &RemeshOptions,
+        free: Option<&[DVec3]>,
+    ) -> Result<Option<Optimized<'a, P>>> {
+        match self.optimize_once(prepared, options, free) {
             Err(RemeshError::Rvd(RvdError::NeverFits { .. } | RvdError::OutOfMemory { .. })) => Ok(None),
             next => next.map(Some),
         }
     }
 
-    /// Draws seeds, takes their steps, and reads their dual.
-    fn optimize_once(&mut self, prepared: Prepared<'a>, options: &RemeshOptions) -> Result<Optimized<'a>> {
-        let Prepared { plan, surface, mut curves, closest } = prepared;
+    /// Draws seeds, takes their steps, and reads their dual. Free seeds begin at the places that are given, as far as these go.
+    fn optimize_once<P: Metric>(
+        &mut self,
+        prepared: Prepared<'a>,
+        options: &RemeshOptions,
+        free: Option<&[DVec3]>,
+    ) -> Result<Optimized<'a, P>> {
+        let (measured, lifts) = P::surface(&prepared)?;
+        let Prepared { plan, surface, mut curves, closest, lift } = prepared;
         self.laps.end(|t| &mut t.prepare);
         self.token.check()?;
 
         self.enter("sample");
-        let (first, seed) = first_seeds(&plan, &surface, &curves, &options.seeds, self.token)?;
+        let weights = lift.as_ref().map(|lift| &lift.sampling[..]).or(plan.weights.as_deref());
+        let (mut first, seed) = first_seeds(&plan, weights, &surface, &curves, &options.seeds, self.token)?;
+        let drawn = first.iter_mut().skip(curves.seeds.len());
+        drawn.zip(free.unwrap_or_default()).for_each(|(seed, &place)| *seed = place);
+        let unit: Vec<DVec3> = first.iter().map(|&p| surface.frame().to_unit(p)).collect();
+        let points = lifted(&measured, &closest, &unit, self.token)?;
         self.laps.end(|t| &mut t.sample);
         self.token.check()?;
 
         self.enter("iterations");
         let max_seeds = options.refine.and_then(|refine| refine.max_points).unwrap_or(0);
         let cvt_options = CvtOptions { projection: options.projection, max_seeds };
-        let mut cvt = Cvt::new(self.backend, Arc::clone(&surface), &first, cvt_options)?;
+        let mut cvt = Cvt::open(self.backend, Arc::clone(&measured), points, cvt_options, lifts)?;
         cvt.bring_closest(closest);
         if !curves.seeds.is_empty() {
             cvt.keep_curves(curves.seeds.clone(), self.token)?;
@@ -95,19 +118,24 @@ impl<'a> Job<'a, '_> {
         schedule.job.laps.end(|t| &mut t.refine);
 
         schedule.job.enter("dual");
-        let room = max_seeds.max(cvt.len());
+        let room = cvt.room();
         let exact = SessionOptions { flat_pieces: true, ..SessionOptions::new(room) };
-        let mut session = schedule.job.backend.exact_session(Arc::clone(&surface), exact)?;
+        let mut session = P::exact_session(schedule.job.backend, measured, exact)?;
         let dual = exact_dual((&surface, &mut *session), &mut cvt, &mut schedule)?;
         let figures = schedule.figures;
         self.token.check()?;
-        let failing = failing_cells(&dual, &plan.mesh, &surface, &self.topology, self.token)?;
+        let failing = failing_cells(&dual, &plan.mesh, &surface, &self.topology, !P::IS_PLACE, self.token)?;
         self.laps.end(|t| &mut t.dual);
-        Ok(Optimized { plan, surface, curves, cvt, session, dual, failing, figures })
+        let lift_lengths = lift.map(|lift| lift.lengths).unwrap_or_default();
+        Ok(Optimized { plan, surface, curves, cvt, session, dual, failing, lift_lengths, figures })
     }
 
     /// Optimizes again with shorter edges where cells fail, as long as that helps.
-    fn resolve_thin_parts(&mut self, mut best: Optimized<'a>, options: &RemeshOptions) -> Result<Optimized<'a>> {
+    fn resolve_thin_parts<P: Metric>(
+        &mut self,
+        mut best: Optimized<'a, P>,
+        options: &RemeshOptions,
+    ) -> Result<Optimized<'a, P>> {
         best.figures.refine.closed_ball_failures = best.failing.components.len();
         if !self.keep_thin || matches!(options.seeds, Seeds::Given(_)) {
             return Ok(best);
@@ -128,7 +156,7 @@ impl<'a> Job<'a, '_> {
             if longer || *points > most {
                 break;
             }
-            let Some(mut next) = self.optimize_again(prepared, &options)? else { break };
+            let Some(mut next) = self.optimize_again(prepared, &options, None)? else { break };
             lengths = next.shorter_lengths(self.separated, self.token)?;
             failing = !next.failing.components.is_empty();
             if next.failing.area < best.failing.area {
@@ -143,8 +171,54 @@ impl<'a> Job<'a, '_> {
         Ok(best)
     }
 
+    /// Optimizes again with a shorter lift where cells fail, as long as that helps: where the lifted surface bends within a cell,
+    /// points are too few there, and the dual folds.
+    fn resolve_folds<P: Metric>(
+        &mut self,
+        mut best: Optimized<'a, P>,
+        options: &RemeshOptions,
+    ) -> Result<Optimized<'a, P>> {
+        if P::IS_PLACE || matches!(options.seeds, Seeds::Given(_)) {
+            return Ok(best);
+        }
+        let mut lengths = best.lift_lengths.clone();
+        let mut failing = !best.failing.components.is_empty();
+        if failing {
+            shorten(&mut lengths, FOLD_SHORTER, &best.plan.mesh, &best.failing, &best.dual, &best.surface, self.token)?;
+        }
+        // Most seeds stay about where they are.
+        let fewer =
+            RemeshOptions { lloyd: options.lloyd.min(1), newton: options.newton.min(FOLD_STEPS), ..options.clone() };
+        for round in 1..=MAX_FOLD_ROUNDS {
+            if !failing {
+                break;
+            }
+            self.enter("prepare");
+            let prepared = prepare(self.separated, options, Some(&lengths), self.token)?;
+            let free = best.cvt.seeds()?.split_off(best.curves.seeds.len());
+            let Some(mut next) = self.optimize_again::<P>(prepared, &fewer, Some(&free))? else { break };
+            lengths.clone_from(&next.lift_lengths);
+            failing = !next.failing.components.is_empty();
+            let factor = FOLD_SHORTER.powi(1 + round as i32);
+            shorten(&mut lengths, factor, &next.plan.mesh, &next.failing, &next.dual, &next.surface, self.token)?;
+            if next.failing.area < best.failing.area || !failing {
+                next.take_over(&best);
+                next.figures.iterations.splice(..0, best.figures.iterations);
+                next.figures.refine.fold_rounds = round;
+                best = next;
+            } else {
+                best.figures.refine.evaluations += next.figures.passes();
+            }
+        }
+        Ok(best)
+    }
+
     /// Seeds that result in as many vertices as were asked for, or as near to that as fewer seeds and a few rounds come.
-    fn scale_seeds(&mut self, mut best: Optimized<'a>, options: &RemeshOptions) -> Result<Optimized<'a>> {
+    fn scale_seeds<P: Metric>(
+        &mut self,
+        mut best: Optimized<'a, P>,
+        options: &RemeshOptions,
+    ) -> Result<Optimized<'a, P>> {
         let (&Seeds::Sample { seed, .. } | &Seeds::Implied { seed }) = &options.seeds else { return Ok(best) };
         let asked = best.figures.asked;
         let least = (FEWEST_SEEDS_SHARE * asked as f64).max(FEWEST_SEEDS).min(asked as f64);
@@ -167,7 +241,7 @@ impl<'a> Job<'a, '_> {
             };
             let options = options.with_seeds(Seeds::Sample { points: drawn as usize, seed });
             let Some(prepared) = self.prepare_again(&options)? else { break };
-            let Some(mut next) = self.optimize_again(prepared, &options)? else { break };
+            let Some(mut next) = self.optimize_again(prepared, &options, None)? else { break };
             let here = (drawn, next.failing.vertices as f64);
             if next.failing.vertices.abs_diff(asked) < best.failing.vertices.abs_diff(asked) {
                 next.take_over(&best);
@@ -185,11 +259,11 @@ impl<'a> Job<'a, '_> {
     }
 }
 
-impl Optimized<'_> {
+impl<P: Metric> Optimized<'_, P> {
     /// Target edge length per vertex of the caller's `mesh`, shorter where cells fail.
     fn shorter_lengths(&self, mesh: &TriMesh, token: &Token) -> Result<Vec<f64>, Stopped> {
         let mut lengths = self.plan.lengths(mesh, token)?;
-        shorten(&mut lengths, mesh, &self.failing, &self.dual, &self.surface, token)?;
+        shorten(&mut lengths, THIN_SHORTER, mesh, &self.failing, &self.dual, &self.surface, token)?;
         Ok(lengths)
     }
 
@@ -197,6 +271,7 @@ impl Optimized<'_> {
     fn take_over(&mut self, before: &Self) {
         self.figures.refine.evaluations += before.figures.passes();
         self.figures.refine.closed_ball_rounds = before.figures.refine.closed_ball_rounds;
+        self.figures.refine.fold_rounds = before.figures.refine.fold_rounds;
         self.figures.refine.closed_ball_failures = self.failing.components.len();
         self.plan.figures.source = before.plan.figures.source;
         self.figures.asked = before.figures.asked;
@@ -204,14 +279,15 @@ impl Optimized<'_> {
 }
 
 /// Puts the seeds on the surface and reads their dual.
-pub(super) fn exact_dual(
-    (surface, session): (&Surface, &mut dyn Session),
-    cvt: &mut Cvt,
+pub(super) fn exact_dual<P: Metric>(
+    (surface, session): (&Surface, &mut dyn Session<P>),
+    cvt: &mut Cvt<P>,
     schedule: &mut Schedule<'_, '_, '_>,
 ) -> Result<Dual> {
     cvt.put_on_surface(schedule.job.token)?;
-    session.set_seeds(cvt.unit_seeds()?)?;
-    let dual = dual::extract(session, surface, cvt.len(), schedule.job.token)?;
+    let (points, owners) = cvt.points_and_owners()?;
+    session.set_seeds(&points)?;
+    let dual = dual::extract(session, surface, (cvt.len(), &owners), schedule.job.token)?;
     schedule.figures.rvd.add_pass(&dual.stats);
     Ok(dual)
 }
@@ -219,6 +295,7 @@ pub(super) fn exact_dual(
 /// The seeds that the options name, those of curves first, caller's coordinates; and the random seed they were drawn from.
 fn first_seeds(
     plan: &Plan<'_>,
+    weights: Option<&[f64]>,
     surface: &Surface,
     curves: &KeptCurves,
     seeds: &Seeds,
@@ -227,10 +304,10 @@ fn first_seeds(
     Ok(match (seeds, seeds.random_seed()) {
         (Seeds::Given(seeds), _) => (seeds.clone(), None),
         (_, seed) if curves.seeds.is_empty() => {
-            let drawn = spread_unless(&plan.mesh, (plan.weights.as_deref(), None), plan.points, seed, token)?;
+            let drawn = spread_unless(&plan.mesh, (weights, None), plan.points, seed, token)?;
             (drawn.iter().map(|p| p.position).collect(), Some(seed))
         }
-        (_, seed) => (curves.with_others(plan, surface, seed, token)?, Some(seed)),
+        (_, seed) => (curves.with_others(plan, weights, surface, seed, token)?, Some(seed)),
     })
 }
 
@@ -251,6 +328,7 @@ pub(super) fn failing_cells(
     divided: &TriMesh,
     surface: &Surface,
     wanted: &Topology,
+    is_lifted: bool,
     token: &Token,
 ) -> Result<FailingCells, Stopped> {
     let count = dual.components.len();
@@ -278,6 +356,10 @@ pub(super) fn failing_cells(
     let mut fails = vec![false; count];
     dual.not_disks.iter().chain(&dual.multiple_boundary_arcs).chain(pairs).for_each(|&c| fails[c as usize] = true);
     (0..count).filter(|&c| !there[c]).for_each(|c| fails[c] = true);
+    if is_lifted {
+        // Close sheets are far apart there: cells in several parts are as bad.
+        (0..count).filter(|&c| !dual.components[c].whole).for_each(|c| fails[c] = true);
+    }
     let non_manifold = measure::non_manifold_vertices(divided);
     for piece in &dual.pieces {
         if surface.welded()[piece.facet as usize].iter().any(|&v| non_manifold[v as usize]) {
@@ -287,14 +369,15 @@ pub(super) fn failing_cells(
     let all: Vec<u32> = (0..).zip(&fails).filter(|(_, fails)| **fails).map(|(c, _)| c).collect();
     // Most cells in several parts have them on two close sheets, which is no failure.
     let area = all.iter().map(|&c| dual.components[c as usize].area).sum();
-    let components: Vec<u32> = all.iter().copied().filter(|&c| whole(c)).collect();
+    let components: Vec<u32> = all.iter().copied().filter(|&c| is_lifted || whole(c)).collect();
     Ok(FailingCells { components: if components.is_empty() { all } else { components }, area, vertices })
 }
 
-/// Makes the lengths, one a vertex of `separated`, shorter at the vertices in failing cells; for a cell without a
+/// Makes the lengths, one a vertex of `separated`, shorter by a factor at the vertices in failing cells; for a cell without a
 /// vertex, at the nearest corner of its facet. The first vertices of `surface` are those of `separated`.
 pub(super) fn shorten(
     lengths: &mut [f64],
+    factor: f64,
     separated: &TriMesh,
     failing: &FailingCells,
     dual: &Dual,
@@ -328,7 +411,7 @@ pub(super) fn shorten(
     let welded = welded.map(|(&own, &first)| (own as usize, first as usize)).filter(|(own, _)| *own < lengths.len());
     welded.clone().for_each(|(own, first)| held[first] |= shorter[own]);
     welded.for_each(|(own, first)| shorter[own] |= held[first]);
-    lengths.iter_mut().zip(&shorter).filter(|(_, shorter)| **shorter).for_each(|(length, _)| *length *= THIN_SHORTER);
+    lengths.iter_mut().zip(&shorter).filter(|(_, shorter)| **shorter).for_each(|(length, _)| *length *= factor);
     Ok(())
 }
 

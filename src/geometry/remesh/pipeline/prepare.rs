@@ -8,16 +8,20 @@
 
 use std::sync::Arc;
 
+use glam::DVec3;
+
 use crate::cvt::density::{self, DensityOptions, DensitySource, Plan};
+use crate::cvt::lifts::CurveLifts;
 use crate::mesh::adjacency::Adjacency;
 use crate::mesh::closest_point::ClosestPoint;
 use crate::mesh::input::{make_consistent, stitch_boundaries};
 use crate::mesh::{TriMesh, duplicates};
 use crate::remesh::constants::{POINTS_PER_COMPONENT, SEPARATION_DIAGONAL, SEPARATION_EDGES};
 use crate::remesh::features::KeptCurves;
+use crate::remesh::lift::{Lift, Lifting};
 use crate::remesh::report::InputFigures;
-use crate::remesh::{RemeshOptions, Result, Seeds};
-use crate::rvd::Surface;
+use crate::remesh::{Anisotropy, RemeshOptions, Result, Seeds};
+use crate::rvd::{Lifted, RvdError, Space, Surface};
 use crate::token::{Stopped, Token};
 
 pub(super) struct Prepared<'a> {
@@ -26,16 +30,59 @@ pub(super) struct Prepared<'a> {
     pub(super) curves: KeptCurves,
     /// Unit frame.
     pub(super) closest: ClosestPoint,
+    /// For anisotropic cells.
+    pub(super) lift: Option<Lift>,
 }
 
-pub(super) fn prepare<'a>(separated: &'a TriMesh, options: &RemeshOptions, token: &Token) -> Result<Prepared<'a>> {
+/// A surface, and what finds the sides of seeds on creases where it is lifted.
+type Measured<P> = (Arc<Surface<P>>, Option<Arc<CurveLifts>>);
+
+/// What is measured between points: distances in R^3, or on the lifted surface.
+pub(super) trait Metric: Space {
+    /// The surface, and what finds the sides of seeds on creases.
+    fn surface(prepared: &Prepared<'_>) -> Result<Measured<Self>>;
+}
+
+impl Metric for DVec3 {
+    fn surface(prepared: &Prepared<'_>) -> Result<Measured<Self>> {
+        Ok((Arc::clone(&prepared.surface), None))
+    }
+}
+
+impl Metric for Lifted {
+    fn surface(prepared: &Prepared<'_>) -> Result<Measured<Self>> {
+        let not_lifted = || RvdError::Internal("the surface was not lifted".to_owned());
+        let Lift { surface, curves, .. } = prepared.lift.as_ref().ok_or_else(not_lifted)?;
+        Ok((Arc::clone(surface), Some(Arc::clone(curves))))
+    }
+}
+
+/// `lengths` are those of a lift, one for each vertex of the divided surface; of none yet if they are not given.
+pub(super) fn prepare<'a>(
+    separated: &'a TriMesh,
+    options: &RemeshOptions,
+    lengths: Option<&[f64]>,
+    token: &Token,
+) -> Result<Prepared<'a>> {
     let plan = density::plan(separated, &options.density, options.seeds.count(), token)?.divided(token)?;
     token.check()?;
     let surface = Arc::new(Surface::unless(&plan.mesh, plan.weights.as_deref(), token)?);
     token.check()?;
     let find = || KeptCurves::find(separated, &plan, &surface, options, token);
     let (curves, closest) = rayon::join(find, || surface.closest_points(token));
-    Ok(Prepared { curves: curves?, closest: closest?, plan, surface })
+    let (mut curves, closest) = (curves?, closest?);
+    let lift = match options.anisotropy {
+        Anisotropy::None => None,
+        anisotropy => {
+            let edge = (2.0 / 3f64.sqrt() * separated.area() / plan.points.max(1) as f64).sqrt();
+            let in_space = matches!(options.density.source, DensitySource::Error | DensitySource::ErrorMax);
+            let lifting = Lifting { anisotropy, edge, lengths, in_space };
+            let lift = Lift::new(&plan.mesh, plan.weights.as_deref(), &surface, &curves, lifting, token)?;
+            curves.place_lifted(&surface, &lift.along_curves, lift.surface.root_mass(), plan.points, token)?;
+            Some(lift)
+        }
+    };
+    Ok(Prepared { curves, closest, plan, surface, lift })
 }
 
 /// The same options with a density of another source, as it is.

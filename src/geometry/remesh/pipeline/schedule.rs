@@ -9,6 +9,7 @@ use glam::DVec3;
 
 use super::Job;
 use super::extract::Missed;
+use super::prepare::Metric;
 use crate::cvt::{Cvt, Iteration};
 use crate::remesh::constants::{CLEARING_ROUNDS, CLEARING_STEPS, REFINING_STEPS, ROUNDING};
 use crate::remesh::report::{FinalFigures, IterationFigures, RefineFigures};
@@ -41,7 +42,7 @@ pub(super) struct Schedule<'s, 'a, 'b> {
 
 impl Schedule<'_, '_, '_> {
     /// The steps that were asked for.
-    pub(super) fn main(&mut self, cvt: &mut Cvt) -> Result<(), RemeshError> {
+    pub(super) fn main<P: Metric>(&mut self, cvt: &mut Cvt<P>) -> Result<(), RemeshError> {
         let (planned, token) = (self.options.lloyd + self.options.newton, self.job.token);
         while self.figures.iterations.len() < planned && !cvt.converged() {
             let lloyd = self.options.lloyd.saturating_sub(self.figures.iterations.len());
@@ -69,7 +70,7 @@ impl Schedule<'_, '_, '_> {
     }
 
     /// Further steps: one of Lloyd's, then quasi-Newton steps.
-    fn further(&mut self, cvt: &mut Cvt, steps: usize) -> Result<(), RemeshError> {
+    fn further<P: Metric>(&mut self, cvt: &mut Cvt<P>, steps: usize) -> Result<(), RemeshError> {
         for k in 0..steps {
             let step = if k > 0 { cvt.lbfgs(self.job.token)? } else { cvt.lloyd(self.job.token)? };
             self.count(&step);
@@ -79,7 +80,7 @@ impl Schedule<'_, '_, '_> {
     }
 
     /// Clears the curves of seeds that are not theirs.
-    pub(super) fn clear_curves(&mut self, cvt: &mut Cvt) -> Result<(), RemeshError> {
+    pub(super) fn clear_curves<P: Metric>(&mut self, cvt: &mut Cvt<P>) -> Result<(), RemeshError> {
         for round in 1..=CLEARING_ROUNDS {
             let in_the_way = match round < CLEARING_ROUNDS {
                 true => cvt.clear_curves(self.job.token)?,
@@ -94,9 +95,13 @@ impl Schedule<'_, '_, '_> {
     }
 
     /// Adds seeds at missed places, each with the nearest seed, and takes further steps. Returns whether any was added.
-    pub(super) fn add_seeds(&mut self, cvt: &mut Cvt, places: &[(u32, DVec3)]) -> Result<bool, RemeshError> {
+    pub(super) fn add_seeds<P: Metric>(
+        &mut self,
+        cvt: &mut Cvt<P>,
+        places: &[(u32, DVec3)],
+    ) -> Result<bool, RemeshError> {
         // A second seed in one place would be a duplicate.
-        let seeds = cvt.unit_seeds()?;
+        let seeds = cvt.unit_places()?;
         let apart = |p: &&(u32, DVec3)| seeds[p.0 as usize].distance(p.1) > ROUNDING;
         let places: Vec<DVec3> = places.iter().filter(apart).map(|p| p.1).collect();
         let added = cvt.pin(&[], &places)?;
@@ -105,7 +110,7 @@ impl Schedule<'_, '_, '_> {
     }
 
     /// Moves seeds without a vertex to where edges are long, and takes further steps. Returns whether there were any.
-    pub(super) fn move_seeds(&mut self, cvt: &mut Cvt, missed: &Missed) -> Result<bool, RemeshError> {
+    pub(super) fn move_seeds<P: Metric>(&mut self, cvt: &mut Cvt<P>, missed: &Missed) -> Result<bool, RemeshError> {
         let pins: Vec<(u32, DVec3)> =
             missed.seeds_without_vertex.iter().copied().zip(missed.long_edge_midpoints.iter().copied()).collect();
         if !pins.is_empty() {
@@ -115,7 +120,7 @@ impl Schedule<'_, '_, '_> {
         self.refine(cvt, pins.len())
     }
 
-    fn refine(&mut self, cvt: &mut Cvt, changed: usize) -> Result<bool, RemeshError> {
+    fn refine<P: Metric>(&mut self, cvt: &mut Cvt<P>, changed: usize) -> Result<bool, RemeshError> {
         if changed > 0 {
             self.figures.refine.rounds += 1;
             self.further(cvt, REFINING_STEPS)?;

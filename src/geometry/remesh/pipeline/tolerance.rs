@@ -15,16 +15,17 @@ use glam::DVec3;
 use super::Job;
 use super::extract::{Built, Draft, Extraction, Missed};
 use super::optimize::{Optimized, exact_dual};
-use super::prepare::{Prepared, prepare, with_source};
+use super::prepare::{Metric, Prepared, prepare, with_source};
 use super::schedule::{Figures, Schedule};
 use crate::cvt::density::{DensitySource, Plan};
 use crate::mesh::closest_point::ClosestPoint;
 use crate::mesh::comparison::{Comparison, Distances};
 use crate::remesh::constants::*;
 use crate::remesh::features::KeptCurves;
+use crate::remesh::fit::{Norm, Shapes};
 use crate::remesh::report::{DeviceFigures, RefineEnd};
-use crate::remesh::{Limits, Placement, RemeshOptions, Result, Seeds};
-use crate::rvd::RvdError;
+use crate::remesh::{Anisotropy, Limits, Placement, RemeshOptions, Result, Seeds};
+use crate::rvd::{Lifted, RvdError};
 
 struct Measured<'a> {
     attempt: Attempt<'a>,
@@ -107,7 +108,7 @@ impl<'a, 'j, 'b> Search<'a, 'j, 'b> {
 
     fn attempt(&mut self, options: RemeshOptions, tolerance: f64) -> Result<()> {
         self.job.enter("prepare");
-        let prepared = prepare(self.job.separated, &options, self.job.token)?;
+        let prepared = prepare(self.job.separated, &options, None, self.job.token)?;
         let next = attempt(self.job, &self.comparison, prepared, options, tolerance)?;
         self.offer(next);
         Ok(())
@@ -150,7 +151,7 @@ impl<'a, 'j, 'b> Search<'a, 'j, 'b> {
                 None => {
                     full = true;
                     options.seeds = Seeds::Sample { points: max_points, seed: random_seed };
-                    prepare(separated, &options, token)?
+                    prepare(separated, &options, None, token)?
                 }
             };
             let next = attempt(self.job, &self.comparison, prepared, options.clone(), tolerance)?;
@@ -261,7 +262,19 @@ impl<'a> Job<'a, '_> {
         options: &RemeshOptions,
         tolerance: Option<f64>,
     ) -> Result<Attempt<'a>> {
-        let mut optimized = self.optimize(prepared, options)?;
+        match prepared.lift {
+            None => self.attempt_in::<DVec3>(prepared, options, tolerance),
+            Some(_) => self.attempt_in::<Lifted>(prepared, options, tolerance),
+        }
+    }
+
+    fn attempt_in<P: Metric>(
+        &mut self,
+        prepared: Prepared<'a>,
+        options: &RemeshOptions,
+        tolerance: Option<f64>,
+    ) -> Result<Attempt<'a>> {
+        let mut optimized = self.optimize::<P>(prepared, options)?;
         let figures = std::mem::take(&mut optimized.figures);
         let mut schedule = Schedule { job: self, options, figures };
         let (built, seeds) = build(&mut optimized, &mut schedule, tolerance)?;
@@ -277,8 +290,8 @@ impl<'a> Job<'a, '_> {
 
 /// Builds the result of the present seeds, whose dual is there, and of better ones as long as rounds help. Returns the best
 /// result and its seeds, caller's coordinates.
-fn build(
-    Optimized { plan, surface, curves, cvt, session, dual, .. }: &mut Optimized<'_>,
+fn build<P: Metric>(
+    Optimized { plan, surface, curves, cvt, session, dual, .. }: &mut Optimized<'_, P>,
     schedule: &mut Schedule<'_, '_, '_>,
     tolerance: Option<f64>,
 ) -> Result<(Built, Vec<DVec3>)> {
@@ -293,14 +306,20 @@ fn build(
     let first_added = cvt.len() as u32;
     let mut best: Option<(Draft, Vec<DVec3>)> = None;
     let (placement, adds) = (options.placement, options.refine.is_some());
-    let extraction = Extraction { divided, surface, curves, placement, first_added, tolerance, adds, token };
+    let shapes = match (options.anisotropy, &options.density.source) {
+        (Anisotropy::None, _) => Shapes::Round,
+        (_, DensitySource::ErrorMax) => Shapes::Nearest(Norm::Largest),
+        (Anisotropy::Auto, _) | (_, DensitySource::Error) => Shapes::Nearest(Norm::MeanSquare),
+        (Anisotropy::Share(_), _) => Shapes::Slender,
+    };
+    let extraction = Extraction { divided, surface, curves, placement, first_added, tolerance, adds, shapes, token };
     let mut round = 0;
     loop {
         token.check()?;
         schedule.job.enter("repair");
         // The whole draft is one task of the pool: its parts then find the pool's threads awake.
-        let seeds = cvt.unit_seeds()?;
-        let draft = rayon::scope(|_| extraction.draft(dual, seeds))?;
+        let seeds = cvt.unit_places()?;
+        let draft = rayon::scope(|_| extraction.draft(dual, &seeds))?;
         schedule.job.laps.end(|t| &mut t.repair);
         let missed = draft.missed.clone();
         let is_better = |before: &Missed| match adds {

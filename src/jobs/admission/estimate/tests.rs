@@ -8,12 +8,14 @@ use super::*;
 
 const KINDS: [Kind; 3] = [Kind::Remesh, Kind::Rvd, Kind::Cvt];
 const BACKENDS: [BackendKind; 3] = [BackendKind::Serial, BackendKind::Parallel, BackendKind::Gpu];
-const DENSITIES: [DensitySource; 5] = [
+const DENSITIES: [DensitySource; 7] = [
     DensitySource::Uniform,
     DensitySource::Weights,
     DensitySource::EdgeLengths,
     DensitySource::Curvature,
     DensitySource::Lfs,
+    DensitySource::Error,
+    DensitySource::ErrorMax,
 ];
 
 /// From few to more than there can be.
@@ -23,7 +25,7 @@ fn count() -> impl Strategy<Value = u64> {
 
 prop_compose! {
     fn any_counts()(
-        kind in 0usize..3, backend in 0usize..3, density in 0usize..5, flags in 0u8..32,
+        kind in 0usize..3, backend in 0usize..3, density in 0usize..DENSITIES.len(), flags in 0u8..64,
         numbers in prop::array::uniform9(count()),
     ) -> Counts {
         let [vertices, facets, points, steps, input_bytes, attributes, list_bytes, sets, extra_pairs] = numbers;
@@ -37,6 +39,7 @@ prop_compose! {
             input_bytes,
             density: DENSITIES[density],
             placement: if flags & 1 == 0 { Placement::Fitted } else { Placement::Surface },
+            anisotropy: if flags & 32 == 0 { Anisotropy::None } else { Anisotropy::Auto },
             attributes,
             list_bytes,
             refines: flags & 2 != 0,
@@ -55,7 +58,7 @@ fn grows(from: &Need, to: &Need) -> bool {
 
 proptest! {
     #[test]
-    fn more_of_anything_needs_no_less(counts in any_counts(), more in count(), which in 0usize..13, threads in 0usize..300) {
+    fn more_of_anything_needs_no_less(counts in any_counts(), more in count(), which in 0usize..14, threads in 0usize..300) {
         let mut larger = counts;
         let number = match which {
             0 => &mut larger.vertices,
@@ -74,6 +77,7 @@ proptest! {
             9 => larger.measures = true,
             10 => larger.cells = true,
             11 => larger.is_crowded = true,
+            12 => larger.anisotropy = Anisotropy::Share(1.0),
             _ => {}
         }
         let (before, after) = (need(&counts, threads), need(&larger, threads));

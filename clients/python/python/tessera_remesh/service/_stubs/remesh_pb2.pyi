@@ -86,6 +86,8 @@ class DensitySource(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
     DENSITY_SOURCE_EDGE_LENGTHS: _ClassVar[DensitySource]
     DENSITY_SOURCE_CURVATURE: _ClassVar[DensitySource]
     DENSITY_SOURCE_LFS: _ClassVar[DensitySource]
+    DENSITY_SOURCE_ERROR: _ClassVar[DensitySource]
+    DENSITY_SOURCE_ERROR_MAX: _ClassVar[DensitySource]
 
 class StepKind(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
     __slots__ = ()
@@ -187,6 +189,8 @@ DENSITY_SOURCE_WEIGHTS: DensitySource
 DENSITY_SOURCE_EDGE_LENGTHS: DensitySource
 DENSITY_SOURCE_CURVATURE: DensitySource
 DENSITY_SOURCE_LFS: DensitySource
+DENSITY_SOURCE_ERROR: DensitySource
+DENSITY_SOURCE_ERROR_MAX: DensitySource
 STEP_KIND_UNSPECIFIED: StepKind
 STEP_KIND_LLOYD: StepKind
 STEP_KIND_LBFGS: StepKind
@@ -275,7 +279,7 @@ class Density(_message.Message):
     def __init__(self, source: _Optional[_Union[DensitySource, str]] = ..., edge_length: _Optional[float] = ..., adaptivity: _Optional[float] = ..., gradation: _Optional[float] = ...) -> None: ...
 
 class RemeshOptions(_message.Message):
-    __slots__ = ("points", "seed", "density", "lloyd", "newton", "projection", "placement", "crease_angle", "boundaries", "thin", "max_deviation", "max_deviation_length", "max_points", "measure", "points_percent", "facets")
+    __slots__ = ("points", "seed", "density", "lloyd", "newton", "projection", "placement", "crease_angle", "boundaries", "thin", "max_deviation", "max_deviation_length", "max_points", "measure", "points_percent", "facets", "anisotropy", "anisotropy_auto")
     POINTS_FIELD_NUMBER: _ClassVar[int]
     SEED_FIELD_NUMBER: _ClassVar[int]
     DENSITY_FIELD_NUMBER: _ClassVar[int]
@@ -292,6 +296,8 @@ class RemeshOptions(_message.Message):
     MEASURE_FIELD_NUMBER: _ClassVar[int]
     POINTS_PERCENT_FIELD_NUMBER: _ClassVar[int]
     FACETS_FIELD_NUMBER: _ClassVar[int]
+    ANISOTROPY_FIELD_NUMBER: _ClassVar[int]
+    ANISOTROPY_AUTO_FIELD_NUMBER: _ClassVar[int]
     points: int
     seed: int
     density: Density
@@ -308,7 +314,9 @@ class RemeshOptions(_message.Message):
     measure: Measure
     points_percent: float
     facets: int
-    def __init__(self, points: _Optional[int] = ..., seed: _Optional[int] = ..., density: _Optional[_Union[Density, _Mapping]] = ..., lloyd: _Optional[int] = ..., newton: _Optional[int] = ..., projection: _Optional[_Union[Projection, str]] = ..., placement: _Optional[_Union[Placement, str]] = ..., crease_angle: _Optional[float] = ..., boundaries: _Optional[_Union[BoundaryRule, str]] = ..., thin: _Optional[_Union[ThinRule, str]] = ..., max_deviation: _Optional[float] = ..., max_deviation_length: _Optional[float] = ..., max_points: _Optional[int] = ..., measure: _Optional[_Union[Measure, str]] = ..., points_percent: _Optional[float] = ..., facets: _Optional[int] = ...) -> None: ...
+    anisotropy: float
+    anisotropy_auto: bool
+    def __init__(self, points: _Optional[int] = ..., seed: _Optional[int] = ..., density: _Optional[_Union[Density, _Mapping]] = ..., lloyd: _Optional[int] = ..., newton: _Optional[int] = ..., projection: _Optional[_Union[Projection, str]] = ..., placement: _Optional[_Union[Placement, str]] = ..., crease_angle: _Optional[float] = ..., boundaries: _Optional[_Union[BoundaryRule, str]] = ..., thin: _Optional[_Union[ThinRule, str]] = ..., max_deviation: _Optional[float] = ..., max_deviation_length: _Optional[float] = ..., max_points: _Optional[int] = ..., measure: _Optional[_Union[Measure, str]] = ..., points_percent: _Optional[float] = ..., facets: _Optional[int] = ..., anisotropy: _Optional[float] = ..., anisotropy_auto: bool = ...) -> None: ...
 
 class DiagramOptions(_message.Message):
     __slots__ = ("points", "seed", "outputs", "points_percent")

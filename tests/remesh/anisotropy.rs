@@ -1,0 +1,231 @@
+//! Promise: cells are as long for their width as the lift says, along the direction in which the surface bends least; with as many
+//! vertices the result is nearer to the surface; it is a manifold of the same topology, with no facet turned over.
+
+use geometry::mesh::crossings::crossings;
+use glam::{DMat2, DVec2, DVec3};
+use needs::needs;
+use tessera::mesh::closest_point::ClosestPoint;
+use tessera::mesh::measure::topology;
+use tessera::mesh::shapes::Shape;
+use tessera::remesh::{Anisotropy, Placement, Refine, Remesh, RemeshOptions, Seeds, Tolerance, remesh};
+use tessera::rvd::{Backend, Parallel};
+use tessera::{DensityOptions, DensitySource, Token, TriMesh};
+
+use crate::rough::Random;
+use crate::surfaces;
+
+const AXES: DVec3 = DVec3::new(1.0, 2.0, 4.0);
+
+fn ellipsoid(facets: usize) -> TriMesh {
+    let sphere = Shape::Sphere.build(facets);
+    let places = sphere.positions().iter().map(|p| p.normalize() * AXES).collect();
+    TriMesh::new(places, sphere.facets().to_vec()).unwrap()
+}
+
+/// Of the ellipsoid near a point of it: the curvatures, the larger one first, and the direction of the smaller one.
+fn curvatures(p: DVec3) -> ([f64; 2], DVec3, DVec3) {
+    let squares = AXES * AXES;
+    let gradient = 2.0 * p / squares;
+    let normal = gradient.normalize();
+    let (x, y) = normal.any_orthonormal_pair();
+    let of = |a: DVec3, b: DVec3| 2.0 * (a * b / squares).element_sum() / gradient.length();
+    let (xx, xy, yy) = (of(x, x), of(x, y), of(y, y));
+    let (half, apart) = (0.5 * (xx + yy), (0.25 * (xx - yy).powi(2) + xy * xy).sqrt());
+    // The direction of the larger one is at this angle, the other one across.
+    let angle = 0.5 * (2.0 * xy).atan2(xx - yy) + std::f64::consts::FRAC_PI_2;
+    ([half + apart, half - apart], angle.cos() * x + angle.sin() * y, normal)
+}
+
+/// By vertex: how much longer than wide its edges are, and how far they turn from the direction of the smaller curvature, degrees.
+fn shapes(result: &TriMesh) -> Vec<(f64, f64)> {
+    let mut sums = vec![DMat2::ZERO; result.positions().len()];
+    for t in result.facets() {
+        for (a, b) in [(t[0], t[1]), (t[1], t[2]), (t[2], t[0])] {
+            for (from, to) in [(a, b), (b, a)] {
+                let p = result.positions()[from as usize];
+                let (_, along, normal) = curvatures(p);
+                let edge = result.positions()[to as usize] - p;
+                let flat = DVec2::new(edge.dot(along), edge.dot(normal.cross(along)));
+                sums[from as usize] += DMat2::from_cols(flat.x * flat, flat.y * flat);
+            }
+        }
+    }
+    let of = |sum: &DMat2| {
+        let (xx, xy, yy) = (sum.x_axis.x, sum.x_axis.y, sum.y_axis.y);
+        let (half, apart) = (0.5 * (xx + yy), (0.25 * (xx - yy).powi(2) + xy * xy).sqrt());
+        (((half + apart) / (half - apart)).sqrt(), (0.5 * (2.0 * xy).atan2(xx - yy)).to_degrees().abs())
+    };
+    sums.iter().map(of).collect()
+}
+
+fn median(numbers: impl IntoIterator<Item = f64>) -> f64 {
+    let mut all: Vec<f64> = numbers.into_iter().collect();
+    all.sort_by(f64::total_cmp);
+    all[all.len() / 2]
+}
+
+fn options(points: usize, anisotropy: Anisotropy, source: DensitySource) -> RemeshOptions {
+    let density = DensityOptions { source, ..DensityOptions::default() };
+    RemeshOptions::new(Seeds::Sample { points, seed: 0 }).with_density(density).with_anisotropy(anisotropy)
+}
+
+fn run(mesh: &TriMesh, options: &RemeshOptions) -> Remesh {
+    remesh(mesh, options, &Parallel::new(Some(2)).unwrap(), &mut (), &Token::default()).unwrap()
+}
+
+/// Closed or open as the input, with its parts and holes, without facets that cross others or face away from the surface.
+fn assert_sound(name: &str, mesh: &TriMesh, result: &TriMesh) {
+    let key = |mesh: &TriMesh| {
+        let of = topology(mesh);
+        (of.euler, of.components, of.boundary_loops, of.non_manifold_edges, of.non_manifold_vertices)
+    };
+    assert_eq!(key(result), key(mesh), "{name}");
+    assert_eq!(crossings(result, &Token::default()).unwrap().count, 0, "{name}");
+    let tree = ClosestPoint::new(mesh);
+    let normal = |[a, b, c]: [DVec3; 3]| (b - a).cross(c - a).normalize_or_zero();
+    for f in 0..result.facets().len() {
+        let corners = result.corners(f);
+        let at = tree.project(corners.iter().sum::<DVec3>() / 3.0);
+        // Beside a crease, the nearest facet may be the other side's.
+        let cosine = normal(corners).dot(normal(mesh.corners(at.facet as usize)));
+        assert!(cosine > -0.2, "{name}: facet {f} at {corners:?} is turned over, {cosine}");
+    }
+}
+
+/// Lévy and Bonneel 2012: the aspect is √((1 + s²k₁²) / (1 + s²k₂²)).
+#[test]
+fn cells_are_as_long_as_the_formula_says_and_lie_along_the_surface() {
+    let mesh = ellipsoid(40_000);
+    let diagonal = 2.0 * AXES.length();
+    for share in [0.02, 0.1, 0.25, 1.0] {
+        let options = options(2000, Anisotropy::Share(share), DensitySource::Uniform);
+        let result = run(&mesh, &options).mesh;
+        let square = |k: f64| (share * diagonal * k).powi(2);
+        let of = |p: &DVec3| curvatures(*p).0;
+        let wanted = |[large, small]: [f64; 2]| ((1.0 + square(large)) / (1.0 + square(small))).sqrt();
+        let shapes: Vec<_> = shapes(&result).into_iter().zip(result.positions().iter().map(of)).collect();
+        let ratio = median(shapes.iter().map(|((aspect, _), k)| aspect / wanted(*k)));
+        assert!((0.85..1.15).contains(&ratio), "{share}: {ratio}");
+        // A cell that is to be round has no direction.
+        let turned = shapes.iter().filter(|(_, k)| k[0] > 2.0 * k[1] && wanted(*k) > 1.25).map(|((_, off), _)| *off);
+        let turned: Vec<f64> = turned.collect();
+        assert!(turned.is_empty() || median(turned.iter().copied()) < 10.0, "{share}");
+        assert_sound(&format!("ellipsoid, {share}"), &mesh, &result);
+    }
+}
+
+/// The largest distance of the best triangles with vertices on the surface is (∫√K) / (√27 n), and half of that for fitted ones.
+#[test]
+fn the_largest_distance_is_near_the_least_there_is() {
+    let mesh = ellipsoid(40_000);
+    let roots: f64 = (0..mesh.facets().len())
+        .map(|f| {
+            let corners = mesh.corners(f);
+            let area = 0.5 * (corners[1] - corners[0]).cross(corners[2] - corners[0]).length();
+            let [large, small] = curvatures(corners.iter().sum::<DVec3>() / 3.0).0;
+            area * (large * small).sqrt()
+        })
+        .sum();
+    let bound = roots / (27f64.sqrt() * 2000.0);
+    let diagonal = 2.0 * AXES.length();
+    for (placement, most) in [(Placement::Fitted, 0.85), (Placement::Surface, 2.0)] {
+        let options = options(2000, Anisotropy::Auto, DensitySource::ErrorMax).with_placement(placement);
+        let report = run(&mesh, &options).report;
+        let largest = report.result.quality.unwrap().hausdorff_percent / 100.0 * diagonal;
+        assert!(largest < most * bound, "{placement:?}: {} times the bound", largest / bound);
+    }
+}
+
+#[test]
+fn facets_are_nearer_with_as_many_vertices() {
+    let shapes = [Shape::Hills, Shape::Torus].map(|shape| (shape.to_string(), shape.build(40_000)));
+    for (name, mesh) in shapes.into_iter().chain([("ellipsoid".to_owned(), ellipsoid(40_000))]) {
+        let rms = |anisotropy, source| {
+            run(&mesh, &options(1500, anisotropy, source)).report.result.quality.unwrap().rms_percent
+        };
+        let even = rms(Anisotropy::None, DensitySource::Uniform);
+        let auto = rms(Anisotropy::Auto, DensitySource::Error);
+        assert!(auto <= 0.75 * even, "{name}: {auto} of {even}");
+    }
+}
+
+#[needs(meshes)]
+#[test]
+fn real_surfaces_keep_their_topology_and_come_nearer() {
+    for (file, points) in [("rocker-arm.obj", 5000), ("fandisk.obj", 4096), ("stanford-bunny.obj", 10_000)] {
+        let mesh = surfaces::real(file);
+        let of = |anisotropy, source| run(&mesh, &options(points, anisotropy, source));
+        let even = of(Anisotropy::None, DensitySource::Uniform).report.result.quality.unwrap().rms_percent;
+        let result = of(Anisotropy::Auto, DensitySource::Error);
+        let rms = result.report.result.quality.as_ref().unwrap().rms_percent;
+        assert!(rms <= 0.75 * even, "{file}: {rms} of {even}");
+        assert_sound(file, &mesh, &result.mesh);
+    }
+}
+
+/// Sharp edges, holes, rims and noise, at lifts of any length.
+#[test]
+fn results_are_manifold_and_no_facet_is_turned_over() {
+    let noisy = {
+        let mesh = Shape::Torus.build(8000);
+        let mut random = Random::new(3);
+        // A fifth of an edge.
+        let places = mesh.positions().iter().map(|&p| p + 0.01 * random.point()).collect();
+        TriMesh::new(places, mesh.facets().to_vec()).unwrap()
+    };
+    let cases = [
+        ("block", Shape::Block.build(6000)),
+        ("genus 3", Shape::Genus(3).build(8000)),
+        ("hills", Shape::Hills.build(8000)),
+        ("square", Shape::Square.build(4000)),
+        ("noisy torus", noisy),
+    ];
+    for (name, mesh) in cases {
+        for (anisotropy, source) in [
+            (Anisotropy::Auto, DensitySource::Uniform),
+            (Anisotropy::Auto, DensitySource::Error),
+            (Anisotropy::Auto, DensitySource::ErrorMax),
+            (Anisotropy::Share(0.05), DensitySource::Uniform),
+            (Anisotropy::Share(1.0), DensitySource::Uniform),
+        ] {
+            let result = run(&mesh, &options(1500, anisotropy, source.clone()));
+            let name = format!("{name}, {anisotropy:?}, {source:?}");
+            assert_sound(&name, &mesh, &result.mesh);
+            assert!(result.mesh.positions().len().abs_diff(1500) <= 30, "{name}");
+        }
+    }
+}
+
+#[test]
+fn the_same_bits_on_any_number_of_threads() {
+    let mesh = Shape::Block.build(6000);
+    for source in [DensitySource::Error, DensitySource::ErrorMax] {
+        let options = options(800, Anisotropy::Auto, source);
+        let bits = |backend: &dyn Backend| {
+            let result = remesh(&mesh, &options, backend, &mut (), &Token::default()).unwrap().mesh;
+            let places: Vec<[u64; 3]> = result.positions().iter().map(|p| p.to_array().map(f64::to_bits)).collect();
+            (places, result.facets().to_vec())
+        };
+        let one = bits(&Parallel::new(Some(1)).unwrap());
+        for threads in [1, 2, 3] {
+            assert!(bits(&Parallel::new(Some(threads)).unwrap()) == one, "{threads} threads");
+        }
+    }
+}
+
+/// With seeds that are given, with points that are added, and with no lift at all.
+#[test]
+fn other_options_go_with_it() {
+    let mesh = ellipsoid(10_000);
+    let seeds = run(&mesh, &options(600, Anisotropy::Auto, DensitySource::Uniform)).seeds;
+    let given = RemeshOptions::new(Seeds::Given(seeds)).with_anisotropy(Anisotropy::Auto);
+    assert_sound("given", &mesh, &run(&mesh, &given).mesh);
+    let refine = Refine { tolerance: Tolerance::DiagonalPercent(0.05), max_points: Some(4000) };
+    let refined = options(600, Anisotropy::Auto, DensitySource::Uniform).with_refine(refine);
+    let result = run(&mesh, &refined);
+    assert_sound("refined", &mesh, &result.mesh);
+    assert!(result.report.refine.deviation_percent.unwrap() <= 0.05);
+    let none = run(&mesh, &options(600, Anisotropy::None, DensitySource::Uniform)).mesh;
+    let zero = run(&mesh, &options(600, Anisotropy::Share(0.0), DensitySource::Uniform)).mesh;
+    assert_eq!(none.facets().len(), zero.facets().len());
+}
