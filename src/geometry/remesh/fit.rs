@@ -3,7 +3,8 @@
 //! Purpose: a triangulation whose vertices lie on a curved surface lies on one side of it, off by a share of κh² everywhere.
 //! [`fit`] moves the vertices so that the mean square distance from the input to the facets is least, tangent plane by
 //! tangent plane ([`normal_equations`]): along the normals where the surface is smooth, and towards a ridge where samples of
-//! its two sides ask for it. Where facets may be slender, edges are flipped between such moves ([`flips`]). [`backtrack`] then shortens moves until no facet turns over or becomes a sliver beside what it was.
+//! its two sides ask for it. Where facets may be slender, edges are flipped between such moves ([`flips`]), and largest distances
+//! are balanced ([`balance`]). [`backtrack`] shortens moves until no facet turns over or becomes a sliver beside what it was.
 //! Invariant: fixed vertices stay. The answer of the backtracking is that of checking all facets each time, though a facet is
 //! checked again only if a corner's move was shortened. The same bits whatever the number of threads.
 //! Must not know: seeds, diagrams, files.
@@ -19,7 +20,7 @@ use super::constants::*;
 use super::distance::InputSamples;
 use super::features::envelope::CurveSample;
 use super::manifold::LocalMesh;
-use super::triangle::{Wanted, unit_normal};
+use super::triangle::{Norm, Shapes, Wanted, unit_normal};
 use crate::mesh::TriMesh;
 use crate::mesh::crossings::crossing_facets;
 use crate::mesh::csr::ascending;
@@ -34,51 +35,6 @@ pub(super) struct Target {
     pub(super) curves: Vec<CurveSample>,
     /// Vertices that stay.
     pub(super) fixed: Vec<bool>,
-}
-
-/// Facets as they are wanted.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Shapes {
-    /// As wide as long.
-    Round,
-    /// As long as the cells are: edges are those of the dual.
-    Slender,
-    /// As they are nearest to the surface.
-    Nearest(Norm),
-}
-
-/// Which distances a fit brings down.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Norm {
-    MeanSquare,
-    Largest,
-}
-
-impl Norm {
-    /// Of the squared distances, where their sum stands for the norm.
-    fn power(self) -> i32 {
-        match self {
-            Self::MeanSquare => 1,
-            Self::Largest => 4,
-        }
-    }
-}
-
-impl Shapes {
-    /// Least score of a facet where distances are measured, or its own.
-    pub(super) fn least_score(self) -> f64 {
-        match self {
-            Self::Round => LEAST_SCORE,
-            Self::Slender | Self::Nearest(_) => SLENDER_SCORE,
-        }
-    }
-
-    fn wanted(self) -> Wanted {
-        match self {
-            Self::Round => Wanted::new(POOR_SCORE, POOR_ANGLE),
-            Self::Slender | Self::Nearest(_) => Wanted::new(SLENDER_SCORE, SLENDER_ANGLE),
-        }
-    }
 }
 
 /// Moves the vertices; flips edges where facets are to be nearest. Ends early where `token` is stopped.

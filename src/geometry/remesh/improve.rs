@@ -23,9 +23,8 @@ use glam::DVec3;
 
 use super::constants::{DIRECTIONS, MAX_HALVINGS, NORMAL_STEP};
 use super::distance::Reference;
-use super::fit::Shapes;
 use super::manifold::LocalMesh;
-use super::triangle::perimeter;
+use super::triangle::{Shapes, perimeter};
 use crate::mesh::csr::ascending;
 use crate::mesh::facet_set::{FacetSet, least_distance, sample_points};
 use crate::token::Token;

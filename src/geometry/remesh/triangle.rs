@@ -1,12 +1,13 @@
 //! Measures of one triangle.
 //!
-//! Purpose: the normal, the score and the size by which all rooms of the remesh judge a facet.
+//! Purpose: the normal, the score and the size by which all rooms of the remesh judge a facet, and the shapes that they want
+//! ([`Shapes`]).
 //! Invariant: a triangle without area has the normal zero and no score above zero; no measure is NaN.
 //! Must not know: which triangle it is.
 
 use glam::DVec3;
 
-use super::constants::{BOUND_ROUNDING, DEGREES_PER_QUALITY};
+use super::constants::*;
 use crate::mesh::measure::{angles, facet_quality, least_angle};
 
 /// Unit normal; zero for a triangle without area.
@@ -53,6 +54,51 @@ impl Wanted {
         }
         let [smallest, largest] = angles(corners);
         (self.score - smallest.min(DEGREES_PER_QUALITY * quality)).max(largest - self.largest).max(0.0)
+    }
+}
+
+/// Facets as they are wanted.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Shapes {
+    /// As wide as long.
+    Round,
+    /// As long as the cells are: edges are those of the dual.
+    Slender,
+    /// As they are nearest to the surface.
+    Nearest(Norm),
+}
+
+/// Which distances a fit brings down.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Norm {
+    MeanSquare,
+    Largest,
+}
+
+impl Norm {
+    /// Of the squared distances, where their sum stands for the norm.
+    pub(super) fn power(self) -> i32 {
+        match self {
+            Self::MeanSquare => 1,
+            Self::Largest => 4,
+        }
+    }
+}
+
+impl Shapes {
+    /// Least score of a facet where distances are measured, or its own.
+    pub(super) fn least_score(self) -> f64 {
+        match self {
+            Self::Round => LEAST_SCORE,
+            Self::Slender | Self::Nearest(_) => SLENDER_SCORE,
+        }
+    }
+
+    pub(super) fn wanted(self) -> Wanted {
+        match self {
+            Self::Round => Wanted::new(POOR_SCORE, POOR_ANGLE),
+            Self::Slender | Self::Nearest(_) => Wanted::new(SLENDER_SCORE, SLENDER_ANGLE),
+        }
     }
 }
 

@@ -25,7 +25,7 @@ pub enum DensitySource {
     FeatureSize,
     /// Length for the least mean of squared distances from the surface by triangles of the best shape: h ∝ |K|^(-1/6), where K is
     /// the Gaussian curvature, or k₁²/64 where that is larger: triangles are at most eight times as long as wide. For
-    /// anisotropic remeshes.
+    /// anisotropic remeshes. Creases are those that even points of the same number resolve.
     Error,
     /// The same for the least largest distance: h ∝ |K|^(-1/4).
     ErrorMax,

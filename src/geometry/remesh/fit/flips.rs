@@ -9,14 +9,14 @@
 use glam::DVec3;
 use rayon::prelude::*;
 
+use super::Target;
 use super::normal_equations::NearestFacets;
-use super::{Norm, Target};
 use crate::mesh::closest_point::closest_on_facet;
 use crate::mesh::csr::{Csr, ascending};
 use crate::mesh::measure::facet_quality;
 use crate::remesh::constants::*;
 use crate::remesh::manifold::{Flip, LocalMesh};
-use crate::remesh::triangle::{Wanted, perimeter, unit_normal};
+use crate::remesh::triangle::{Norm, Wanted, perimeter, unit_normal};
 use crate::token::Token;
 
 /// Flips edges while that helps, and gives each sample to a corner of its facet.

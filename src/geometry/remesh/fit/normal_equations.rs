@@ -9,11 +9,12 @@
 use glam::{DMat3, DVec3};
 use rayon::prelude::*;
 
-use super::{Norm, Target};
+use super::Target;
 use crate::remesh::constants::*;
 use crate::remesh::distance::{RingQuery, SurfaceSample};
 use crate::remesh::features::envelope::CurveSample;
 use crate::remesh::manifold::LocalMesh;
+use crate::remesh::triangle::Norm;
 use crate::token::Token;
 
 pub(super) const NONE: u32 = u32::MAX;

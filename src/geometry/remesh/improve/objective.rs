@@ -12,9 +12,8 @@ use crate::mesh::closest_point::closest_on_facet;
 use crate::mesh::facet_set::least_distance;
 use crate::mesh::measure::facet_quality;
 use crate::remesh::constants::*;
-use crate::remesh::fit::Shapes;
 use crate::remesh::manifold::LocalMesh;
-use crate::remesh::triangle::Wanted;
+use crate::remesh::triangle::{Shapes, Wanted};
 
 /// What the shapes of facets cost: little for Q below 1, much for what they lack of the wanted shape.
 #[derive(Clone, Copy)]

@@ -12,9 +12,8 @@ use super::{Context, Steps};
 use crate::mesh::csr::ascending;
 use crate::mesh::facet_set::{FacetSet, sample_points, squared_distance};
 use crate::remesh::constants::*;
-use crate::remesh::fit::Shapes;
 use crate::remesh::manifold::{Flip, LocalMesh};
-use crate::remesh::triangle::{perimeter, score, unit_normal};
+use crate::remesh::triangle::{Shapes, perimeter, score, unit_normal};
 use crate::token::Token;
 
 /// Vertices and facets have local numbers.

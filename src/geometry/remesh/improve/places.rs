@@ -16,8 +16,8 @@ use super::trial::{Goal, Measure, Trial, best};
 use super::{Context, MeshEditor, Place, Queue, distance_at};
 use crate::mesh::facet_set::squared_distance;
 use crate::remesh::constants::*;
-use crate::remesh::fit::Shapes;
 use crate::remesh::manifold::Flip;
+use crate::remesh::triangle::Shapes;
 
 /// What is wrong at a place. The later ones come first.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]

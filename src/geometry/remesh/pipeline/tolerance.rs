@@ -22,8 +22,8 @@ use crate::mesh::closest_point::ClosestPoint;
 use crate::mesh::comparison::{Comparison, Distances};
 use crate::remesh::constants::*;
 use crate::remesh::features::KeptCurves;
-use crate::remesh::fit::{Norm, Shapes};
 use crate::remesh::report::{DeviceFigures, RefineEnd};
+use crate::remesh::triangle::{Norm, Shapes};
 use crate::remesh::{Anisotropy, Limits, Placement, RemeshOptions, Result, Seeds};
 use crate::rvd::{Lifted, RvdError};
 
