@@ -23,7 +23,7 @@ use crate::rvd::{
 };
 use curves::CurveSeeds;
 pub use density::{Count, DensityError, DensityFigures, DensityOptions, DensitySource};
-use lifts::CurveLifts;
+use lifts::{CurveLifts, MOST_SIDES};
 pub use placement::SeedEdit;
 pub(crate) use placement::lifted;
 pub use step::{Iteration, StepKind};
@@ -45,7 +45,7 @@ pub struct Cvt<P: Space = DVec3> {
     options: CvtOptions,
     /// Unit frame; behind the session's where that has moved them.
     seeds: Vec<P>,
-    /// Further points of seeds of curves, where the surface is lifted: one for each side. The session has them behind the seeds.
+    /// Further points of seeds of curves, where the surface is lifted: one for each side but the first. The session has them behind the seeds.
     sides: Vec<(u32, P)>,
     /// Finds them.
     lifts: Option<Arc<CurveLifts>>,
@@ -90,7 +90,7 @@ impl<P: Space> Cvt<P> {
     ) -> Result<Self, RvdError> {
         options.max_seeds = options.max_seeds.max(seeds.len());
         // Curves may get further seeds, and each has a few sides.
-        let room = options.max_seeds + lifts.as_ref().map_or(0, |_| SIDES * options.max_seeds);
+        let room = options.max_seeds + lifts.as_ref().map_or(0, |_| MOST_SIDES * options.max_seeds);
         let session = P::session(backend, Arc::clone(&surface), SessionOptions::new(room))?;
         check_seeds(&seeds, options.max_seeds)?;
         Ok(Self {
@@ -131,7 +131,7 @@ impl<P: Space> Cvt<P> {
 
     /// How many points a session needs room for.
     pub(crate) fn room(&self) -> usize {
-        self.options.max_seeds + self.lifts.as_ref().map_or(0, |_| SIDES * self.options.max_seeds)
+        self.options.max_seeds + self.lifts.as_ref().map_or(0, |_| MOST_SIDES * self.options.max_seeds)
     }
 
     /// Whether there are no seeds (there always are).
@@ -226,9 +226,6 @@ impl<P: Space> Cvt<P> {
 fn resident<P: Space>(session: &mut dyn Session<P>) -> Result<&mut dyn Resident<P>, RvdError> {
     session.resident().ok_or_else(|| RvdError::Internal("this backend cannot move seeds".to_owned()))
 }
-
-/// Further sides of a seed, on average and at most.
-const SIDES: usize = 4;
 
 /// Where seeds go after each step.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]

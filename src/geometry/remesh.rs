@@ -359,6 +359,12 @@ pub enum RemeshError {
     /// The density cannot be met.
     #[error(transparent)]
     Density(DensityError),
+    /// [`Anisotropy::Share`] is outside of [`Anisotropy::SHARES`].
+    #[error("the lift is {share} diagonals long; a share from 0 to 10 is needed")]
+    BadLift {
+        /// The share that was given.
+        share: f64,
+    },
     /// Every facet of the surface lies back to back with another, and so does every triangle of the dual.
     #[error("the surface lies back to back with itself and has no thickness; remesh one of its sides")]
     NoThickness,

@@ -9,13 +9,15 @@ use rayon::prelude::*;
 
 use super::curves::{CurveSeeds, Segment};
 use crate::knn::{Point, SeedIndex};
-use crate::mesh::bvh::Bvh;
+use crate::mesh::bvh::{Bvh, arrange};
 use crate::mesh::closest_point::closest_on_facet;
 use crate::rvd::Surface;
 use crate::token::{Stopped, Token};
 
 /// A place within this distance of a facet is on it, unit frame. Places of curves are sums of a few rounded terms.
 const ON_FACET: f64 = 1e-9;
+/// Further sides of a seed that count, at most: a corner with more is a cone, and any of them stand for it.
+pub(super) const MOST_SIDES: usize = 8;
 /// Two points nearer than this share of the lift are one side: normals within a degree.
 const ONE_SIDE: f64 = 0.02;
 
@@ -27,9 +29,11 @@ pub(crate) struct CurveLifts {
 
 impl CurveLifts {
     /// Of the facets that have a vertex on a curve.
-    pub(crate) fn new<P: Point>(surface: &Surface<P>, at_curve: impl Fn(u32) -> bool) -> Self {
-        let facets: Vec<u32> = (0..surface.facets().len() as u32).filter(|&f| at_curve(f)).collect();
-        let corners: Vec<[DVec3; 3]> = facets.iter().map(|&f| surface.corners(f).map(P::place)).collect();
+    pub(crate) fn new<P: Point>(surface: &Surface<P>, at_curve: impl Fn(u32) -> bool, token: &Token) -> Self {
+        let mut facets: Vec<u32> = (0..surface.facets().len() as u32).filter(|&f| at_curve(f)).collect();
+        let corners = |f: u32| surface.corners(f).map(P::place);
+        arrange(&mut facets, &|&f| corners(f).into_iter().sum::<DVec3>() / 3.0, token);
+        let corners: Vec<[DVec3; 3]> = facets.iter().map(|&f| corners(f)).collect();
         Self { tree: Bvh::new(&corners), facets }
     }
 
@@ -85,6 +89,9 @@ impl CurveLifts {
             let is_new = |side: &P| (point - *side).at(DVec3::ZERO).length() > ONE_SIDE * apart;
             if squared <= ON_FACET * ON_FACET && sides.iter().all(is_new) {
                 sides.push(point);
+            }
+            if sides.len() > MOST_SIDES {
+                break;
             }
         }
         sides

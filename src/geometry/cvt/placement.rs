@@ -10,8 +10,8 @@ use std::collections::HashSet;
 
 use glam::DVec3;
 
+use super::Cvt;
 use super::curves::{CurveSeeds, INNER_POINTS};
-use super::{Cvt, SIDES};
 use crate::mesh::closest_point::{ClosestPoint, SurfacePoint};
 use crate::rvd::{CellSums, RvdError, Space, Surface, check_seeds};
 use crate::token::{Stopped, Token};
@@ -163,7 +163,7 @@ impl<P: Space> Cvt<P> {
             for (k, point) in lifts.sides(&self.surface, place).into_iter().enumerate() {
                 if k == 0 {
                     self.seeds[seed as usize] = point;
-                } else if k <= SIDES {
+                } else {
                     self.sides.push((seed, point));
                 }
             }

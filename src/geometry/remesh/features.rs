@@ -15,7 +15,7 @@ use super::constants::*;
 use super::report::FeatureFigures;
 use super::{RemeshError, RemeshOptions, Seeds};
 use crate::cvt::curves::{CurveSeeds, INNER_POINTS, Segment, edge_length};
-use crate::cvt::density::{DensitySource, Plan};
+use crate::cvt::density::Plan;
 use crate::mesh::TriMesh;
 use crate::mesh::edges::undirected;
 use crate::mesh::features::{CurveKind, FeatureOptions, Features};
@@ -43,7 +43,7 @@ impl KeptCurves {
         mesh: &TriMesh,
         plan: &Plan<'_>,
         surface: &Surface,
-        options: &RemeshOptions,
+        (options, by_error): (&RemeshOptions, bool),
         token: &Token,
     ) -> Result<Self, RemeshError> {
         Features::check(mesh, options.crease_angle_deg, &options.creases, token)?;
@@ -51,12 +51,11 @@ impl KeptCurves {
             return Ok(Self::default());
         }
         let points = plan.points;
-        // Edges are short where the surface bends both ways. What these alone resolve is noise more often than a crease.
-        let even = matches!(options.density.source, DensitySource::Error | DensitySource::ErrorMax);
-        let mass = if even { surface.area() } else { surface.root_mass() };
+        // By error, edges are short where the surface bends both ways. What these alone resolve is noise more often than a crease.
+        let mass = if by_error { surface.area() } else { surface.root_mass() };
         // The shortest target edge, where the weight is 1.
         let scale = edge_length(surface, (&Features::default(), &[]), mass, points, token)?;
-        let resolution = match even || surface.is_uniform() {
+        let resolution = match by_error || surface.is_uniform() {
             true => Vec::new(),
             false => surface.weights().iter().map(|w| w.powf(0.25)).collect(),
         };
@@ -214,12 +213,6 @@ impl KeptCurves {
             }
         }
         Ok(())
-    }
-
-    /// The segments of boundaries.
-    pub(crate) fn boundary_segments(&self) -> impl Iterator<Item = &Segment> {
-        let is_boundary = |s: &&Segment| self.features.curves[s.curve as usize].kind == CurveKind::Boundary;
-        self.seeds.segments.iter().filter(is_boundary)
     }
 
     /// Edges of all curves, by the first vertex at each place.

@@ -42,7 +42,7 @@ pub(super) fn fit(mesh: &mut LocalMesh, target: &mut Target, shapes: Shapes, tok
     let wanted = shapes.wanted();
     let start = mesh.positions.clone();
     if shapes != Shapes::Round {
-        flips::unfold(mesh, target);
+        flips::unfold(mesh, target, token);
     }
     let Shapes::Nearest(norm) = shapes else {
         return move_vertices(mesh, target, (&start, 1.0), (wanted, Norm::MeanSquare), token);
@@ -59,7 +59,7 @@ pub(super) fn fit(mesh: &mut LocalMesh, target: &mut Target, shapes: Shapes, tok
 
 /// Flips edges, and moves no vertex.
 pub(super) fn flip(mesh: &mut LocalMesh, target: &mut Target, shapes: Shapes, token: &Token) {
-    flips::unfold(mesh, target);
+    flips::unfold(mesh, target, token);
     if let Shapes::Nearest(norm) = shapes {
         flips::flip(mesh, target, (shapes.wanted(), norm), token);
     }

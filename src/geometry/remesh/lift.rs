@@ -12,15 +12,13 @@ use glam::DVec3;
 
 use super::features::KeptCurves;
 use super::{Anisotropy, Result};
-use crate::cvt::density::{Net, SizeField, principal};
+use crate::cvt::density::{LONGEST, Net, SizeField, principal};
 use crate::cvt::lifts::CurveLifts;
 use crate::mesh::TriMesh;
 use crate::mesh::edges::{DisjointSets, EdgeGroups, Half, undirected};
 use crate::rvd::{Lifted, Point, RvdError, Surface};
 use crate::token::Token;
 
-/// The most that a cell is longer than wide.
-const LONGEST: f64 = 8.0;
 /// The shortest lift, as a share of the diagonal.
 const LEAST: f64 = 1e-6;
 /// The most that the length of the lift changes per distance: a slope stretches the lifted surface itself.
@@ -44,9 +42,11 @@ pub(super) struct Lift {
 /// How a surface is lifted.
 pub(super) struct Lifting<'a> {
     pub(super) anisotropy: Anisotropy,
+    /// Of the input's bounding box, caller's units.
+    pub(super) diagonal: f64,
     /// About how long edges are, caller's units.
     pub(super) edge: f64,
-    /// Lengths of the lift, one a vertex, to be taken as they are.
+    /// Lengths of the lift, one a vertex, to be graded.
     pub(super) lengths: Option<&'a [f64]>,
     /// Whether weights are those of the surface itself, and not of the lifted one.
     pub(super) in_space: bool,
@@ -59,7 +59,7 @@ impl Lift {
         weights: Option<&[f64]>,
         surface: &Surface,
         kept: &KeptCurves,
-        Lifting { anisotropy, edge, lengths, in_space }: Lifting<'_>,
+        Lifting { anisotropy, diagonal, edge, lengths, in_space }: Lifting<'_>,
         token: &Token,
     ) -> Result<Self> {
         let creases: HashSet<[u32; 2]> = kept.crease_edges().map(undirected).collect();
@@ -68,26 +68,24 @@ impl Lift {
         // A vertex of each sector, and the sum of the facets' normals by their angles there.
         let mut vertex = vec![0; sectors];
         let mut normals = vec![DVec3::ZERO; sectors];
-        for (f, facet) in mesh.facets().iter().enumerate().filter(|(f, _)| !surface.skips(*f)) {
+        for f in (0..mesh.facets().len()).filter(|&f| !surface.skips(f)) {
             let p = mesh.corners(f);
             let normal = (p[1] - p[0]).cross(p[2] - p[0]).normalize_or_zero();
             for c in 0..3 {
                 let at = sector[3 * f + c] as usize;
                 let (a, b) = (p[(c + 1) % 3] - p[c], p[(c + 2) % 3] - p[c]);
-                vertex[at] = facet[c];
+                vertex[at] = surface.welded()[f][c];
                 normals[at] += a.angle_between(b) * normal;
             }
         }
-        for (f, facet) in mesh.facets().iter().enumerate().filter(|(f, _)| surface.skips(*f)) {
-            (0..3).for_each(|c| vertex[sector[3 * f + c] as usize] = facet[c]);
+        for f in (0..mesh.facets().len()).filter(|&f| surface.skips(f)) {
+            (0..3).for_each(|c| vertex[sector[3 * f + c] as usize] = surface.welded()[f][c]);
         }
         normals.iter_mut().for_each(|normal| *normal = normal.normalize_or_zero());
         let places = vertex.iter().map(|&v| mesh.positions()[v as usize]).collect();
         let corners = |f: usize| [0, 1, 2].map(|c| sector[3 * f + c]);
         let split = TriMesh::new(places, (0..mesh.facets().len()).map(corners).collect())
             .map_err(|e| RvdError::Internal(format!("a surface was valid before its vertices were split: {e}")))?;
-        let (low, high) = mesh.bounds();
-        let diagonal = (high - low).length();
         let graded = |lengths: Vec<f64>| -> Result<Vec<f64>> {
             let net = Net::new(mesh, token)?;
             let mut field = SizeField::new(&net, lengths)?;
@@ -117,7 +115,11 @@ impl Lift {
             }
         };
         let lift: Vec<DVec3> = normals.iter().zip(&vertex).map(|(&normal, &v)| lengths[v as usize] * normal).collect();
-        let larger = around.larger(&split, &lift, &vertex, mesh.positions().len());
+        let mut larger = around.larger(&split, &lift, &vertex, mesh.positions().len());
+        // Vertices in one place are one.
+        for (own, first) in mesh.facets().iter().zip(surface.welded()).flat_map(|(own, first)| own.iter().zip(first)) {
+            larger[*own as usize] = larger[*first as usize];
+        }
         // The density of points on the lifted surface is the root of its weight.
         let lifted_weights: Option<Vec<f64>> = match (weights, in_space) {
             (Some(weights), true) => Some(weights.iter().zip(&larger).map(|(w, j)| w / (j * j)).collect()),
@@ -146,7 +148,7 @@ impl Lift {
         let on_curve: HashSet<u32> = kept.curve_vertices().collect();
         // By the first vertex at a place; the lifted surface has other numbers, but the same facets.
         let at_curve = |f: u32| surface.welded()[f as usize].iter().any(|v| on_curve.contains(v));
-        let curves = CurveLifts::new(&lifted, at_curve);
+        let curves = CurveLifts::new(&lifted, at_curve, token);
         if in_space {
             along_curves.iter_mut().zip(&larger).for_each(|(along, j)| *along /= j.sqrt());
         }

@@ -47,7 +47,7 @@ use crate::mesh::input::{draw_in, outliers};
 use crate::mesh::measure::{Quality, Topology, coincident_vertices, quality_and_distances, topology_unless};
 use crate::rvd::{Backend, RvdError, elapsed_ms, on_threads_of};
 use crate::token::{Stopped, Token};
-use prepare::{Prepared, prepare, preprocess, separation};
+use prepare::{Asked, Prepared, prepare, preprocess, separation};
 use schedule::Figures;
 use tolerance::Attempt;
 
@@ -62,8 +62,15 @@ pub fn remesh(
     observer: &mut dyn Observer,
     token: &Token,
 ) -> Result<Remesh, RemeshError> {
-    let measured = (options.refine.is_some() || matches!(options.seeds, Seeds::Share { .. })).then(|| {
+    let flat = match options.anisotropy {
+        Anisotropy::Share(share) if !Anisotropy::SHARES.contains(&share) => return Err(RemeshError::BadLift { share }),
+        anisotropy => anisotropy == Anisotropy::Share(0.0),
+    };
+    let measured = (flat || options.refine.is_some() || matches!(options.seeds, Seeds::Share { .. })).then(|| {
         let mut options = options.clone();
+        if flat {
+            options.anisotropy = Anisotropy::None;
+        }
         options.seeds.resolve(given);
         options.refine.iter_mut().for_each(|to| to.tolerance = Tolerance::Length(to.tolerance.length(given)));
         options
@@ -104,8 +111,9 @@ fn run_stages(
     token.enter("prepare");
     observer.stage("prepare");
     // Most inputs need no preprocessing: what is prepared meanwhile is then of use.
+    let asked = Asked::new(given, options);
     let (preprocessed, mut prepared) =
-        rayon::join(|| preprocess(given, token), || prepare(given, options, None, token));
+        rayon::join(|| preprocess(given, token), || prepare(given, options, asked, None, token));
     let (input, changed) = preprocessed?;
     let clean = changed.as_ref().unwrap_or(given);
     // Components are moved apart, so that no cell reaches through to another one.
@@ -115,7 +123,7 @@ fn run_stages(
     token.check()?;
     let separated = apart.as_ref().map_or(clean, |apart| &apart.mesh);
     if changed.is_some() || apart.is_some() {
-        prepared = prepare(separated, options, None, token);
+        prepared = prepare(separated, options, asked, None, token);
     }
     let limits = match (options.refine, &prepared) {
         (Some(Refine { tolerance, max_points }), &Ok(Prepared { plan: Plan { points, .. }, .. })) => {
@@ -140,7 +148,7 @@ fn run_stages(
     // A tolerance decides itself how many points there are.
     let scales_seeds = options.refine.is_none();
     let topology = input.topology;
-    let mut job = Job { separated, backend, token, observer, laps, keep_thin, scales_seeds, diagonal, topology };
+    let mut job = Job { separated, asked, backend, token, observer, laps, keep_thin, scales_seeds, diagonal, topology };
     let attempt = match (limits, &options.seeds) {
         (Some(limits), &(Seeds::Sample { seed, .. } | Seeds::Implied { seed })) => {
             prepared.and_then(|prepared| tolerance::refine(&mut job, prepared, options, limits, seed))
@@ -273,6 +281,7 @@ fn measure(
 pub(super) struct Job<'a, 'b> {
     /// The input, preprocessed, its components apart.
     pub(super) separated: &'a TriMesh,
+    asked: Asked,
     pub(super) backend: &'b dyn Backend,
     pub(super) token: &'b Token,
     pub(super) observer: &'b mut dyn Observer,

@@ -36,6 +36,8 @@ pub struct Dual {
     pub multiple_edges: Vec<[u32; 2]>,
     /// Components that meet the boundary in more than one stretch, ascending.
     pub multiple_boundary_arcs: Vec<u32>,
+    /// Components that meet the boundary, ascending.
+    pub at_boundary: Vec<u32>,
     /// The pieces, in facet order.
     pub pieces: Vec<Piece>,
     pub area: f64,

@@ -247,9 +247,13 @@ fn seconds(counts: &Counts, threads: usize) -> f64 {
     let repair = uneven(steps) * (160.0 * points + 110.0 * (facets * points).sqrt());
     // Each set of seeds becomes a blob of its own.
     let sets = 1e3 * counts.sets as f64;
+    // Rounds where cells fail prepare and read the dual again.
+    let rounds = if counts.anisotropy == Anisotropy::None { 1.0 } else { 2.0 };
     let (steps, other) = match counts.kind {
         // The dual and what comes after it look at a pair about ten times.
-        Kind::Remesh => (steps * step, density + 1.2 * facets + 7.5 * points + fit + measure + 10.0 * pairs + repair),
+        Kind::Remesh => {
+            (steps * step, rounds * (density + 1.2 * facets + 7.5 * points) + fit + measure + 10.0 * pairs + repair)
+        }
         Kind::Rvd => (4.0 * step, density + 0.4 * facets + 0.5 * points + cells),
         Kind::Cvt => (steps * step, density + 0.7 * facets + points + sets),
     };

@@ -200,6 +200,7 @@ fn of_remesh(error: &RemeshError) -> Fault {
         RemeshError::TooFewSeeds { .. } => "seeds".to_owned(),
         RemeshError::EdgeTooLong { .. } => "header.options.density.edge_length".to_owned(),
         RemeshError::Density(error) => return of_density(error),
+        RemeshError::BadLift { .. } => "header.options.anisotropy".to_owned(),
         RemeshError::RefineUnfitted => "header.options.max_deviation".to_owned(),
         RemeshError::RefineLimit { .. } => "header.options.max_points".to_owned(),
         // What an upload carries is checked when it is collected, where its index is known.

@@ -101,7 +101,7 @@ mod tests {
     use crate::mesh::shapes::Shape;
     use glam::dvec3;
 
-    /// Relative errors of `largest` against `want` per caller's unit: median and 99th percentile.
+    /// Relative errors of the larger one against `want` per caller's unit: median and 99th percentile.
     fn errors(mesh: &TriMesh, steps: usize, want: impl Fn(DVec3) -> f64) -> [f64; 2] {
         let net = Net::new(mesh, &Token::default()).unwrap();
         let got = of(&net, steps, &Token::default()).unwrap();

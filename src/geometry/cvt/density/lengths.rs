@@ -21,7 +21,7 @@ pub(super) fn of_curvature(net: &Net, points: f64, token: &Token) -> Result<Vec<
 }
 
 /// Triangles are at most so many times as long as wide.
-const LONGEST: f64 = 8.0;
+pub(crate) const LONGEST: f64 = 8.0;
 
 /// Lengths up to a factor by the Gaussian curvature, to the power of minus `power`.
 pub(super) fn of_error(net: &Net, points: f64, power: f64, token: &Token) -> Result<Vec<f64>, Stopped> {

@@ -3,8 +3,9 @@
 //! Purpose: where facets may be slender, the dual's edges need not be those along which the surface bends least. [`flip`] takes the
 //! other diagonal of two facets where the samples of the input that are nearest to these are nearer to it, in the mean square: the
 //! data-dependent triangulation of Dyn, Levin and Rippa (1990), for samples of a surface.
-//! Invariant: the sum of squared distances falls with each flip; edges of curves stay; no facet becomes more slender than is wanted,
-//! or than its pair was. The same bits whatever the number of threads. Must not know: why facets are slender.
+//! [`unfold`] flips edges of facets that face away.
+//! Invariant: the sum of squared distances falls with each flip of [`flip`], and no facet becomes more slender than is wanted, or than
+//! its pair was; edges of curves stay. The same bits whatever the number of threads. Must not know: why facets are slender.
 
 use glam::DVec3;
 use rayon::prelude::*;
@@ -50,7 +51,7 @@ pub(super) fn flip(mesh: &mut LocalMesh, target: &mut Target, (wanted, norm): (W
 
 /// Flips edges of facets that face away from the surface, where both facets face it then. The dual has few such facets, most of them
 /// slivers, where the lifted surface bends within a cell.
-pub(super) fn unfold(mesh: &mut LocalMesh, target: &Target) {
+pub(super) fn unfold(mesh: &mut LocalMesh, target: &Target, token: &Token) {
     let normal = |v: u32| target.input.samples.of(v).iter().map(|s| s.area * s.normal).sum::<DVec3>();
     let normals: Vec<DVec3> = (0..mesh.positions.len() as u32).into_par_iter().map(normal).collect();
     let facing = |t: [u32; 3]| t.iter().map(|&v| normals[v as usize].normalize_or_zero()).sum::<DVec3>();
@@ -59,7 +60,11 @@ pub(super) fn unfold(mesh: &mut LocalMesh, target: &Target) {
     for _ in 0..UNFOLDING_ROUNDS {
         let turned: Vec<u32> = (0..mesh.facets().len() as u32).filter(|&f| is_turned(mesh, f)).collect();
         let mut flips = 0;
-        for f in turned {
+        for f in turned.into_iter().take_while(|_| !token.is_stopped()) {
+            // A flip of a neighbour may have turned it.
+            if !is_turned(mesh, f) {
+                continue;
+            }
             let flip = (0..3).filter_map(|side| mesh.flip_any(f, side, UNFOLDING_VALENCES)).find(|flip| {
                 let direction = flip.facets.iter().map(|&f| facing(mesh.facets()[f as usize])).sum::<DVec3>();
                 mesh.faces(flip, direction.normalize_or_zero(), FLIPPED_COSINE)
@@ -203,7 +208,7 @@ mod tests {
         mesh.positions[3] = DVec3::new(0.6, 0.5, 0.0);
         mesh.positions[1] = DVec3::new(1.0, 0.0, 0.0);
         mesh.mark();
-        unfold(&mut mesh, &target);
+        unfold(&mut mesh, &target, &Token::default());
         assert!((0..2).all(|f| unit_normal(mesh.corners(f)).z > 0.0), "{:?}", mesh.facets());
     }
 }

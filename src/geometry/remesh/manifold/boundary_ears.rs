@@ -1,8 +1,9 @@
 //! Ears of the boundary that the dual lacks.
 //!
 //! Purpose: where the cell of an inner seed reaches the boundary between two of the boundary's own seeds, the dual's boundary
-//! goes around it by way of that seed. [`fill`] adds the missing facet, an ear: the boundary has its edge again.
-//! Invariant: an ear is added only where the boundary goes by way of one free vertex, if the ear is well shaped and nearly in
+//! goes around it by way of that seed. [`fill`] adds the missing facet, an ear: the boundary has its edge again. [`close_gaps`]
+//! fills small holes that the surface has not, ear by ear.
+//! Invariant: [`fill`] adds an ear only where the boundary goes by way of one free vertex, if the ear is well shaped and nearly in
 //! the plane of its neighbours. The surface stays a manifold. Must not know: why a cell reaches a boundary.
 
 use std::collections::HashSet;
@@ -13,6 +14,7 @@ use crate::mesh::csr::Csr;
 use crate::mesh::measure::least_angle;
 use crate::remesh::constants::{LEAST_EAR_ANGLE, LEAST_EAR_COSINE};
 use crate::remesh::triangle::unit_normal;
+use crate::token::{Stopped, Token};
 
 /// Adds an ear for each `wanted` pair that the boundary joins by one other vertex that `may_be_inside`. Returns how many.
 pub(crate) fn fill(
@@ -54,11 +56,17 @@ const MOST_AROUND: usize = 64;
 /// Closes gaps along creases: the diagrams on the two sides of a lifted crease need not pass from one seed to the next at the same
 /// places, and where a third seed comes between on one side alone, the dual has a small loop there. Loops with an edge of the
 /// surface's own boundary stay. Returns how many facets were added.
-pub(crate) fn close_gaps(positions: &[DVec3], facets: &mut Vec<[u32; 3]>, is_rim: impl Fn([u32; 2]) -> bool) -> usize {
+pub(crate) fn close_gaps(
+    positions: &[DVec3],
+    facets: &mut Vec<[u32; 3]>,
+    is_rim: impl Fn([u32; 2]) -> bool,
+    token: &Token,
+) -> Result<usize, Stopped> {
     let before = facets.len();
     let boundary = Boundary { rings: &Csr::one_rings(positions.len(), facets), facets };
     let (mut seen, mut added) = (HashSet::<u32>::new(), Vec::new());
     for first in 0..positions.len() as u32 {
+        token.check_at(first as usize)?;
         if seen.contains(&first) {
             continue;
         }
@@ -77,7 +85,7 @@ pub(crate) fn close_gaps(positions: &[DVec3], facets: &mut Vec<[u32; 3]>, is_rim
         }
     }
     facets.extend(added);
-    facets.len() - before
+    Ok(facets.len() - before)
 }
 
 /// The edges with one facet.
@@ -90,7 +98,10 @@ impl Boundary<'_> {
     /// The facet that goes from `a` to `b`.
     fn facet(&self, a: u32, b: u32) -> Option<[u32; 3]> {
         let goes = |t: &[u32; 3]| (0..3).any(|k| t[k] == a && t[(k + 1) % 3] == b);
-        self.rings.of(a).iter().map(|&f| self.facets[f as usize]).find(goes)
+        // One of the two one-rings may be very large.
+        let [a_ring, b_ring] = [a, b].map(|v| self.rings.of(v));
+        let ring = if a_ring.len() <= b_ring.len() { a_ring } else { b_ring };
+        ring.iter().map(|&f| self.facets[f as usize]).find(goes)
     }
 
     fn is_edge(&self, a: u32, b: u32) -> bool {

@@ -2,7 +2,8 @@
 //!
 //! Purpose: [`Extraction::draft`] makes a triangulation of the dual of the last seeds: repairs it, places its vertices and
 //! fits them. [`Extraction::finish`] recovers lost edges of curves, and improves what needs it.
-//! Invariant: the draft is oriented as the input; corners stay where the input has them. No place ends up farther away.
+//! Invariant: the draft is oriented as the input; corners stay where the input has them. No place ends up farther
+//! away, but where facets would cross others.
 //! Must not know: iterations, options but those of its own.
 
 use std::collections::HashSet;
@@ -10,7 +11,6 @@ use std::collections::HashSet;
 use glam::DVec3;
 use rayon::prelude::*;
 
-use crate::cvt::curves::Segment;
 use crate::mesh::TriMesh;
 use crate::mesh::closest_point::ClosestPoint;
 use crate::mesh::csr::Csr;
@@ -115,10 +115,10 @@ impl<'a> Extraction<'a> {
             curve_edges = self.curves.edges_in(&facets, &vertex_seed);
         }
         if self.shapes != Shapes::Round {
-            let of = |segment: &Segment| undirected(segment.ends);
-            let rim: HashSet<[u32; 2]> = self.curves.boundary_segments().map(of).collect();
-            let seeds = |edge: [u32; 2]| undirected(edge.map(|v| vertex_seed[v as usize]));
-            if boundary_ears::close_gaps(&positions, &mut facets, |edge| rim.contains(&seeds(edge))) > 0 {
+            // An edge of the surface's own boundary is between two cells that meet it.
+            let meets = |&v: &u32| dual.at_boundary.binary_search(&repaired.source[v as usize]).is_ok();
+            let is_rim = |edge: [u32; 2]| edge.iter().all(meets);
+            if boundary_ears::close_gaps(&positions, &mut facets, is_rim, self.token)? > 0 {
                 curve_edges = self.curves.edges_in(&facets, &vertex_seed);
             }
         }
@@ -133,7 +133,7 @@ impl<'a> Extraction<'a> {
         Ok(draft)
     }
 
-    /// Improves the worst facets; where `hold_curves`, without the vertices of curves.
+    /// Improves the worst facets, if they are to be round; where `hold_curves`, without the vertices of curves.
     fn improve_shapes(
         &self,
         mesh: &mut LocalMesh,

@@ -5,6 +5,7 @@
 //! has as many vertices as were asked for. Cells fail that reach around a horn or a finger, across a bridge or a strip, or
 //! hold the whole end of something slender, of which the dual would have nothing. Where all cells are disks that meet each
 //! other and the boundary once, the dual is homeomorphic to the surface (closed ball property, Edelsbrunner and Shah 1997).
+//! On a lifted surface cells fail where it bends within a cell; the lift becomes shorter there.
 //! Invariant: the best round comes back; without failing cells there is one. Edges become shorter only where cells fail.
 //! Must not know: how a surface is made of a dual.
 
@@ -58,9 +59,13 @@ impl<'a> Job<'a, '_> {
     }
 
     /// Prepares other options; `None` if their density needs too many points.
-    pub(super) fn prepare_again(&mut self, options: &RemeshOptions) -> Result<Option<Prepared<'a>>> {
+    pub(super) fn prepare_again(
+        &mut self,
+        options: &RemeshOptions,
+        lengths: Option<&[f64]>,
+    ) -> Result<Option<Prepared<'a>>> {
         self.enter("prepare");
-        match prepare(self.separated, options, None, self.token) {
+        match prepare(self.separated, options, self.asked, lengths, self.token) {
             Err(RemeshError::Density(_)) => Ok(None),
             prepared => prepared.map(Some),
         }
@@ -150,7 +155,7 @@ impl<'a> Job<'a, '_> {
                 break;
             }
             let options = with_source(options, DensitySource::Sizes(lengths));
-            let Some(prepared) = self.prepare_again(&options)? else { break };
+            let Some(prepared) = self.prepare_again(&options, None)? else { break };
             let Plan { figures, points, .. } = &prepared.plan;
             let longer = median.zip(figures.edge_median).is_some_and(|(before, now)| now > THIN_LONGEST * before);
             if longer || *points > most {
@@ -194,7 +199,7 @@ impl<'a> Job<'a, '_> {
                 break;
             }
             self.enter("prepare");
-            let prepared = prepare(self.separated, options, Some(&lengths), self.token)?;
+            let prepared = prepare(self.separated, options, self.asked, Some(&lengths), self.token)?;
             let free = best.cvt.seeds()?.split_off(best.curves.seeds.len());
             let Some(mut next) = self.optimize_again::<P>(prepared, &fewer, Some(&free))? else { break };
             lengths.clone_from(&next.lift_lengths);
@@ -203,7 +208,6 @@ impl<'a> Job<'a, '_> {
             shorten(&mut lengths, factor, &next.plan.mesh, &next.failing, &next.dual, &next.surface, self.token)?;
             if next.failing.area < best.failing.area || !failing {
                 next.take_over(&best);
-                next.figures.iterations.splice(..0, best.figures.iterations);
                 next.figures.refine.fold_rounds = round;
                 best = next;
             } else {
@@ -240,7 +244,9 @@ impl<'a> Job<'a, '_> {
                 _ => with_source(options, DensitySource::Sizes(best.plan.lengths(self.separated, self.token)?)),
             };
             let options = options.with_seeds(Seeds::Sample { points: drawn as usize, seed });
-            let Some(prepared) = self.prepare_again(&options)? else { break };
+            // So does a shorter lift.
+            let shorter = Some(&*best.lift_lengths).filter(|_| best.figures.refine.fold_rounds > 0);
+            let Some(prepared) = self.prepare_again(&options, shorter)? else { break };
             let Some(mut next) = self.optimize_again(prepared, &options, None)? else { break };
             let here = (drawn, next.failing.vertices as f64);
             if next.failing.vertices.abs_diff(asked) < best.failing.vertices.abs_diff(asked) {

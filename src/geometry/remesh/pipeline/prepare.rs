@@ -20,6 +20,7 @@ use crate::remesh::constants::{POINTS_PER_COMPONENT, SEPARATION_DIAGONAL, SEPARA
 use crate::remesh::features::KeptCurves;
 use crate::remesh::lift::{Lift, Lifting};
 use crate::remesh::report::InputFigures;
+use crate::remesh::triangle::{Norm, Shapes};
 use crate::remesh::{Anisotropy, RemeshOptions, Result, Seeds};
 use crate::rvd::{Lifted, RvdError, Space, Surface};
 use crate::token::{Stopped, Token};
@@ -57,10 +58,36 @@ impl Metric for Lifted {
     }
 }
 
-/// `lengths` are those of a lift, one for each vertex of the divided surface; of none yet if they are not given.
+/// What the caller asked for, whatever densities later rounds have.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Asked {
+    /// Diagonal of the input's bounding box, caller's units.
+    pub(super) diagonal: f64,
+    /// Whether edge lengths are for the least distance.
+    pub(super) by_error: bool,
+    pub(super) shapes: Shapes,
+}
+
+impl Asked {
+    pub(super) fn new(given: &TriMesh, options: &RemeshOptions) -> Self {
+        let (low, high) = given.bounds();
+        let source = &options.density.source;
+        let shapes = match (options.anisotropy, source) {
+            (Anisotropy::None, _) => Shapes::Round,
+            (_, DensitySource::ErrorMax) => Shapes::Nearest(Norm::Largest),
+            (Anisotropy::Auto, _) | (_, DensitySource::Error) => Shapes::Nearest(Norm::MeanSquare),
+            (Anisotropy::Share(_), _) => Shapes::Slender,
+        };
+        let by_error = matches!(source, DensitySource::Error | DensitySource::ErrorMax);
+        Self { diagonal: (high - low).length(), by_error, shapes }
+    }
+}
+
+/// `lengths` are those of a lift that there was, one for each vertex of the divided surface.
 pub(super) fn prepare<'a>(
     separated: &'a TriMesh,
     options: &RemeshOptions,
+    asked: Asked,
     lengths: Option<&[f64]>,
     token: &Token,
 ) -> Result<Prepared<'a>> {
@@ -68,15 +95,15 @@ pub(super) fn prepare<'a>(
     token.check()?;
     let surface = Arc::new(Surface::unless(&plan.mesh, plan.weights.as_deref(), token)?);
     token.check()?;
-    let find = || KeptCurves::find(separated, &plan, &surface, options, token);
+    let find = || KeptCurves::find(separated, &plan, &surface, (options, asked.by_error), token);
     let (curves, closest) = rayon::join(find, || surface.closest_points(token));
     let (mut curves, closest) = (curves?, closest?);
     let lift = match options.anisotropy {
         Anisotropy::None => None,
         anisotropy => {
             let edge = (2.0 / 3f64.sqrt() * separated.area() / plan.points.max(1) as f64).sqrt();
-            let in_space = matches!(options.density.source, DensitySource::Error | DensitySource::ErrorMax);
-            let lifting = Lifting { anisotropy, edge, lengths, in_space };
+            let Asked { diagonal, by_error, .. } = asked;
+            let lifting = Lifting { anisotropy, diagonal, edge, lengths, in_space: by_error };
             let lift = Lift::new(&plan.mesh, plan.weights.as_deref(), &surface, &curves, lifting, token)?;
             curves.place_lifted(&surface, &lift.along_curves, lift.surface.root_mass(), plan.points, token)?;
             Some(lift)

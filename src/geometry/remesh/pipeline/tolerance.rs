@@ -23,8 +23,7 @@ use crate::mesh::comparison::{Comparison, Distances};
 use crate::remesh::constants::*;
 use crate::remesh::features::KeptCurves;
 use crate::remesh::report::{DeviceFigures, RefineEnd};
-use crate::remesh::triangle::{Norm, Shapes};
-use crate::remesh::{Anisotropy, Limits, Placement, RemeshOptions, Result, Seeds};
+use crate::remesh::{Limits, Placement, RemeshOptions, Result, Seeds};
 use crate::rvd::{Lifted, RvdError};
 
 struct Measured<'a> {
@@ -108,7 +107,7 @@ impl<'a, 'j, 'b> Search<'a, 'j, 'b> {
 
     fn attempt(&mut self, options: RemeshOptions, tolerance: f64) -> Result<()> {
         self.job.enter("prepare");
-        let prepared = prepare(self.job.separated, &options, None, self.job.token)?;
+        let prepared = prepare(self.job.separated, &options, self.job.asked, None, self.job.token)?;
         let next = attempt(self.job, &self.comparison, prepared, options, tolerance)?;
         self.offer(next);
         Ok(())
@@ -146,12 +145,12 @@ impl<'a, 'j, 'b> Search<'a, 'j, 'b> {
             options = with_source(&options, DensitySource::Sizes(lengths));
             options.density.max_points = max_points;
             options.seeds = Seeds::Implied { seed: random_seed };
-            let prepared = match self.job.prepare_again(&options)? {
+            let prepared = match self.job.prepare_again(&options, None)? {
                 Some(prepared) => prepared,
                 None => {
                     full = true;
                     options.seeds = Seeds::Sample { points: max_points, seed: random_seed };
-                    prepare(separated, &options, None, token)?
+                    prepare(separated, &options, self.job.asked, None, token)?
                 }
             };
             let next = attempt(self.job, &self.comparison, prepared, options.clone(), tolerance)?;
@@ -306,12 +305,7 @@ fn build<P: Metric>(
     let first_added = cvt.len() as u32;
     let mut best: Option<(Draft, Vec<DVec3>)> = None;
     let (placement, adds) = (options.placement, options.refine.is_some());
-    let shapes = match (options.anisotropy, &options.density.source) {
-        (Anisotropy::None, _) => Shapes::Round,
-        (_, DensitySource::ErrorMax) => Shapes::Nearest(Norm::Largest),
-        (Anisotropy::Auto, _) | (_, DensitySource::Error) => Shapes::Nearest(Norm::MeanSquare),
-        (Anisotropy::Share(_), _) => Shapes::Slender,
-    };
+    let shapes = schedule.job.asked.shapes;
     let extraction = Extraction { divided, surface, curves, placement, first_added, tolerance, adds, shapes, token };
     let mut round = 0;
     loop {

@@ -8,6 +8,7 @@ use glam::DVec3;
 use rayon::prelude::*;
 
 use super::{Component, Crossing, Dual, Piece, Stretch};
+use crate::mesh::csr::ascending;
 use crate::mesh::edges::{DisjointSets, EdgeGroups, Half};
 use crate::rvd::{PieceBatch, Surface, facet_edge};
 use crate::token::{Stopped, Token};
@@ -155,7 +156,8 @@ impl Pieces {
         let failing = || self.failing(surface, &joined, count, &component);
         let (failing, pieces) = rayon::join(failing, || self.centres(&component));
         let (not_disks, (multiple_boundary_arcs, multiple_edges)) = failing;
-        Ok(Dual { not_disks, multiple_boundary_arcs, multiple_edges, pieces, ..dual })
+        let at_boundary = self.at_boundary(&joined, &component);
+        Ok(Dual { not_disks, multiple_boundary_arcs, multiple_edges, at_boundary, pieces, ..dual })
     }
 
     /// What breaks the topology, of `count` components.
@@ -183,6 +185,19 @@ impl Pieces {
         rayon::join(disks, edges)
     }
 
+    /// Components that have a part of a boundary edge.
+    fn at_boundary(&self, joined: &Joined, component: &[u32]) -> Vec<u32> {
+        if !joined.boundary_edge.contains(&true) {
+            return Vec::new();
+        }
+        let is_boundary = |half: usize| joined.boundary_edge[joined.edge[half] as usize];
+        let meets = |p: &usize| {
+            let half = |e: usize| 3 * self.facet[*p] as usize + e;
+            (0..3).any(|e| self.edges[*p] & (1 << e) != 0 && is_boundary(half(e)))
+        };
+        ascending((0..self.facet.len()).filter(meets).map(|p| component[p]))
+    }
+
     fn centres(&self, component: &[u32]) -> Vec<Piece> {
         let centre = |p: usize| Piece {
             component: component[p],
@@ -202,6 +217,9 @@ impl Pieces {
             let mut sets = DisjointSets::new(self.facet.len());
             let pairs = seams.iter().flat_map(|seams| &seams.pairs);
             pairs.for_each(|&(a, b, _)| sets.join(a as usize, b as usize));
+            // A seed with several points may have several pieces of a facet.
+            let same = |p: &usize| (self.facet[*p - 1], self.seed[*p - 1]) == (self.facet[*p], self.seed[*p]);
+            (1..self.facet.len()).filter(same).for_each(|p| sets.join(p - 1, p));
             sets
         };
         let rest = || {
