@@ -229,6 +229,15 @@ pub(super) const BACKTRACKING_HALVINGS: usize = 4;
 /// Later rounds that drop the moves of bad facets.
 pub(super) const BACKTRACKING_DROPS: usize = 4;
 
+// The lift.
+
+/// The shortest lift, as a share of the diagonal.
+pub(super) const LEAST_LIFT: f64 = 1e-6;
+/// The most that the length of the lift changes per distance: a slope stretches the lifted surface itself.
+pub(super) const STEEPEST_LIFT: f64 = 0.3;
+/// Rounds in which normals are smoothed, at most.
+pub(super) const MOST_SMOOTHING_ROUNDS: f64 = 16.0;
+
 // Slender facets.
 
 /// Rounds with a shorter lift where cells fail, at most; by how much it is shorter after the first, and by the square of it after

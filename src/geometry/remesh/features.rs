@@ -215,18 +215,10 @@ impl KeptCurves {
         Ok(())
     }
 
-    /// Edges of all curves, by the first vertex at each place.
-    pub(crate) fn curve_edges(&self) -> impl Iterator<Item = [u32; 2]> {
-        self.features
-            .curves
-            .iter()
-            .flat_map(|c| c.round().zip(c.round().skip(1)).map(|(a, b)| [a, b]).collect::<Vec<_>>())
-    }
-
-    /// Edges of creases, by the first vertex at each place.
-    pub(crate) fn crease_edges(&self) -> impl Iterator<Item = [u32; 2]> {
-        let creases = self.features.curves.iter().filter(|c| c.kind == CurveKind::Crease);
-        creases.flat_map(|c| c.round().zip(c.round().skip(1)).map(|(a, b)| [a, b]).collect::<Vec<_>>())
+    /// Edges of the curves of some kinds, by the first vertex at each place.
+    pub(crate) fn curve_edges(&self, wanted: impl Fn(CurveKind) -> bool) -> impl Iterator<Item = [u32; 2]> {
+        let curves = self.features.curves.iter().filter(move |c| wanted(c.kind));
+        curves.flat_map(|c| c.round().zip(c.round().skip(1)).map(|(a, b)| [a, b]).collect::<Vec<_>>())
     }
 
     /// Vertices of curves, by the first at each place; some more than once.

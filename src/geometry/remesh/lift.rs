@@ -10,21 +10,16 @@ use std::sync::Arc;
 
 use glam::DVec3;
 
+use super::constants::*;
 use super::features::KeptCurves;
 use super::{Anisotropy, Result};
 use crate::cvt::density::{LONGEST, Net, SizeField, principal};
 use crate::cvt::lifts::CurveLifts;
 use crate::mesh::TriMesh;
 use crate::mesh::edges::{DisjointSets, EdgeGroups, Half, undirected};
+use crate::mesh::features::CurveKind;
 use crate::rvd::{Lifted, Point, RvdError, Surface};
 use crate::token::Token;
-
-/// The shortest lift, as a share of the diagonal.
-const LEAST: f64 = 1e-6;
-/// The most that the length of the lift changes per distance: a slope stretches the lifted surface itself.
-const STEEPEST: f64 = 0.3;
-/// Rounds in which normals are smoothed, at most.
-const MOST_SMOOTHING: f64 = 16.0;
 
 /// What a lifted remesh has beside the surface.
 #[derive(Clone)]
@@ -62,7 +57,7 @@ impl Lift {
         Lifting { anisotropy, diagonal, edge, lengths, in_space }: Lifting<'_>,
         token: &Token,
     ) -> Result<Self> {
-        let creases: HashSet<[u32; 2]> = kept.crease_edges().map(undirected).collect();
+        let creases: HashSet<[u32; 2]> = kept.curve_edges(|kind| kind == CurveKind::Crease).map(undirected).collect();
         let (sector, sectors) = sectors(surface, &creases);
         token.check()?;
         // A vertex of each sector, and the sum of the facets' normals by their angles there.
@@ -89,7 +84,7 @@ impl Lift {
         let graded = |lengths: Vec<f64>| -> Result<Vec<f64>> {
             let net = Net::new(mesh, token)?;
             let mut field = SizeField::new(&net, lengths)?;
-            field.grade(&net, STEEPEST, token)?;
+            field.grade(&net, STEEPEST_LIFT, token)?;
             Ok(field.into_sizes())
         };
         let around = Around::of(&split, surface);
@@ -131,7 +126,7 @@ impl Lift {
             lifted_weights.as_ref().map(|weights| vertex.iter().map(|&v| weights[v as usize]).collect());
         let lifted = Surface::lifted(&split, of_vertex.as_deref(), &lift, token)?;
         token.check()?;
-        let edges: HashSet<[u32; 2]> = kept.curve_edges().map(undirected).collect();
+        let edges: HashSet<[u32; 2]> = kept.curve_edges(|_| true).map(undirected).collect();
         let mut along_curves = vec![1.0f64; mesh.positions().len()];
         for (f, facet) in surface.welded().iter().enumerate().filter(|(f, _)| !lifted.skips(*f)) {
             let (flat, corners) = (surface.corners(f as u32), lifted.corners(f as u32));
@@ -165,10 +160,10 @@ impl Around {
         Self(with_area.map(|f| (split.facets()[f], surface.facet_area(f as u32))).collect())
     }
 
-    /// Means of normals over neighbours, within about an edge, as noise of a scan turns normals either way,
-    /// and what is smaller than an edge cannot be followed.
+    /// Means of normals over neighbours, within about an edge: noise of a scan turns normals either way, and
+    /// facets cannot follow what is smaller than an edge.
     fn smooth(&self, normals: &mut [DVec3], edge: f64, mean_edge: f64) {
-        let rounds = (edge / mean_edge).powi(2).round().min(MOST_SMOOTHING) as usize;
+        let rounds = (edge / mean_edge).powi(2).round().min(MOST_SMOOTHING_ROUNDS) as usize;
         for _ in 0..rounds {
             let mut sums = vec![DVec3::ZERO; normals.len()];
             for (v, area) in &self.0 {
@@ -205,7 +200,7 @@ impl Around {
             let best = (larger * smaller).abs().sqrt().recip();
             let length = best.min((LONGEST * LONGEST - 1.0).sqrt() / larger.abs());
             // Where nothing is known of the curvature, cells are as long as wide.
-            if length.is_nan() { LEAST * most } else { length.clamp(LEAST * most, most) }
+            if length.is_nan() { LEAST_LIFT * most } else { length.clamp(LEAST_LIFT * most, most) }
         })
     }
 }
