@@ -1,6 +1,7 @@
 //! The backends, made as the options say; and `tessera doctor`: what this machine has and what would be used.
 
 use std::sync::Arc;
+use std::time::Instant;
 
 use anyhow::{Context, Result};
 use clap::Args;
@@ -88,8 +89,11 @@ pub(crate) fn run(args: &DoctorArgs) -> Result<()> {
             outln!("            used with --gpu-software only")?;
         }
     }
+    let begin = Instant::now();
     match backends::gpu(&args.backend) {
-        Ok(gpu) => outln!("gpu         {}", gpu.adapter().unwrap_or_default())?,
+        Ok(gpu) => {
+            outln!("gpu         {}, ready in {} ms", gpu.adapter().unwrap_or_default(), begin.elapsed().as_millis())?;
+        }
         Err(reason) => outln!("gpu         none: {reason}")?,
     }
     let backends = backends::all(&args.backend)?;

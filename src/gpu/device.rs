@@ -8,7 +8,7 @@
 
 use std::panic::AssertUnwindSafe;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use wgpu::Adapter;
 
@@ -190,9 +190,11 @@ impl Device {
     /// # Errors
     /// `NoAdapter`, listing what was found and why it will not do; `Failed` if the driver refuses.
     pub fn open(options: &DeviceOptions) -> Result<Arc<Self>, GpuError> {
+        let begin = Instant::now();
         let instance = instance();
         let mut found = Vec::new();
         for adapter in ranked(&instance) {
+            tracing::debug!(ms = begin.elapsed().as_millis(), "adapters listed");
             let summary = summarize(&adapter);
             let wanted = options.name.as_ref().is_none_or(|n| summary.name.to_lowercase().contains(&n.to_lowercase()));
             let refusal = if summary.software && !options.software {
@@ -203,7 +205,11 @@ impl Device {
                 summary.unusable.clone()
             };
             match refusal {
-                None => return Self::request(&adapter, summary, options),
+                None => {
+                    let opened = Self::request(&adapter, summary, options);
+                    tracing::debug!(ms = begin.elapsed().as_millis(), "adapter opened");
+                    return opened;
+                }
                 Some(why) => found.push(format!("{} ({}, {}): {why}", summary.name, summary.backend, summary.kind)),
             }
         }

@@ -78,9 +78,14 @@ impl Gpu {
             .thread_name(|i| format!("tessera-gpu-host-{i}"))
             .build()
             .map_err(|e| RvdError::Internal(format!("no thread pool: {e}")))?;
-        let pipelines = Arc::new(Pipelines::compile(&device)?);
+        let begin = Instant::now();
+        let pipelines = Arc::new(pool.install(|| Pipelines::compile(&device))?);
+        let compile_ms = elapsed_ms(begin);
+        let begin = Instant::now();
         let gpu = Self { device, pool: Arc::new(pool), pipelines };
         gpu.warm_up()?;
+        let warm_up_ms = elapsed_ms(begin);
+        tracing::debug!(compile_ms, warm_up_ms, "stages compiled");
         Ok(gpu)
     }
 

@@ -1,8 +1,11 @@
 //! The stages as pipelines.
 //!
-//! Purpose: one pipeline per stage and variant, made once per device. A pipeline has the name of its stage.
+//! Purpose: one pipeline per stage and variant, made once per device. A pipeline has the name of its stage. Drivers take about
+//! 20 ms for one, so they are made side by side.
 //! Invariant: wgpu derives the layouts of bindings from the stage's `.wgsl`, so that a stage is described in one place only.
 //! Must not know: what is dispatched when, and on which buffers.
+
+use rayon::prelude::*;
 
 use super::layout::{DOTS, LENGTHENERS, LIST, LONGER, MEMBERS, MOST_REQUEUED, PAIRS, ROW};
 use super::plan::SEARCH_PART;
@@ -34,7 +37,7 @@ const LENGTHENING: Constant<'static> = ("LENGTHENERS", LENGTHENERS as i64);
 
 macro_rules! pipelines {
     ($wide:ident; $($(#[$doc:meta])* $name:ident: $stage:literal, $constants:expr;)*) => {
-        /// The stages. [`compile`](Self::compile) composes and compiles them all.
+        /// The stages.
         #[derive(Debug)]
         pub(super) struct Pipelines {
             /// By [`MEMBERS`], then without and with weights.
@@ -43,21 +46,30 @@ macro_rules! pipelines {
         }
 
         impl Pipelines {
+            /// Composes and compiles all stages, on the threads of the present pool.
             pub(super) fn compile(device: &Device) -> Result<Self, GpuError> {
                 let $wide = i64::from(device.has_wide_atomics());
-                let divide = |members: usize, weighted| {
-                    let [row, members] = [ROW, MEMBERS[members]].map(i64::from);
-                    let of_facet = [("ROW", row), ("MEMBERS", members), ("WEIGHTED", weighted)];
-                    pipeline(device, "clip/divide", &[&of_facet[..], &[("SHARED", 0), ("WIDE", $wide)]].concat())
-                };
-                let both = |members| Ok::<_, GpuError>([divide(members, 0)?, divide(members, 1)?]);
-                Ok(Self {
-                    divide: [both(0)?, both(1)?, both(2)?, both(3)?],
-                    $($name: pipeline(device, $stage, &$constants)?,)*
-                })
+                let variants = (0..MEMBERS.len()).flat_map(|members| [(members, 0), (members, 1)]);
+                let mut wanted: Vec<(&str, Vec<Constant<'static>>)> =
+                    variants.map(|(members, weighted)| ("clip/divide", divide(members, weighted, $wide))).collect();
+                wanted.extend([$(($stage, $constants.to_vec())),*]);
+                let made: Result<Vec<_>, GpuError> =
+                    wanted.par_iter().map(|(stage, constants)| pipeline(device, stage, constants)).collect();
+                // In the order in which they were wanted.
+                let mut made = made?.into_iter();
+                let mut next = || made.next().ok_or_else(|| GpuError::Failed("a stage is missing".to_owned()));
+                let mut both = || Ok::<_, GpuError>([next()?, next()?]);
+                let divide = [both()?, both()?, both()?, both()?];
+                Ok(Self { divide, $($name: next()?,)* })
             }
         }
     };
+}
+
+/// Constants of the stage that divides whole facets, of at most [`MEMBERS`]`[members]` cells.
+fn divide(members: usize, weighted: i64, wide: i64) -> Vec<Constant<'static>> {
+    let [row, members] = [ROW, MEMBERS[members]].map(i64::from);
+    vec![("ROW", row), ("MEMBERS", members), ("WEIGHTED", weighted), ("SHARED", 0), ("WIDE", wide)]
 }
 
 pipelines! {
