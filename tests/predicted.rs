@@ -401,6 +401,8 @@ const CHOICES: &[&str] = &[
     "RemeshOptions.projection",
     "RemeshOptions.seed",
     "RemeshOptions.thin",
+    "RemeshOptions.weld",
+    "RemeshOptions.weld_percent",
     // At most 64 KiB of a specification.
     "CvtEdit.seeds",
     "SeedEdit.remove",

@@ -73,6 +73,8 @@ fn options_come_through_the_message() {
         "--density lfs --adaptivity 0 --max-deviation 2 --max-points 60",
         "--anisotropy auto --density error",
         "--anisotropy 0.1 --density error-max",
+        "--weld 0.01",
+        "--weld 0.01%",
     ] {
         let (_, given) = asked(line);
         let message = options::of_remesh(&given);
@@ -125,9 +127,9 @@ fn text_of(path: &str) -> String {
 }
 
 /// Options of the message that the command has not.
-const NOT_OF_COMMAND: &[&str] = &["anisotropy_auto", "max_deviation_length", "measure", "points_percent"];
+const NOT_OF_COMMAND: &[&str] = &["anisotropy_auto", "max_deviation_length", "measure", "points_percent", "weld_percent"];
 /// Options of the message that Python has not: `points` takes a share too, and `anisotropy` a word.
-const NOT_OF_PYTHON: &[&str] = &["anisotropy_auto", "max_deviation_length", "points_percent"];
+const NOT_OF_PYTHON: &[&str] = &["anisotropy_auto", "max_deviation_length", "points_percent", "weld_percent"];
 
 /// An option of the message has its place in every interface: the command, HTTP, the page's document, Python, docs.
 #[test]

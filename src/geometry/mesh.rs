@@ -18,12 +18,14 @@ pub(crate) mod duplicates;
 pub mod edges;
 pub(crate) mod facet_set;
 pub mod features;
+pub(crate) mod hanging;
 pub(crate) mod input;
 pub mod io;
 pub mod measure;
 pub mod numbers;
 pub mod sample;
 pub mod shapes;
+pub(crate) mod sheets;
 
 pub use features::FeatureError;
 use glam::DVec3;

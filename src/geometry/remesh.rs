@@ -259,6 +259,8 @@ pub struct RemeshOptions {
     /// Whether edges become shorter where the surface is too thin for their length, so that horns, fingers and bridges
     /// stay. Only where seeds are drawn, and not for lengths or weights that are given.
     pub keep_thin: bool,
+    /// How far boundaries may be apart that are joined, up to 0.4 of their edges. `None` joins only what rounding separates.
+    pub weld: Option<Tolerance>,
     /// How long cells may be along the surface's lines of least curvature.
     pub anisotropy: Anisotropy,
     /// Whether to measure the result (Hausdorff distance and the like) for the report.
@@ -282,6 +284,7 @@ impl RemeshOptions {
             placement: Placement::Fitted,
             crease_angle_deg: Self::CREASE_ANGLE_DEG,
             creases: Vec::new(),
+            weld: None,
             refine: None,
             keep_boundaries: true,
             keep_thin: true,
@@ -305,6 +308,7 @@ impl RemeshOptions {
         with_placement(placement: Placement),
         with_crease_angle_deg(crease_angle_deg: f64),
         with_creases(creases: Vec<[u32; 2]>),
+        with_weld(weld: Tolerance => Some(weld)),
         with_refine(refine: Refine => Some(refine)),
         with_keep_boundaries(keep_boundaries: bool),
         with_keep_thin(keep_thin: bool),

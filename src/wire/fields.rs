@@ -96,6 +96,7 @@ impl Field {
             }
             Kind::Bool => "true or false".to_owned(),
             _ if self.name == "anisotropy" => "a number or auto".to_owned(),
+            _ if self.name == "weld" => "a length, or percent of the diagonal as 0.01%".to_owned(),
             _ => "a number".to_owned(),
         })
     }
@@ -147,6 +148,7 @@ impl Fields {
         let (name, text) = match (name, text.trim(), text.trim().strip_suffix('%')) {
             // A number of points may be a share of the vertices.
             ("points", _, Some(percent)) => ("points_percent", percent),
+            ("weld", _, Some(percent)) => ("weld_percent", percent),
             ("anisotropy", "auto", _) => ("anisotropy_auto", "true"),
             _ => (name, text),
         };

@@ -150,6 +150,14 @@ pub fn remesh(given: &proto::RemeshOptions, beside: Beside, bounds: &Bounds) -> 
         proto::Placement::Surface => Placement::Surface,
         proto::Placement::Centroids => Placement::Centroids,
     };
+    positive("weld", given.weld)?;
+    positive("weld_percent", given.weld_percent)?;
+    let weld = match (given.weld, given.weld_percent) {
+        (Some(_), Some(_)) => {
+            return Err(WireError::field("weld_percent", "is given beside weld; give one of the two"));
+        }
+        (length, percent) => length.map(Tolerance::Length).or(percent.map(Tolerance::DiagonalPercent)),
+    };
     let counts = (!matches!(seeds, Seeds::Implied { .. }), first(&seeds, beside));
     let tolerances = (given.max_deviation, given.max_deviation_length);
     Ok(RemeshOptions {
@@ -177,6 +185,7 @@ pub fn remesh(given: &proto::RemeshOptions, beside: Beside, bounds: &Bounds) -> 
             Measure::Topology => false,
         },
         anisotropy,
+        weld,
         creases: usual.creases,
         attributes: usual.attributes,
     })
@@ -427,5 +436,7 @@ pub fn of_remesh(options: &RemeshOptions) -> proto::RemeshOptions {
             Anisotropy::Auto => None,
         },
         anisotropy_auto: options.anisotropy == Anisotropy::Auto,
+        weld: if let Some(Tolerance::Length(length)) = options.weld { Some(length) } else { None },
+        weld_percent: if let Some(Tolerance::DiagonalPercent(percent)) = options.weld { Some(percent) } else { None },
     }
 }

@@ -161,6 +161,8 @@ fn options() -> impl Strategy<Value = RemeshOptions> {
                 facets: None,
                 anisotropy,
                 anisotropy_auto,
+                weld: None,
+                weld_percent: None,
             }
         },
     )

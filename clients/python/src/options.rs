@@ -155,6 +155,7 @@ impl<'py> Options<'py> {
             self.word("boundaries", &[("keep", true), ("free", false)])?.unwrap_or(options.keep_boundaries);
         options.keep_thin = self.word("thin", &[("finer", true), ("even", false)])?.unwrap_or(options.keep_thin);
         options.anisotropy = self.anisotropy()?;
+        options.weld = self.weld()?;
         options.measure = self.get("measure", "True or False")?.unwrap_or(options.measure);
         options.refine = self.refine(&options.seeds)?;
         options.attributes = self.any("attributes")?.map(|given| attributes(&given, mesh)).transpose()?;
@@ -173,6 +174,22 @@ impl<'py> Options<'py> {
             None | Some(0.0) => Ok(Anisotropy::None),
             Some(share) if Anisotropy::SHARES.contains(&share) => Ok(Anisotropy::Share(share)),
             Some(share) => Err(input(format!("anisotropy is {share}; {needed} is needed"))),
+        }
+    }
+
+    /// A length, or percent of the diagonal with their sign.
+    fn weld(&self) -> PyResult<Option<Tolerance>> {
+        let needed = "a length above 0, or percent of the diagonal as \"0.01%\"";
+        let Some(given) = self.any("weld")? else { return Ok(None) };
+        let text = given.extract::<String>().ok();
+        let percent = text.as_deref().and_then(|text| text.trim().strip_suffix('%')).map(str::parse::<f64>);
+        let (number, weld): (_, fn(f64) -> Tolerance) = match percent {
+            Some(percent) => (percent.ok(), Tolerance::DiagonalPercent),
+            None => (given.extract::<f64>().ok(), Tolerance::Length),
+        };
+        match number.filter(|x| x.is_finite() && *x > 0.0) {
+            Some(number) => Ok(Some(weld(number))),
+            None => Err(input(format!("weld is {given}; {needed} is needed"))),
         }
     }
 

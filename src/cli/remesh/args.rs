@@ -129,6 +129,9 @@ pub(crate) struct ShapeArgs {
     /// File with edges that are creases whatever their angle: the numbers of two vertices of the input a line, from 0.
     #[arg(long, value_name = "FILE")]
     pub(crate) creases: Option<PathBuf>,
+    /// Join boundaries that are at most this far apart: a length, or percent of the bounding box's diagonal, as 0.01%.
+    #[arg(long, value_name = "DISTANCE", value_parser = distance, allow_negative_numbers = true)]
+    pub(crate) weld: Option<String>,
     /// What happens to the boundaries of an open surface.
     #[arg(long, default_value = "keep", value_parser = words(BOUNDARIES))]
     pub(crate) boundaries: BoundaryRule,
@@ -179,6 +182,10 @@ fn angle(text: &str) -> Result<f64, String> {
     number(text, 0.0..=180.0, "an angle from 0 to 180 is needed")
 }
 
+fn distance(text: &str) -> Result<String, String> {
+    positive(text.trim().strip_suffix('%').unwrap_or(text)).map(|_| text.to_owned())
+}
+
 fn lift(text: &str) -> Result<String, String> {
     if text != "auto" {
         number(text, Anisotropy::SHARES, "a share of the diagonal from 0 to 10 is needed, or auto")?;
@@ -227,7 +234,7 @@ pub(crate) fn usage(error: WireError) -> anyhow::Error {
 
 /// `max_points` as `--max-points`. Percent of the vertices are given as points.
 pub(crate) fn flag(name: &str) -> String {
-    let name = if name == "points_percent" { "points" } else { name };
+    let name = name.strip_suffix("_percent").unwrap_or(name);
     format!("--{}", name.replace('_', "-"))
 }
 

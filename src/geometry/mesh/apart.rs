@@ -1,19 +1,18 @@
 //! Parts of a surface, set apart.
 //!
-//! Purpose: [`Apart::of`] translates the connected components of a surface until none is near another. Distances within a component
-//! do not change, so that algorithms by distance treat each component alone: a seed's cell does not reach a neighbouring shell.
-//! Invariant: vertices and facets keep their numbers; moving back restores places, and vertices to the bit.
-//! Must not know: seeds, diagrams.
+//! Purpose: [`Apart::of`] translates the sheets of a surface until none is near another. Distances within a sheet do not change, so
+//! that algorithms by distance treat each sheet alone: a seed's cell does not reach a neighbouring shell, nor one that touches.
+//! Invariant: vertices and facets keep their numbers; a vertex of several sheets has a copy for each but the first, behind all
+//! others. Moving back restores places, and vertices to the bit. Must not know: seeds, diagrams.
 
 use std::collections::HashMap;
 
 use glam::DVec3;
 
-use super::adjacency::weld;
-use super::edges::DisjointSets;
+use super::sheets::Sheets;
 use super::{MeshError, TriMesh};
 
-/// Most components that are moved: a surface with more is a list of triangles, or dust.
+/// Most sheets that are moved: a surface with more is a list of triangles, or dust.
 const MOST: usize = 10_000;
 /// Largest growth of the whole: each doubling costs a binary digit of single precision.
 const LONGEST: f64 = 8.0;
@@ -27,6 +26,8 @@ pub(crate) struct Apart {
     margin: f64,
     /// Where vertices were, by where they are.
     places: HashMap<[u64; 3], DVec3>,
+    /// For each copy of a vertex, the vertex.
+    pub copied: Vec<u32>,
 }
 
 #[derive(Clone, Debug, Default)]
@@ -45,11 +46,14 @@ fn bits(p: DVec3) -> [u64; 3] {
 }
 
 impl Apart {
-    /// Returns `mesh` with its components at least `gap` apart, if the boxes of any two are nearer than half of that. `None`
-    /// if none are, or if there are too many components.
-    pub(crate) fn of(mesh: &TriMesh, gap: f64) -> Option<Self> {
-        let (part, boxes) = parts(mesh)?;
-        if !(gap.is_finite() && gap > 0.0 && any_near(&boxes, 0.5 * gap)) {
+    /// Returns `mesh` with its sheets at least `gap` apart, if the boxes of any two are nearer than half of that. `None`
+    /// if none are, or if there are too many.
+    pub(crate) fn of(mesh: &TriMesh, sheets: &Sheets, gap: f64) -> Option<Self> {
+        if sheets.count < 2 || sheets.count > MOST || !(gap.is_finite() && gap > 0.0) {
+            return None;
+        }
+        let Parts { positions, facets, part, boxes, copied } = Parts::of(mesh, sheets);
+        if !any_near(&boxes, 0.5 * gap) {
             return None;
         }
         let size = |b: &Box| b.1 - b.0 + gap;
@@ -58,7 +62,7 @@ impl Apart {
         let width = boxes.iter().map(|b| size(b).x).fold(floor.sqrt(), f64::max);
         let mut rows = vec![Row::default()];
         let (mut x, mut y) = (0.0, 0.0);
-        let mut moved = Vec::with_capacity(boxes.len());
+        let mut by = Vec::with_capacity(boxes.len());
         for b in &boxes {
             if x > 0.0 && x + size(b).x > width {
                 y = rows[rows.len() - 1].top + gap;
@@ -67,25 +71,25 @@ impl Apart {
             }
             let count = rows.len();
             let row = &mut rows[count - 1];
-            let by = low + DVec3::new(x, y, 0.0) - b.0;
-            moved.push(by);
+            let move_by = low + DVec3::new(x, y, 0.0) - b.0;
+            by.push(move_by);
             x += size(b).x;
-            row.parts.push((x - gap, by));
+            row.parts.push((x - gap, move_by));
             row.top = row.top.max(y + size(b).y - gap);
         }
         let longest = rows.iter().flat_map(|r| r.parts.iter().map(|p| p.0)).fold(rows[rows.len() - 1].top, f64::max);
         if longest > LONGEST * (high - low).max_element() {
             return None;
         }
-        let place = |(&p, &part): (&DVec3, &u32)| moved.get(part as usize).map_or(p, |&by| p + by);
-        let positions: Vec<DVec3> = mesh.positions().iter().zip(&part).map(place).collect();
-        let places = positions.iter().zip(mesh.positions()).map(|(&now, &then)| (bits(now), then)).collect();
+        let place = |(&p, &part): (&DVec3, &u32)| by.get(part as usize).map_or(p, |&by| p + by);
+        let moved: Vec<DVec3> = positions.iter().zip(&part).map(place).collect();
+        let places = moved.iter().zip(&positions).map(|(&now, &then)| (bits(now), then)).collect();
         for row in &mut rows {
             row.top += low.y;
             row.parts.iter_mut().for_each(|part| part.0 += low.x);
         }
-        let mesh = TriMesh::new(positions, mesh.facets().to_vec()).ok()?;
-        Some(Self { mesh, rows, margin: 0.5 * gap, places })
+        let mesh = TriMesh::new(moved, facets).ok()?;
+        Some(Self { mesh, rows, margin: 0.5 * gap, places, copied })
     }
 
     /// Where a place beside the surface was.
@@ -105,34 +109,46 @@ impl Apart {
     }
 }
 
-/// The part of each vertex, `u32::MAX` where no facet has it, and the parts' boxes in the order of their first vertices.
-fn parts(mesh: &TriMesh) -> Option<(Vec<u32>, Vec<Box>)> {
-    let class = weld(mesh);
-    let mut sets = DisjointSets::new(class.len());
-    for facet in mesh.facets() {
-        let [a, b, c] = facet.map(|v| class[v as usize] as usize);
-        sets.join(a, b);
-        sets.join(b, c);
-    }
-    let mut used = vec![false; class.len()];
-    mesh.facets().iter().flatten().for_each(|&v| used[v as usize] = true);
-    let mut number = vec![u32::MAX; class.len()];
-    let mut part = vec![u32::MAX; class.len()];
-    let mut boxes: Vec<Box> = Vec::new();
-    for v in (0..class.len()).filter(|&v| used[v]) {
-        let root = sets.root(class[v] as usize);
-        if number[root] == u32::MAX {
-            if boxes.len() == MOST {
-                return None;
+/// A surface of which no two sheets share a vertex.
+struct Parts {
+    positions: Vec<DVec3>,
+    facets: Vec<[u32; 3]>,
+    /// The sheet of each vertex; `u32::MAX` where no facet has it.
+    part: Vec<u32>,
+    /// Of each sheet.
+    boxes: Vec<Box>,
+    copied: Vec<u32>,
+}
+
+impl Parts {
+    fn of(mesh: &TriMesh, sheets: &Sheets) -> Self {
+        let mut positions = mesh.positions().to_vec();
+        let mut part = vec![u32::MAX; positions.len()];
+        let mut boxes = vec![(DVec3::INFINITY, DVec3::NEG_INFINITY); sheets.count];
+        let mut copies: HashMap<(u32, u32), u32> = HashMap::new();
+        let mut copied = Vec::new();
+        let mut own = |v: u32, sheet: u32| {
+            let (low, high) = &mut boxes[sheet as usize];
+            let place = mesh.positions()[v as usize];
+            (*low, *high) = (low.min(place), high.max(place));
+            let first = &mut part[v as usize];
+            if *first == u32::MAX {
+                *first = sheet;
             }
-            number[root] = boxes.len() as u32;
-            boxes.push((DVec3::INFINITY, DVec3::NEG_INFINITY));
-        }
-        part[v] = number[root];
-        let (low, high) = &mut boxes[number[root] as usize];
-        (*low, *high) = (low.min(mesh.positions()[v]), high.max(mesh.positions()[v]));
+            if *first == sheet {
+                return v;
+            }
+            *copies.entry((v, sheet)).or_insert_with(|| {
+                copied.push(v);
+                positions.push(place);
+                part.push(sheet);
+                positions.len() as u32 - 1
+            })
+        };
+        let of_sheet = |(facet, &sheet): (&[u32; 3], &u32)| facet.map(|v| own(v, sheet));
+        let facets = mesh.facets().iter().zip(&sheets.of_facet).map(of_sheet).collect();
+        Self { positions, facets, part, boxes, copied }
     }
-    (boxes.len() > 1).then_some((part, boxes))
 }
 
 fn any_near(boxes: &[Box], near: f64) -> bool {
@@ -150,6 +166,7 @@ mod tests {
 
     use super::*;
     use crate::mesh::shapes::Shape;
+    use crate::token::Token;
 
     /// Shells around each other, and a plane through them.
     fn nested(shells: u32) -> TriMesh {
@@ -163,14 +180,19 @@ mod tests {
         TriMesh::new(positions, facets).unwrap()
     }
 
+    fn sheets(mesh: &TriMesh) -> Sheets {
+        Sheets::of(mesh, 0.0, &Token::default()).unwrap()
+    }
+
     #[test]
     fn parts_keep_their_shape_and_come_back_to_the_bit() {
         let mesh = nested(10);
         let gap = 0.3;
-        let apart = Apart::of(&mesh, gap).unwrap();
-        let (_, boxes) = parts(&apart.mesh).unwrap();
+        let sheets = sheets(&mesh);
+        let apart = Apart::of(&mesh, &sheets, gap).unwrap();
+        let boxes = Parts::of(&apart.mesh, &sheets).boxes;
         assert_eq!(boxes.len(), 11);
-        assert!(!any_near(&boxes, 0.999 * gap));
+        assert!(!any_near(&boxes, 0.999 * gap) && apart.copied.is_empty());
         for f in 0..mesh.facets().len() {
             let lengths = |[a, b, c]: [DVec3; 3]| [a.distance(b), b.distance(c), c.distance(a)];
             let (then, now) = (lengths(mesh.corners(f)), lengths(apart.mesh.corners(f)));
@@ -187,10 +209,34 @@ mod tests {
 
     #[test]
     fn what_is_one_or_apart_already_stays() {
-        assert!(Apart::of(&Shape::Sphere.build(300), 0.1).is_none());
+        let of = |mesh: &TriMesh, gap| Apart::of(mesh, &sheets(mesh), gap);
+        assert!(of(&Shape::Sphere.build(300), 0.1).is_none());
         let mesh = nested(1);
-        assert!(Apart::of(&mesh, f64::NAN).is_none());
-        let apart = Apart::of(&mesh, 0.5).unwrap();
-        assert!(Apart::of(&apart.mesh, 0.5).is_none());
+        assert!(of(&mesh, f64::NAN).is_none());
+        let apart = of(&mesh, 0.5).unwrap();
+        assert!(of(&apart.mesh, 0.5).is_none());
+    }
+
+    #[test]
+    fn a_vertex_of_several_sheets_has_copies() {
+        // Three spheres that share a vertex.
+        let sphere = Shape::Sphere.build(100);
+        let n = sphere.positions().len() as u32;
+        let at = sphere.positions()[0];
+        let (mut positions, mut facets) = sphere.clone().into_parts();
+        for k in 1..3 {
+            let scale = 1.0 - 0.3 * f64::from(k);
+            positions.extend(sphere.positions().iter().map(|&p| at + scale * (p - at)));
+            let own = |v: u32| if v == 0 { 0 } else { v + k * n };
+            facets.extend(sphere.facets().iter().map(|t| t.map(own)));
+        }
+        let mesh = TriMesh::new(positions, facets).unwrap();
+        let sheets = sheets(&mesh);
+        assert_eq!(sheets.count, 3);
+        let apart = Apart::of(&mesh, &sheets, 0.5).unwrap();
+        assert_eq!((&apart.copied[..], apart.mesh.positions().len()), (&[0, 0][..], mesh.positions().len() + 2));
+        assert!(Apart::of(&apart.mesh, &sheets, 0.5).is_none());
+        let back = apart.mesh_back(&apart.mesh).unwrap();
+        assert!((0..mesh.facets().len()).all(|f| back.corners(f) == mesh.corners(f)));
     }
 }

@@ -201,6 +201,25 @@ impl Attributes {
         }
     }
 
+    /// Those of the mesh with copies of vertices behind all others.
+    pub(crate) fn with_copies(&self, copied: &[u32]) -> Self {
+        fn extend<T: Clone>(values: &mut Vec<T>, each: usize, copied: &[u32]) {
+            copied.iter().for_each(|&v| values.extend_from_within(each * v as usize..each * (v as usize + 1)));
+        }
+        let mut all = self.clone();
+        all.vertices += copied.len();
+        if let Some(Normals::PerVertex(values)) = &mut all.normals {
+            extend(values, 1, copied);
+        }
+        if let Some(Colours { values, .. }) = &mut all.colours {
+            extend(values, 1, copied);
+        }
+        for Scalar { components, values, .. } in &mut all.scalars {
+            extend(values, *components, copied);
+        }
+        all
+    }
+
     /// Takes normals, of any length but infinite; they are made unit. A normal of length 0 means that none is known there.
     pub fn set_normals(&mut self, mut normals: Normals) -> Result<(), AttributeError> {
         match &normals {

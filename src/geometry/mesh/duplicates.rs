@@ -107,8 +107,8 @@ pub(crate) fn any(mesh: &TriMesh) -> bool {
     Groups::of(mesh).iter().any(|group| group.len() > 1)
 }
 
-/// Returns `mesh` with one facet of each group, oriented like its neighbours, and how many were removed; `None` if none was.
-pub(crate) fn remove(mesh: &TriMesh, token: &Token) -> Result<Option<(TriMesh, usize)>, Stopped> {
+/// Returns `mesh` with one facet of each group, oriented like its neighbours, and the facets that stay; `None` if all do.
+pub(crate) fn remove(mesh: &TriMesh, token: &Token) -> Result<Option<(TriMesh, Vec<u32>)>, Stopped> {
     let found = Groups::of(mesh);
     token.check()?;
     let groups: Vec<&[Sorted]> = found.iter().collect();
@@ -157,8 +157,9 @@ pub(crate) fn remove(mesh: &TriMesh, token: &Token) -> Result<Option<(TriMesh, u
     if left_out.is_empty() {
         return Ok(None);
     }
-    let facets = mesh.facets().iter().enumerate().filter(|(f, _)| !left_out.contains(f)).map(|(_, &t)| t).collect();
-    Ok(TriMesh::new(mesh.positions().to_vec(), facets).ok().map(|kept| (kept, left_out.len())))
+    let kept: Vec<u32> = (0..mesh.facets().len()).filter(|f| !left_out.contains(f)).map(|f| f as u32).collect();
+    let facets = kept.iter().map(|&f| mesh.facets()[f as usize]).collect();
+    Ok(TriMesh::new(mesh.positions().to_vec(), facets).ok().map(|single| (single, kept)))
 }
 
 #[cfg(test)]
@@ -185,8 +186,8 @@ mod tests {
             for twice in
                 [with(&mesh, some()), with(&mesh, some().map(back)), with(&mesh, some().chain(some().map(back)))]
             {
-                let (once, left_out) = remove(&twice, &Token::default()).unwrap().unwrap();
-                assert_eq!((once.facets(), left_out), (mesh.facets(), twice.facets().len() - mesh.facets().len()));
+                let (once, kept) = remove(&twice, &Token::default()).unwrap().unwrap();
+                assert_eq!((once.facets(), kept.len()), (mesh.facets(), mesh.facets().len()));
                 assert!(any(&twice));
             }
             // All facets, with the same orientation.

@@ -5,8 +5,8 @@
 //! [`make_consistent`] flips the facets that are oriented unlike most of the area of their component, which is connected
 //! through edges of two facets. [`outliers`] are vertices far from all others: one wrong coordinate makes a surface of which
 //! nearly all is a spike; [`draw_in`] shortens it. Invariant: names that scripts read do not change. Vertices and facets
-//! keep their numbers. Stitching moves no vertex by more than `TOLERANCE` of the surface's diagonal, nor by more than
-//! `MAX_EDGE_SHARE` of its edges, so that no facet vanishes or flips. A component that is not orientable (a Möbius strip)
+//! keep their numbers. Stitching moves no vertex by more than the reach that is given, `TOLERANCE` of the surface's diagonal by itself, nor by
+//! more than a share of its edges, so that no facet vanishes or flips. A component that is not orientable (a Möbius strip)
 //! and one that is consistent, inward or outward, stay as they are. Must not know: the use of the surface.
 
 use glam::DVec3;
@@ -40,6 +40,14 @@ pub struct InputFigures {
     pub reoriented_facets: usize,
     /// Boundary vertices stitched to nearly coincident ones. Other figures are of after that, less `coincident_facets`.
     pub stitched_vertices: usize,
+    /// Boundary edges divided at vertices of other boundaries that lie on them.
+    pub divided_edges: usize,
+    /// Boundary edges that others run along at a distance, 0.1 % of the diagonal at most and much less than their length.
+    pub gap_edges: usize,
+    /// The largest such distance of an end, caller's units.
+    pub gap_distance: f64,
+    /// Parts that are connected through edges. Where sheets touch there are more of them than components.
+    pub sheets: usize,
     /// Duplicate facets that were removed: they lay on others, corner on corner, and the surface is connected without them.
     pub coincident_facets: usize,
     /// Vertices 1000 times as far out as half of all: wrong coordinates, most often. Their spikes take most points.
@@ -74,6 +82,10 @@ impl InputFigures {
             inconsistent_edges: adjacency.inconsistent_edges,
             reoriented_facets: 0,
             stitched_vertices: 0,
+            divided_edges: 0,
+            gap_edges: 0,
+            gap_distance: 0.0,
+            sheets: 0,
             coincident_facets: 0,
             outlier_vertices,
             area: mesh.area(),
@@ -88,17 +100,42 @@ const TOLERANCE: f64 = 5e-7;
 /// Largest move of a vertex, share of its shortest edge.
 const MAX_EDGE_SHARE: f64 = 0.01;
 
-/// Returns `mesh` with such vertices at one position, and the number of moved ones; `None` if there are none. Linear in the facets.
+/// Largest move of a vertex where the distance is given, share of its shortest edge: facets keep their sides.
+const MAX_WELDED_SHARE: f64 = 0.4;
+
+/// How far boundaries may be apart that are joined.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Reach {
+    pub distance: f64,
+    /// Largest move of a vertex, share of its shortest edge.
+    edge_share: f64,
+}
+
+impl Reach {
+    /// `weld` is the distance that the caller gives, if any. Never less than what rounding leaves.
+    pub(crate) fn of(mesh: &TriMesh, weld: Option<f64>) -> Self {
+        let (low, high) = mesh.bounds();
+        let rounding = TOLERANCE * (high - low).length();
+        match weld {
+            Some(distance) if distance > rounding => Self { distance, edge_share: MAX_WELDED_SHARE },
+            _ => Self { distance: rounding, edge_share: MAX_EDGE_SHARE },
+        }
+    }
+}
+
+/// Returns `mesh` with boundary vertices within `reach` at one position, and the number of moved ones; `None` if there are none. Linear
+/// in the facets.
 pub(crate) fn stitch_boundaries(
     mesh: &TriMesh,
     adjacency: &Adjacency,
+    reach: Reach,
     token: &Token,
 ) -> Result<Option<(TriMesh, usize)>, Stopped> {
     if adjacency.boundary_edges == 0 {
         return Ok(None);
     }
-    let (origin, high) = mesh.bounds();
-    let tolerance = TOLERANCE * (high - origin).length();
+    let (origin, _) = mesh.bounds();
+    let Reach { distance: tolerance, edge_share } = reach;
     if !(tolerance.is_finite() && tolerance > 0.0) {
         return Ok(None);
     }
@@ -123,7 +160,7 @@ pub(crate) fn stitch_boundaries(
     let mut target: Vec<u32> = adjacency.representative().to_vec();
     let mut moved = 0;
     for (v, u, distance) in pairs {
-        if distance <= MAX_EDGE_SHARE * shortest[u as usize].min(shortest[v as usize]) {
+        if distance <= edge_share * shortest[u as usize].min(shortest[v as usize]) {
             target[v as usize] = u;
             moved += 1;
         }
@@ -254,7 +291,7 @@ mod tests {
             for noise in [1e-15, 1e-12, 1e-7] {
                 let soup = soup(&mesh, noise);
                 let (stitched, moved) =
-                    stitch_boundaries(&soup, &Adjacency::new(&soup), &Token::default()).unwrap().unwrap();
+                    stitch_boundaries(&soup, &Adjacency::new(&soup), Reach::of(&soup, None), &Token::default()).unwrap().unwrap();
                 assert_eq!(topology(&stitched), topology(&mesh), "{shape:?} {noise}");
                 assert!(moved > 0);
                 let farthest = soup.positions().iter().zip(stitched.positions()).map(|(a, b)| a.distance(*b));
@@ -268,7 +305,7 @@ mod tests {
     fn what_is_apart_or_one_already_stays() {
         let mesh = Shape::Plane.build(2000);
         for mesh in [Shape::Torus.build(2000), mesh.clone(), soup(&mesh, 0.0), soup(&mesh, 1e-3)] {
-            assert!(stitch_boundaries(&mesh, &Adjacency::new(&mesh), &Token::default()).unwrap().is_none());
+            assert!(stitch_boundaries(&mesh, &Adjacency::new(&mesh), Reach::of(&mesh, None), &Token::default()).unwrap().is_none());
         }
         // Facets as small as what is tolerance elsewhere.
         let mut tiny = mesh.positions().iter().map(|p| *p * 1e-8).collect::<Vec<_>>();
@@ -277,7 +314,7 @@ mod tests {
         tiny.extend([DVec3::new(1.0, 0.0, 1.0), DVec3::new(0.0, 1.0, 1.0)]);
         facets.push([n - 1, n, n + 1]);
         let tiny = TriMesh::new(tiny, facets).unwrap();
-        assert!(stitch_boundaries(&tiny, &Adjacency::new(&tiny), &Token::default()).unwrap().is_none());
+        assert!(stitch_boundaries(&tiny, &Adjacency::new(&tiny), Reach::of(&tiny, None), &Token::default()).unwrap().is_none());
     }
 
     fn flip(mesh: &TriMesh, which: impl Fn(usize) -> bool) -> TriMesh {

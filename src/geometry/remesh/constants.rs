@@ -321,13 +321,15 @@ pub(super) const MOVING_SLACK: f64 = 1.25;
 /// Share of the tolerance by which a vertex may leave its curve: the chords between such vertices are off as well.
 pub(super) const OFF_CURVE_SHARE: f64 = 0.5;
 
-// Components apart.
+// Sheets apart.
 
-/// Distance between components, edge lengths; [`SEPARATION_DIAGONAL`] is added to it.
+/// Boundaries that are nearer to each other than this are a gap, share of the diagonal.
+pub(super) const MOST_GAP_DIAGONAL: f64 = 1e-3;
+/// Distance between sheets, edge lengths; [`SEPARATION_DIAGONAL`] is added to it.
 pub(super) const SEPARATION_EDGES: f64 = 2.0;
-/// Distance between components, share of the diagonal.
+/// Distance between sheets, share of the diagonal.
 pub(super) const SEPARATION_DIAGONAL: f64 = 0.02;
-/// Points that a component needs: a tetrahedron has four vertices.
+/// Points that a sheet needs: a tetrahedron has four vertices.
 pub(super) const POINTS_PER_COMPONENT: usize = 4;
 
 // Schedule of steps.

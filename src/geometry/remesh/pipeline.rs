@@ -8,7 +8,7 @@
 //! | --- | --- |
 //! | `given` | the caller's mesh |
 //! | `clean` | `given`, preprocessed |
-//! | `separated` | `clean` with its components apart |
+//! | `separated` | `clean` with its sheets apart |
 //! | `plan.mesh`, `divided` | `separated` with facets divided for the density |
 //! | `surface` | `divided` as the backends take it: unit frame, vertices merged |
 //! | `result` | the new surface |
@@ -22,6 +22,7 @@
 mod extract;
 mod optimize;
 mod prepare;
+mod preprocess;
 mod schedule;
 mod tolerance;
 
@@ -38,7 +39,6 @@ use super::{
 use crate::cvt::density::{Count, DensitySource, Plan};
 use crate::mesh::TriMesh;
 use crate::mesh::adjacency::Adjacency;
-use crate::mesh::apart::Apart;
 use crate::mesh::attributes::Attributes;
 use crate::mesh::closest_point::{ClosestPoint, SurfacePoint};
 use crate::mesh::comparison::{LostParts, lost_parts};
@@ -47,7 +47,8 @@ use crate::mesh::input::{draw_in, outliers};
 use crate::mesh::measure::{Quality, Topology, coincident_vertices, quality_and_distances, topology_unless};
 use crate::rvd::{Backend, RvdError, elapsed_ms, on_threads_of};
 use crate::token::{Stopped, Token};
-use prepare::{Asked, Prepared, prepare, preprocess, separation};
+use prepare::{Asked, Prepared, prepare};
+use preprocess::{Separated, preprocess};
 use schedule::Figures;
 use tolerance::Attempt;
 
@@ -112,19 +113,18 @@ fn run_stages(
     observer.stage("prepare");
     // Most inputs need no preprocessing: what is prepared meanwhile is then of use.
     let asked = Asked::new(given, options);
+    let weld = options.weld.map(|weld| weld.length(given));
     let (preprocessed, mut prepared) =
-        rayon::join(|| preprocess(given, token), || prepare(given, options, asked, None, token));
-    let (input, changed) = preprocessed?;
-    let clean = changed.as_ref().unwrap_or(given);
-    // Components are moved apart, so that no cell reaches through to another one.
-    let components = input.topology.components;
-    let gap = (components > 1).then(|| separation(clean, components, options)).flatten();
-    let apart = gap.and_then(|gap| Apart::of(clean, gap));
+        rayon::join(|| preprocess(given, weld, token), || prepare(given, options, asked, None, token));
+    let mut preprocessed = preprocessed?;
+    let Separated { apart, options: adapted, topology } = preprocessed.separate(given, options, token)?;
     token.check()?;
+    let (clean, options) = (preprocessed.mesh(given), adapted.as_ref().unwrap_or(options));
     let separated = apart.as_ref().map_or(clean, |apart| &apart.mesh);
-    if changed.is_some() || apart.is_some() {
+    if preprocessed.changed.is_some() || apart.is_some() {
         prepared = prepare(separated, options, asked, None, token);
     }
+    let input = preprocessed.figures.clone();
     let limits = match (options.refine, &prepared) {
         (Some(Refine { tolerance, max_points }), &Ok(Prepared { plan: Plan { points, .. }, .. })) => {
             let first = if let Count::Points(count) = options.seeds.count() { count } else { points };
@@ -147,7 +147,6 @@ fn run_stages(
     let diagonal = (high - low).length();
     // A tolerance decides itself how many points there are.
     let scales_seeds = options.refine.is_none();
-    let topology = input.topology;
     let mut job = Job { separated, asked, backend, token, observer, laps, keep_thin, scales_seeds, diagonal, topology };
     let attempt = match (limits, &options.seeds) {
         (Some(limits), &(Seeds::Sample { seed, .. } | Seeds::Implied { seed })) => {
@@ -158,7 +157,7 @@ fn run_stages(
     };
     let counted = matches!(options.seeds.count(), Count::Points(_));
     let edge_length = options.density.edge_length.filter(|_| !counted);
-    let mut attempt = attempt.map_err(|error| error.for_surface(&input.topology, input.area, edge_length))?;
+    let mut attempt = attempt.map_err(|error| error.for_surface(&topology, input.area, edge_length))?;
 
     token.check()?;
     let result = &mut attempt.built.mesh;
@@ -167,12 +166,11 @@ fn run_stages(
         None => transfer(&mut job, given, options, result)?,
         Some(apart) => {
             let broken = |e| RvdError::Internal(format!("a surface was valid where its parts were apart: {e}"));
-            let given_separated =
-                TriMesh::new(apart.mesh.positions().to_vec(), given.facets().to_vec()).map_err(broken)?;
-            let transferred = transfer(&mut job, &given_separated, options, result)?;
+            let given_apart = preprocessed.given_apart(given, apart).map_err(broken)?;
+            let transferred = transfer(&mut job, &given_apart, options, result)?;
             *result = apart.mesh_back(result).map_err(broken)?;
             attempt.seeds.iter_mut().for_each(|p| *p = apart.back(*p));
-            // It answers for the components apart, not for the input.
+            // It answers for the sheets apart, not for the input.
             attempt.closest = None;
             transferred
         }
@@ -218,7 +216,7 @@ fn measure(
     input: InputFigures,
     options: &RemeshOptions,
     attempt: Attempt<'_>,
-    Job { backend, token, mut laps, .. }: Job<'_, '_>,
+    Job { backend, token, mut laps, topology: wanted, .. }: Job<'_, '_>,
 ) -> Result<Remesh, RemeshError> {
     let Attempt { plan, curves, closest, built, seeds, figures, device, device_bytes } = attempt;
     let Figures { seed, asked, converged, last, rvd, iterations, refine } = figures;
@@ -227,7 +225,7 @@ fn measure(
     let quality = || options.measure.then(|| compare(clean, closest, result, token)).transpose();
     let crossings = || options.measure.then(|| crossings(result, token)).transpose();
     // Only parts of one seed's cell, or of the surface, can be in one place.
-    let touches = built.repair.extra_vertices > 0 || input.topology.components > 1;
+    let touches = built.repair.extra_vertices > 0 || wanted.components > 1;
     let topology = || -> Result<_, Stopped> {
         let coincident_vertices = if touches { coincident_vertices(result, token)? } else { 0 };
         Ok((topology_unless(result, &Adjacency::unless(result, token)?, token)?, coincident_vertices))
@@ -243,7 +241,7 @@ fn measure(
     let reason = match options.refine {
         // A tolerance decides how many points there are, and not how many vertices share one.
         Some(_) if vertices <= asked => None,
-        _ => optimize::count_reason((vertices, result.topology.components), asked, &options.seeds, &input.topology),
+        _ => optimize::count_reason((vertices, result.topology.components), asked, &options.seeds, &wanted),
     };
     let vertex_count = CountFigures { asked, seeds: seeds.len(), reason };
     let report = Report {
@@ -252,7 +250,7 @@ fn measure(
         threads: backend.threads(),
         seed,
         converged,
-        topology_changes: input.topology.changes(&result.topology),
+        topology_changes: wanted.changes(&result.topology),
         input,
         features: curves.figures(&built.curve_edges),
         rvd,
@@ -279,7 +277,7 @@ fn measure(
 }
 
 pub(super) struct Job<'a, 'b> {
-    /// The input, preprocessed, its components apart.
+    /// The input, preprocessed, its sheets apart.
     pub(super) separated: &'a TriMesh,
     asked: Asked,
     pub(super) backend: &'b dyn Backend,
@@ -292,6 +290,7 @@ pub(super) struct Job<'a, 'b> {
     pub(super) scales_seeds: bool,
     /// Diagonal of the input's bounding box, caller's units.
     pub(super) diagonal: f64,
+    /// What the result is to have.
     pub(super) topology: Topology,
 }
 

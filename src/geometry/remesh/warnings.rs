@@ -35,6 +35,17 @@ fn of_input(report: &Report, all: &mut Vec<Warning>) {
     let input = &report.input;
     let stitched = "vertices of the input's boundaries were nearly in the same place as others and moved there";
     counted(all, "stitched_vertices", input.stitched_vertices, stitched);
+    let divided = "boundary edges of the input had vertices of others on them and were divided there";
+    counted(all, "divided_edges", input.divided_edges, divided);
+    if input.gap_edges > 0 {
+        let gap = input.gap_distance;
+        let text = format!(
+            "{} boundary edges of the input have others up to {gap:.3e} away; `weld` of {:.2e} joins them",
+            input.gap_edges,
+            1.01 * gap
+        );
+        all.push(Warning::new("gap_edges", Some(input.gap_edges), text));
+    }
     let outliers = "vertices of the input are far from all others, and most points go to the spikes there; check their \
                     coordinates";
     counted(all, "outlier_vertices", input.outlier_vertices, outliers);

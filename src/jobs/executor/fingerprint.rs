@@ -91,6 +91,8 @@ mod tests {
             facets: Some(200),
             anisotropy: Some(0.1),
             anisotropy_auto: true,
+            weld: Some(0.5),
+            weld_percent: Some(0.5),
         };
         let rvd = DiagramOptions { points: Some(9), seed: Some(1), outputs: vec![1, 2], points_percent: Some(50.0) };
         let options = CvtOptions {

@@ -112,6 +112,7 @@ def remesh(
     max_points: float | str | None = None,
     crease_angle: float | None = None,
     creases: ArrayLike | None = None,
+    weld: float | str | None = None,
     boundaries: Literal["keep", "free"] | None = None,
     thin: Literal["finer", "even"] | None = None,
     anisotropy: float | Literal["auto"] | None = None,
@@ -159,6 +160,7 @@ def remesh(
         max_points: the most points that `max_deviation` may come to; twice `points` if None.
         crease_angle: edges bent by more than this are creases that are kept, degrees from 0 (none) to 180.
         creases: (k, 2) integer: edges that are creases whatever their angle.
+        weld: boundaries that are at most this far apart are joined: a length, or percent of the diagonal as "0.01%".
         boundaries: "keep", or "free": the rim settles about half an edge inside.
         thin: "finer": shorter edges where the surface is too thin for its cells; or "even".
         anisotropy: longer facets where the surface bends less: how far normals lift it, as a share of its diagonal from 0

@@ -1,10 +1,7 @@
 //! What the steps of the seeds begin with.
 //!
-//! Purpose: [`preprocess`] stitches boundary vertices that nearly coincide, leaves out duplicate facets, then makes orientations
-//! consistent; each step exposes the defects of the next. [`prepare`] plans the density, finds the curves to keep and builds the
-//! search tree of the surface; [`separation`] says how far components have to be apart.
-//! Invariant: depends on the surface and the options alone. Vertices keep their numbers in [`preprocess`]; every change is counted.
-//! Must not know: seeds, backends.
+//! Purpose: [`prepare`] plans the density, finds the curves to keep and builds the search tree of the surface.
+//! Invariant: depends on the surface and the options alone. Must not know: how the surface came about, seeds, backends.
 
 use std::sync::Arc;
 
@@ -12,18 +9,14 @@ use glam::DVec3;
 
 use crate::cvt::density::{self, DensityOptions, DensitySource, Plan};
 use crate::cvt::lifts::CurveLifts;
-use crate::mesh::adjacency::Adjacency;
 use crate::mesh::closest_point::ClosestPoint;
-use crate::mesh::input::{make_consistent, stitch_boundaries};
-use crate::mesh::{TriMesh, duplicates};
-use crate::remesh::constants::{POINTS_PER_COMPONENT, SEPARATION_DIAGONAL, SEPARATION_EDGES};
+use crate::mesh::TriMesh;
 use crate::remesh::features::KeptCurves;
 use crate::remesh::lift::{Lift, Lifting};
-use crate::remesh::report::InputFigures;
 use crate::remesh::triangle::{Norm, Shapes};
-use crate::remesh::{Anisotropy, RemeshOptions, Result, Seeds};
+use crate::remesh::{Anisotropy, RemeshOptions, Result};
 use crate::rvd::{Lifted, RvdError, Space, Surface};
-use crate::token::{Stopped, Token};
+use crate::token::Token;
 
 pub(super) struct Prepared<'a> {
     pub(super) plan: Plan<'a>,
@@ -116,49 +109,4 @@ pub(super) fn prepare<'a>(
 pub(super) fn with_source(options: &RemeshOptions, source: DensitySource) -> RemeshOptions {
     let density = DensityOptions { source, edge_length: None, adaptivity: 1.0, ..options.density.clone() };
     RemeshOptions { density, ..options.clone() }
-}
-
-/// Distance to keep between the components of the preprocessed input: two edge lengths, and a share of the diagonal. `None`
-/// where seeds are given, since no seed's component is known, and where points are too few for each component.
-pub(super) fn separation(clean: &TriMesh, components: usize, options: &RemeshOptions) -> Option<f64> {
-    let (low, high) = clean.bounds();
-    // Edge length of a uniform triangulation: equilateral triangles, two for each vertex.
-    let uniform = |points: usize| (2.0 / 3f64.sqrt() * clean.area() / points.max(1) as f64).sqrt();
-    let edge = match (&options.seeds, &options.density) {
-        (Seeds::Given(_), _) => return None,
-        (Seeds::Sample { points, .. }, _) => uniform(*points),
-        (_, DensityOptions { source: DensitySource::Sizes(sizes), .. }) => {
-            sizes.iter().copied().fold(0.0, f64::max).min((high - low).length())
-        }
-        (_, density) => density.edge_length?,
-    };
-    let gap = SEPARATION_EDGES * edge + SEPARATION_DIAGONAL * (high - low).length();
-    (edge <= uniform(POINTS_PER_COMPONENT * components)).then_some(gap)
-}
-
-/// The figures of the input, and the changed surface if anything had to be changed.
-pub(super) fn preprocess(given: &TriMesh, token: &Token) -> Result<(InputFigures, Option<TriMesh>), Stopped> {
-    let adjacency = Adjacency::unless(given, token)?;
-    let (mut figures, mut changed) = match stitch_boundaries(given, &adjacency, token)? {
-        Some((stitched, moved)) => {
-            (InputFigures { stitched_vertices: moved, ..InputFigures::of(&stitched, token)? }, Some(stitched))
-        }
-        None => (InputFigures::with(given, &adjacency, token)?, None),
-    };
-    token.check()?;
-    if figures.inconsistent_edges + figures.topology.non_manifold_edges > 0
-        && let Some((single, spare)) = duplicates::remove(changed.as_ref().unwrap_or(given), token)?
-    {
-        let stitched_vertices = figures.stitched_vertices;
-        figures = InputFigures { stitched_vertices, coincident_facets: spare, ..InputFigures::of(&single, token)? };
-        changed = Some(single);
-    }
-    token.check()?;
-    if figures.inconsistent_edges > 0
-        && let Some((consistent, flipped)) = make_consistent(changed.as_ref().unwrap_or(given), token)?
-    {
-        figures.reoriented_facets = flipped;
-        changed = Some(consistent);
-    }
-    Ok((figures, changed))
 }

@@ -1,0 +1,297 @@
+//! The sheets of a surface: what is connected through edges.
+//!
+//! Purpose: [`Sheets::of`] says which facets form one sheet. Facets on both sides of an edge of two facets are of one sheet. Where an
+//! edge has more, they are paired: first those that the file joins by its vertices, then those with material between them, then
+//! those that continue each other best. Sheets that share a vertex or such an edge touch, and no more.
+//! Invariant: depends on the mesh alone, and on the area below which a sheet counts as noise: that one stays with a sheet it
+//! touches. A facet that names a point twice is of a sheet that it touches. Must not know: why sheets are wanted.
+
+use std::collections::BTreeMap;
+
+use glam::DVec3;
+
+use super::adjacency::weld_unless;
+use super::edges::{DisjointSets, EdgeGroups, Half, undirected};
+use super::{TriMesh, normal};
+use crate::token::{Stopped, Token};
+
+/// Facets at an edge that are told apart; those of an edge of more stay together.
+const MOST_AT_EDGE: usize = 32;
+
+/// Which facets are of which sheet. Sheets are numbered in the order of their first vertices.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) struct Sheets {
+    /// The sheet of each facet.
+    pub of_facet: Vec<u32>,
+    pub count: usize,
+}
+
+/// A facet at an edge, seen along the edge from its lower end.
+struct Side {
+    facet: usize,
+    /// The two vertices that the file has there.
+    ends: [u32; 2],
+    /// Whether it runs from the lower end to the higher one.
+    forward: bool,
+    /// From the lower end to the higher one.
+    along: DVec3,
+    /// Towards its third corner, square to the edge, of length 1.
+    out: DVec3,
+}
+
+impl Sheets {
+    /// The sheets of `mesh`. Those of at most the area `least` are joined to a sheet that they touch.
+    pub(crate) fn of(mesh: &TriMesh, least: f64, token: &Token) -> Result<Self, Stopped> {
+        let class = weld_unless(mesh, token)?;
+        let welded = |t: &[u32; 3]| t.map(|v| class[v as usize]);
+        let whole = |[a, b, c]: &[u32; 3]| a != b && b != c && c != a;
+        let facets = mesh.facets().iter().map(welded).enumerate().filter(|(_, t)| whole(t));
+        let groups = EdgeGroups::unless(class.len(), facets, token)?;
+        let outward = signed_volume(mesh) >= 0.0;
+        let mut sets = DisjointSets::new(mesh.facets().len());
+        groups.for_each(|low, halves| match *halves {
+            [_] => {}
+            [a, b] => sets.join(a.facet as usize, b.facet as usize),
+            // No sheets meet like that.
+            ref fan if fan.len() > MOST_AT_EDGE => {
+                fan.windows(2).for_each(|pair| sets.join(pair[0].facet as usize, pair[1].facet as usize));
+            }
+            _ => pairs(sides(mesh, &class, low, halves), outward).iter().for_each(|&[a, b]| sets.join(a, b)),
+        });
+        token.check()?;
+        let mut area = vec![0.0; mesh.facets().len()];
+        for f in 0..mesh.facets().len() {
+            area[sets.root(f)] += 0.5 * normal(mesh.corners(f)).length();
+        }
+        // The facet that a vertex was met with first: another one there touches it.
+        let mut first = vec![None; class.len()];
+        for (f, corners) in mesh.facets().iter().enumerate() {
+            token.check_at(f)?;
+            for v in welded(corners) {
+                let [a, b] = [sets.root(*first[v as usize].get_or_insert(f)), sets.root(f)];
+                if a != b && area[a].min(area[b]) <= least {
+                    sets.join(a, b);
+                    area[a.min(b)] = area[a] + area[b];
+                }
+            }
+        }
+        // By their first vertices.
+        let mut lowest: BTreeMap<usize, u32> = BTreeMap::new();
+        for (f, corners) in mesh.facets().iter().enumerate() {
+            let low = lowest.entry(sets.root(f)).or_insert(u32::MAX);
+            *low = corners.iter().copied().fold(*low, u32::min);
+        }
+        let mut order: Vec<(u32, usize)> = lowest.into_iter().map(|(root, low)| (low, root)).collect();
+        order.sort_unstable();
+        let mut number = vec![0; mesh.facets().len()];
+        order.iter().zip(0..).for_each(|(&(_, root), k)| number[root] = k);
+        let of_facet = (0..mesh.facets().len()).map(|f| number[sets.root(f)]).collect();
+        Ok(Self { of_facet, count: order.len() })
+    }
+}
+
+/// Six times the volume within a closed surface, from its corner; positive if its facets are seen from outside.
+fn signed_volume(mesh: &TriMesh) -> f64 {
+    let (origin, _) = mesh.bounds();
+    (0..mesh.facets().len())
+        .map(|f| {
+            let [a, b, c] = mesh.corners(f).map(|p| p - origin);
+            a.dot(b.cross(c))
+        })
+        .sum()
+}
+
+fn sides(mesh: &TriMesh, class: &[u32], low: u32, halves: &[Half]) -> Vec<Side> {
+    let side = |half: &Half| {
+        let facet = half.facet as usize;
+        let corners = mesh.facets()[facet];
+        let ends = [corners[half.side], corners[(half.side + 1) % 3]];
+        let [a, b, c] = [0, 1, 2].map(|k| mesh.corners(facet)[(half.side + k) % 3]);
+        let along = (b - a).normalize_or_zero();
+        let out = ((c - a) - along * (c - a).dot(along)).normalize_or_zero();
+        let forward = class[ends[0] as usize] == low;
+        Side { facet, ends, forward, along: if forward { along } else { -along }, out }
+    };
+    halves.iter().map(side).collect()
+}
+
+/// The facets at an edge, in pairs; some may be left over, each the end of its sheet.
+fn pairs(mut sides: Vec<Side>, outward: bool) -> Vec<[usize; 2]> {
+    let mut found = Vec::new();
+    let mut by_ends: BTreeMap<[u32; 2], usize> = BTreeMap::new();
+    sides.iter().for_each(|side| *by_ends.entry(undirected(side.ends)).or_default() += 1);
+    for (ends, _) in by_ends.iter().filter(|(_, count)| **count == 2) {
+        let of_file = |side: &Side| undirected(side.ends) == *ends;
+        found.extend(pair_of(sides.iter().filter(|side| of_file(side))));
+        sides.retain(|side| !of_file(side));
+    }
+    if 2 * sides.iter().filter(|side| side.forward).count() == sides.len() {
+        around_material(&mut sides, outward, &mut found);
+    } else {
+        by_continuation(sides, &mut found);
+    }
+    found
+}
+
+fn pair_of<'a>(mut sides: impl Iterator<Item = &'a Side>) -> Option<[usize; 2]> {
+    Some([sides.next()?.facet, sides.next()?.facet])
+}
+
+/// Pairs the facets of solids that share the edge, so that each solid keeps its own. A facet that runs forward has material on
+/// its clockwise side, seen against the edge, if facets are seen from outside.
+fn around_material(sides: &mut [Side], outward: bool, found: &mut Vec<[usize; 2]>) {
+    let Some(&Side { out: right, along, .. }) = sides.first() else { return };
+    let up = along.cross(right);
+    // Facets on one another are at one angle in spite of rounding.
+    let angle = |side: &Side| (1e9 * side.out.dot(up).atan2(side.out.dot(right))).round();
+    // Of two in one place, one ends a solid before the other begins one.
+    let begins = |side: &Side| side.forward != outward;
+    sides.sort_by(|a, b| {
+        angle(a).total_cmp(&angle(b)).then(begins(a).cmp(&begins(b))).then(a.facet.cmp(&b.facet))
+    });
+    let mut open: Vec<usize> = Vec::new();
+    let mut closed = vec![false; sides.len()];
+    // The second time around ends what began before the first angle.
+    for (k, side) in sides.iter().enumerate().chain(sides.iter().enumerate()) {
+        if closed[k] || open.contains(&k) {
+            continue;
+        }
+        if begins(side) {
+            open.push(k);
+        } else if let Some(begun) = open.pop() {
+            (closed[k], closed[begun]) = (true, true);
+            found.push([sides[begun].facet, side.facet]);
+        }
+    }
+}
+
+/// Pairs the facets that continue each other best, oriented alike if possible, until fewer than two are left.
+fn by_continuation(mut sides: Vec<Side>, found: &mut Vec<[usize; 2]>) {
+    while sides.len() > 1 {
+        let pairs = (0..sides.len()).flat_map(|i| (i + 1..sides.len()).map(move |k| (i, k)));
+        let bend = |&(i, k): &(usize, usize)| {
+            let [a, b] = [&sides[i], &sides[k]];
+            a.out.dot(b.out) + if a.forward == b.forward { 4.0 } else { 0.0 }
+        };
+        let Some((i, k)) = pairs.min_by(|a, b| bend(a).total_cmp(&bend(b))) else { return };
+        let second = sides.remove(k);
+        found.push([sides.remove(i).facet, second.facet]);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+
+    use super::*;
+    use crate::mesh::adjacency::Adjacency;
+    use crate::mesh::apart::Apart;
+    use crate::mesh::measure::topology;
+    use crate::mesh::shapes::Shape;
+
+    /// Cubes of a grid, seen from outside; sides between two of them are left out. `own`: each with vertices of its own.
+    fn voxels(cubes: &[[u32; 3]], own: bool) -> TriMesh {
+        let (mut positions, mut facets) = (Vec::new(), Vec::new());
+        let mut number = std::collections::HashMap::new();
+        for (k, cube) in cubes.iter().enumerate() {
+            for (axis, side) in (0..3).flat_map(|axis| [(axis, 0), (axis, 1)]) {
+                let mut other = cube.map(i64::from);
+                other[axis] += 2 * side - 1;
+                if cubes.iter().any(|c| c.map(i64::from) == other) {
+                    continue;
+                }
+                let mut at = |u: u32, v: u32| {
+                    let mut p = *cube;
+                    p[axis] += side as u32;
+                    p[(axis + 1) % 3] += u;
+                    p[(axis + 2) % 3] += v;
+                    *number.entry((if own { k } else { 0 }, p)).or_insert_with(|| {
+                        positions.push(DVec3::from_array(p.map(f64::from)));
+                        positions.len() as u32 - 1
+                    })
+                };
+                let quad = [at(0, 0), at(1, 0), at(1, 1), at(0, 1)];
+                let [a, b, c, d] = if side == 1 { quad } else { [quad[0], quad[3], quad[2], quad[1]] };
+                facets.extend([[a, b, c], [a, c, d]]);
+            }
+        }
+        TriMesh::new(positions, facets).unwrap()
+    }
+
+    fn turned(mesh: &TriMesh) -> TriMesh {
+        let facets = mesh.facets().iter().map(|&[a, b, c]| [a, c, b]).collect();
+        TriMesh::new(mesh.positions().to_vec(), facets).unwrap()
+    }
+
+    fn of(mesh: &TriMesh) -> Sheets {
+        Sheets::of(mesh, 0.0, &Token::default()).unwrap()
+    }
+
+    #[test]
+    fn solids_that_touch_are_solids_each() {
+        // In a corner; along an edge; both; a chain of edges; three at an edge of the same two places.
+        for cubes in [
+            &[[0, 0, 0], [1, 1, 1]][..],
+            &[[0, 0, 0], [1, 1, 0]],
+            &[[0, 0, 0], [1, 1, 0], [2, 2, 1]],
+            &[[0, 0, 0], [1, 1, 0], [0, 2, 0], [1, 3, 0]],
+            &[[1, 1, 1], [0, 0, 1], [2, 0, 1], [1, 2, 2]],
+        ] {
+            for mesh in [false, true].map(|own| voxels(cubes, own)) {
+                for mesh in [mesh.clone(), turned(&mesh)] {
+                    let sheets = of(&mesh);
+                    assert_eq!(sheets.count, cubes.len(), "{cubes:?}");
+                    let apart = Apart::of(&mesh, &sheets, 0.5).unwrap().mesh;
+                    let (whole, n) = (topology(&apart), cubes.len());
+                    assert_eq!((whole.components, whole.euler, whole.boundary_edges), (n, 2 * n as i64, 0));
+                    assert_eq!(Adjacency::new(&apart).non_manifold_edges, 0);
+                }
+            }
+        }
+        // Solids that share a side are one if the side is left out.
+        assert_eq!(of(&voxels(&[[0, 0, 0], [1, 0, 0]], false)).count, 1);
+    }
+
+    #[test]
+    fn a_sheet_that_ends_on_another_is_one_of_its_own() {
+        // A wall on a floor, that the file joins to it, or not.
+        let (floor, n) = (Shape::Plane.build(800), 800);
+        let (low, high) = floor.bounds();
+        let middle = floor.positions().iter().map(|p| (p.x - (low.x + high.x) / 2.0).abs()).fold(f64::INFINITY, f64::min);
+        let line: Vec<u32> = (0..floor.positions().len() as u32)
+            .filter(|&v| ((floor.positions()[v as usize].x - (low.x + high.x) / 2.0).abs() - middle).abs() < 1e-9)
+            .collect();
+        assert!(line.len() > 5 && floor.facets().len() <= 2 * n);
+        let x = floor.positions()[line[0] as usize].x;
+        let mut line: Vec<u32> = line.into_iter().filter(|&v| (floor.positions()[v as usize].x - x).abs() < 1e-9).collect();
+        line.sort_by(|&a, &b| floor.positions()[a as usize].y.total_cmp(&floor.positions()[b as usize].y));
+        for joined in [true, false] {
+            let (mut positions, mut facets) = floor.clone().into_parts();
+            let mut foot = line.clone();
+            if !joined {
+                for v in &mut foot {
+                    positions.push(positions[*v as usize]);
+                    *v = positions.len() as u32 - 1;
+                }
+            }
+            let top: Vec<u32> = foot
+                .iter()
+                .map(|&v| {
+                    positions.push(positions[v as usize] + DVec3::Z);
+                    positions.len() as u32 - 1
+                })
+                .collect();
+            for (f, t) in foot.windows(2).zip(top.windows(2)) {
+                facets.extend([[f[0], f[1], t[1]], [f[0], t[1], t[0]]]);
+            }
+            let mesh = TriMesh::new(positions, facets).unwrap();
+            let sheets = of(&mesh);
+            assert_eq!(sheets.count, 2, "{joined}");
+            let floor_facets = floor.facets().len();
+            assert!(sheets.of_facet[..floor_facets].iter().all(|&s| s == sheets.of_facet[0]));
+            // A wall that is smaller than what counts stays with the floor.
+            let wall = mesh.area() - floor.area();
+            assert_eq!(Sheets::of(&mesh, 1.01 * wall, &Token::default()).unwrap().count, 1);
+        }
+    }
+}

@@ -1,0 +1,225 @@
+//! The input, made fit for a remesh: connected where it meets, one side out, its sheets apart.
+//!
+//! Purpose: [`preprocess`] stitches boundary vertices that nearly coincide, divides boundary edges at vertices on them, leaves out
+//! duplicate facets, then makes orientations consistent; each step exposes the defects of the next. [`Preprocessed::separate`]
+//! moves sheets apart. [`Separated`] brings what the caller says of vertices and edges to the changed surface.
+//! Invariant: depends on the surface and the options alone. Vertices keep their numbers; copies come behind them. Every change is
+//! counted. Must not know: densities, seeds, backends.
+
+use std::collections::HashMap;
+
+use crate::cvt::density::{DensityOptions, DensitySource};
+use crate::mesh::adjacency::{Adjacency, weld_unless};
+use crate::mesh::apart::Apart;
+use crate::mesh::duplicates::{self, InputKind};
+use crate::mesh::edges::{sides, undirected};
+use crate::mesh::hanging::{self, Divided};
+use crate::mesh::input::{Reach, make_consistent, stitch_boundaries};
+use crate::mesh::measure::{Topology, topology_unless};
+use crate::mesh::sheets::Sheets;
+use crate::mesh::{MeshError, TriMesh};
+use crate::remesh::constants::{MOST_GAP_DIAGONAL, POINTS_PER_COMPONENT, SEPARATION_DIAGONAL, SEPARATION_EDGES};
+use crate::remesh::report::InputFigures;
+use crate::remesh::{RemeshOptions, Result, Seeds};
+use crate::token::{Stopped, Token};
+
+pub(super) struct Preprocessed {
+    pub(super) figures: InputFigures,
+    /// The surface, if anything had to be changed.
+    pub(super) changed: Option<TriMesh>,
+    /// For each facet the one of the input that it is of, if there are fewer or more.
+    origin: Option<Vec<u32>>,
+    divided: Option<Divided>,
+}
+
+/// The figures of the input, and the changed surface. `weld`: how far boundaries may be apart that are joined, caller's units.
+pub(super) fn preprocess(given: &TriMesh, weld: Option<f64>, token: &Token) -> Result<Preprocessed, Stopped> {
+    let mut adjacency = Adjacency::unless(given, token)?;
+    let mut changed: Option<TriMesh> = None;
+    let mut origin: Option<Vec<u32>> = None;
+    let mut stitched_vertices = 0;
+    let reach = Reach::of(given, weld);
+    if let Some((stitched, moved)) = stitch_boundaries(given, &adjacency, reach, token)? {
+        adjacency = Adjacency::unless(&stitched, token)?;
+        (changed, stitched_vertices) = (Some(stitched), moved);
+    }
+    token.check()?;
+    let mut divided = None;
+    if adjacency.boundary_edges > 0
+        && let Some(mut found) = hanging::divide(changed.as_ref().unwrap_or(given), &adjacency, reach.distance, token)?
+    {
+        adjacency = Adjacency::unless(&found.mesh, token)?;
+        origin = Some(std::mem::take(&mut found.origin));
+        changed = Some(found.mesh.clone());
+        divided = Some(found);
+    }
+    token.check()?;
+    let mut coincident_facets = 0;
+    if adjacency.inconsistent_edges + adjacency.non_manifold_edges > 0
+        && let Some((single, kept)) = duplicates::remove(changed.as_ref().unwrap_or(given), token)?
+    {
+        coincident_facets = changed.as_ref().unwrap_or(given).facets().len() - kept.len();
+        origin = Some(origin.map_or(kept.clone(), |origin| kept.iter().map(|&f| origin[f as usize]).collect()));
+        adjacency = Adjacency::unless(&single, token)?;
+        changed = Some(single);
+    }
+    token.check()?;
+    let mut figures = InputFigures::with(changed.as_ref().unwrap_or(given), &adjacency, token)?;
+    if adjacency.inconsistent_edges > 0
+        && let Some((consistent, flipped)) = make_consistent(changed.as_ref().unwrap_or(given), token)?
+    {
+        figures.reoriented_facets = flipped;
+        changed = Some(consistent);
+    }
+    if adjacency.boundary_edges > 0 {
+        let clean = changed.as_ref().unwrap_or(given);
+        let (low, high) = clean.bounds();
+        let gaps = hanging::gaps(clean, &adjacency, MOST_GAP_DIAGONAL * (high - low).length(), token)?;
+        (figures.gap_edges, figures.gap_distance) = (gaps.edges, gaps.distance);
+    }
+    figures.stitched_vertices = stitched_vertices;
+    figures.coincident_facets = coincident_facets;
+    figures.divided_edges = divided.as_ref().map_or(0, |divided: &Divided| divided.edges.len());
+    figures.sheets = figures.topology.components;
+    Ok(Preprocessed { figures, changed, origin, divided })
+}
+
+/// Edge length that the options ask for; `None` where seeds are given, or where it is not known yet.
+fn target_edge(clean: &TriMesh, options: &RemeshOptions) -> Option<f64> {
+    let (low, high) = clean.bounds();
+    match (&options.seeds, &options.density) {
+        (Seeds::Given(_), _) => None,
+        (Seeds::Sample { points, .. }, _) => Some(uniform_edge(clean, *points)),
+        (_, DensityOptions { source: DensitySource::Sizes(sizes), .. }) => {
+            Some(sizes.iter().copied().fold(0.0, f64::max).min((high - low).length()))
+        }
+        (_, density) => density.edge_length,
+    }
+}
+
+/// Edge length of a uniform triangulation: equilateral triangles, two for each vertex.
+fn uniform_edge(clean: &TriMesh, points: usize) -> f64 {
+    (2.0 / 3f64.sqrt() * clean.area() / points.max(1) as f64).sqrt()
+}
+
+/// The surface whose sheets are apart, and the options for it.
+pub(super) struct Separated {
+    pub(super) apart: Option<Apart>,
+    /// Where vertices or edges of the input have others now.
+    pub(super) options: Option<RemeshOptions>,
+    /// Of the sheets: what the result is to have.
+    pub(super) topology: Topology,
+}
+
+impl Preprocessed {
+    pub(super) fn mesh<'a>(&'a self, given: &'a TriMesh) -> &'a TriMesh {
+        self.changed.as_ref().unwrap_or(given)
+    }
+
+    /// Moves the sheets apart, so that no cell reaches from one to another. Sheets stay where they are if seeds are given, since
+    /// no seed's sheet is known, and where points are too few for each sheet.
+    pub(super) fn separate(
+        &mut self,
+        given: &TriMesh,
+        options: &RemeshOptions,
+        token: &Token,
+    ) -> Result<Separated, Stopped> {
+        let topology = self.figures.topology;
+        let touching = topology.non_manifold_edges + topology.non_manifold_vertices > 0;
+        let surface = self.figures.kind != InputKind::Volume;
+        let clean = self.changed.as_ref().unwrap_or(given);
+        let mut separated = Separated { apart: None, options: None, topology };
+        if let Some(edge) = target_edge(clean, options).filter(|_| topology.components > 1 || touching && surface) {
+            // Smaller ones are noise, and get no vertices of their own.
+            let least = POINTS_PER_COMPONENT as f64 * (3f64.sqrt() / 2.0) * edge * edge;
+            let sheets = Sheets::of(clean, if touching { least } else { 0.0 }, token)?;
+            let (low, high) = clean.bounds();
+            let gap = SEPARATION_EDGES * edge + SEPARATION_DIAGONAL * (high - low).length();
+            if edge <= uniform_edge(clean, POINTS_PER_COMPONENT * sheets.count) {
+                separated.apart = Apart::of(clean, &sheets, gap);
+            }
+            if let Some(apart) = separated.apart.as_ref().filter(|apart| !apart.copied.is_empty()) {
+                self.figures.sheets = sheets.count;
+                separated.topology = topology_unless(&apart.mesh, &Adjacency::unless(&apart.mesh, token)?, token)?;
+            }
+        }
+        separated.options = self.adapted(clean, options, separated.apart.as_ref(), token)?;
+        Ok(separated)
+    }
+
+    /// The options with what they say of vertices and edges, said of the present ones.
+    fn adapted(
+        &self,
+        clean: &TriMesh,
+        options: &RemeshOptions,
+        apart: Option<&Apart>,
+        token: &Token,
+    ) -> Result<Option<RemeshOptions>, Stopped> {
+        let apart = apart.filter(|apart| !apart.copied.is_empty());
+        let named = !options.creases.is_empty();
+        if apart.is_none() && !(named && self.divided.is_some()) {
+            return Ok(None);
+        }
+        let mut adapted = options.clone();
+        if named {
+            let class = weld_unless(clean, token)?;
+            if let Some(divided) = &self.divided {
+                adapted.creases = divided.pieces(&adapted.creases, &class);
+            }
+            if let Some(apart) = apart {
+                adapted.creases = edges_of_sheets(&adapted.creases, clean, &class, apart);
+            }
+        }
+        if let Some(Apart { copied, .. }) = apart {
+            if let DensitySource::Sizes(values) | DensitySource::Weights(values) = &mut adapted.density.source {
+                let of_copies: Vec<f64> = copied.iter().filter_map(|&v| values.get(v as usize).copied()).collect();
+                values.extend(of_copies);
+            }
+            adapted.attributes = options.attributes.as_ref().map(|attributes| attributes.with_copies(copied));
+        }
+        Ok(Some(adapted))
+    }
+
+    /// The input's facets, where the sheets are apart.
+    pub(super) fn given_apart(&self, given: &TriMesh, apart: &Apart) -> Result<TriMesh, MeshError> {
+        let mut facets = given.facets().to_vec();
+        if !apart.copied.is_empty() {
+            let vertices = (apart.mesh.positions().len() - apart.copied.len()) as u32;
+            let before = |v: u32| if v < vertices { v } else { apart.copied[(v - vertices) as usize] };
+            for (k, present) in apart.mesh.facets().iter().enumerate() {
+                let f = self.origin.as_ref().map_or(k, |origin| origin[k] as usize);
+                for (corner, &v) in facets[f].iter_mut().zip(&given.facets()[f]) {
+                    if let Some(&own) = present.iter().find(|&&own| before(own) == v) {
+                        *corner = own;
+                    }
+                }
+            }
+        }
+        TriMesh::new(apart.mesh.positions().to_vec(), facets)
+    }
+}
+
+/// The edges that `edges` of `clean` are in each sheet. Those that are none stay as they are, to be refused.
+fn edges_of_sheets(edges: &[[u32; 2]], clean: &TriMesh, class: &[u32], apart: &Apart) -> Vec<[u32; 2]> {
+    let welded = |[a, b]: [u32; 2]| undirected([a, b].map(|v| class.get(v as usize).copied().unwrap_or(v)));
+    let mut found: HashMap<[u32; 2], Vec<[u32; 2]>> = edges.iter().map(|&edge| (welded(edge), Vec::new())).collect();
+    for (before, now) in clean.facets().iter().zip(apart.mesh.facets()) {
+        for (then, now) in sides(*before).into_iter().zip(sides(*now)) {
+            if let Some(of_sheets) = found.get_mut(&welded(then)) {
+                of_sheets.push(undirected(now));
+            }
+        }
+    }
+    let mut all = Vec::with_capacity(edges.len());
+    for edge in edges {
+        match found.get_mut(&welded(*edge)) {
+            Some(of_sheets) if !of_sheets.is_empty() => {
+                of_sheets.sort_unstable();
+                of_sheets.dedup();
+                all.append(&mut of_sheets.clone());
+            }
+            _ => all.push(*edge),
+        }
+    }
+    all
+}
