@@ -17,9 +17,9 @@ mod numbers;
 mod obj;
 mod off;
 mod packed;
-mod ply;
+pub(super) mod ply;
 mod polygons;
-mod stl;
+pub(super) mod stl;
 mod threemf;
 mod vtk;
 
