@@ -38,8 +38,10 @@ pub(crate) fn run(args: &ShapeArgs) -> anyhow::Result<()> {
             (lattice.vertices(), lattice.facet_count())
         }
         None if args.facets > MAX_FACETS => {
-            let text =
-                format!("--facets is {}; above {MAX_FACETS} write torus, slivers, hills or plane, as .ply", args.facets);
+            let text = format!(
+                "--facets is {}; above {MAX_FACETS} write torus, slivers, hills or plane, as .ply",
+                args.facets
+            );
             return Err(Usage(text).into());
         }
         None => {

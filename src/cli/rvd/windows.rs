@@ -172,12 +172,13 @@ pub(super) fn run(args: &RvdArgs, limit_mib: u64) -> Result<()> {
 fn tell(plan: &Plan) -> Result<()> {
     let mib = |bytes: u64| bytes.div_ceil(1 << 20);
     outln!(
-        "plan: {} MiB of {}: program {}; then at most {} to prepare, or seeds {}, rows {}, sums {} and a window {}",
+        "plan: {} MiB of {}: program {}; then {} to prepare, or seeds {} (their index {} more), rows {}, sums {} and a window {}",
         mib(plan.total_bytes),
         mib(plan.limit_bytes),
         mib(plan.program_bytes),
         mib(plan.prepare_bytes),
         mib(plan.seed_bytes),
+        mib(plan.indexing_bytes),
         mib(plan.row_bytes),
         mib(plan.sum_bytes),
         mib(plan.window_bytes),
@@ -238,7 +239,8 @@ fn each_line(path: &Path, mut visit: impl FnMut(&str) -> Result<()>) -> Result<(
         if lines.read_until(b'\n', &mut line).map_err(failed)? == 0 {
             return Ok(());
         }
-        let text = std::str::from_utf8(&line).map_err(|_| BadInput(format!("{}: this is no text in UTF-8", path.display())))?;
+        let text = std::str::from_utf8(&line)
+            .map_err(|_| BadInput(format!("{}: this is no text in UTF-8", path.display())))?;
         if !matches!(text.trim_start().bytes().next(), None | Some(b'#')) {
             visit(text)?;
         }

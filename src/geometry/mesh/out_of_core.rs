@@ -18,7 +18,7 @@ use std::path::Path;
 
 use glam::DVec3;
 
-use super::io::{DataError, Format, ply, stl};
+use super::io::{DataError, Format, Unfit, ply, stl};
 use super::numbers::NumberType;
 use super::{CHUNK, MAX_ELEMENTS, MeshError, check_extent};
 use crate::token::{Stopped, Token};
@@ -49,7 +49,9 @@ pub enum MeshFileError {
         cause: std::io::Error,
     },
     /// The file is of a kind that is read as a whole.
-    #[error("{0}; only binary little-endian .ply (float or double, triangles as uchar and int) and binary .stl are read in windows")]
+    #[error(
+        "{0}; only binary little-endian .ply (float or double, triangles as uchar and int) and binary .stl are read in windows"
+    )]
     NotInWindows(String),
     /// The file is no surface.
     #[error(transparent)]
@@ -65,6 +67,15 @@ pub enum MeshFileError {
     /// The caller asked to stop.
     #[error(transparent)]
     Stopped(#[from] Stopped),
+}
+
+impl From<Unfit> for MeshFileError {
+    fn from(unfit: Unfit) -> Self {
+        match unfit {
+            Unfit::Data(error) => Self::Data(error),
+            Unfit::Kind(reason) => Self::NotInWindows(reason),
+        }
+    }
 }
 
 impl From<MeshError> for MeshFileError {

@@ -29,7 +29,9 @@ pub enum OutOfCoreError {
     #[error(transparent)]
     Rvd(#[from] RvdError),
     /// Even the smallest windows take more memory than is allowed.
-    #[error("{needed_bytes} bytes of memory are needed with the smallest windows, and {limit_bytes} are allowed; allow more, or use fewer seeds")]
+    #[error(
+        "{needed_bytes} bytes of memory are needed with the smallest windows, and {limit_bytes} are allowed; allow more, or use fewer seeds"
+    )]
     DoesNotFit {
         /// The least that does.
         needed_bytes: u64,

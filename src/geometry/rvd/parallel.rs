@@ -145,7 +145,7 @@ enum From {
 }
 
 /// Facets of a block, for the counts of seeds and of all facets.
-pub(super) fn block_of(seeds: usize, facets: usize) -> usize {
+fn block_of(seeds: usize, facets: usize) -> usize {
     // A facet meets its share of the cells and some more at its rim.
     let per_facet = 3 + 2 * seeds / facets.max(1);
     (BLOCK_PAIRS / per_facet).clamp(1, BLOCK)

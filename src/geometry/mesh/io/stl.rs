@@ -13,9 +13,8 @@ use glam::DVec3;
 use stl_io::{Normal, Triangle, Vertex};
 
 use super::held::{By, Held, Holds, check_single};
-use super::{Codec, Counts, DataError, Soup, VertexNumbers};
+use super::{Codec, Counts, DataError, Soup, Unfit, VertexNumbers};
 use crate::mesh::TriMesh;
-use crate::mesh::out_of_core::MeshFileError;
 
 pub(super) const CODEC: Codec = Codec {
     extension: "stl",
@@ -119,10 +118,10 @@ fn encode(mesh: &TriMesh, _held: &Held<'_>) -> Result<Vec<u8>, DataError> {
 }
 
 /// The facets of a binary file of this length with these first bytes, which [`RECORD`] bytes each follow one another.
-pub(in crate::mesh) fn facets_alone(head: &[u8], bytes: u64) -> Result<usize, MeshFileError> {
+pub(in crate::mesh) fn facets_alone(head: &[u8], bytes: u64) -> Result<usize, Unfit> {
     let declared = declared_facets(head)
         .filter(|&count| bytes == HEADER as u64 + RECORD as u64 * count as u64)
-        .ok_or_else(|| MeshFileError::NotInWindows("the file is text, or not as long as its header says".to_owned()))?;
+        .ok_or_else(|| Unfit::Kind("the file is text, or not as long as its header says".to_owned()))?;
     Ok(declared)
 }
 

@@ -21,7 +21,10 @@ impl ReadAt {
         let file = File::open(path)?;
         let meta = file.metadata()?;
         if !meta.is_file() {
-            return Err(io::Error::new(ErrorKind::InvalidInput, "it is no regular file, and cannot be read in windows"));
+            return Err(io::Error::new(
+                ErrorKind::InvalidInput,
+                "it is no regular file, and cannot be read in windows",
+            ));
         }
         Ok(Self { file, bytes: meta.len() })
     }

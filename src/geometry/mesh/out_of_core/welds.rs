@@ -93,12 +93,7 @@ impl Welds {
     }
 
     /// Calls `visit` with the numbers of `count` vertices from `first` on, in parts whose lengths are multiples of three.
-    pub(super) fn read(
-        &self,
-        first: usize,
-        count: usize,
-        mut visit: impl FnMut(&[u32]),
-    ) -> Result<(), MeshFileError> {
+    pub(super) fn read(&self, first: usize, count: usize, mut visit: impl FnMut(&[u32])) -> Result<(), MeshFileError> {
         const PART: usize = 3 << 16;
         let (mut bytes, mut numbers) = (Vec::new(), Vec::new());
         for begin in (first..first + count).step_by(PART) {

@@ -90,14 +90,21 @@ impl FacetFile {
     }
 
     /// Writes the records. `N` is their length behind their keys.
-    fn sort<const N: usize>(&mut self, welds: Option<&Welds>, memory: usize, token: &Token) -> Result<(), OutOfCoreError> {
+    fn sort<const N: usize>(
+        &mut self,
+        welds: Option<&Welds>,
+        memory: usize,
+        token: &Token,
+    ) -> Result<(), OutOfCoreError> {
         let mut sorter = Sorter::<N>::new(&self.scratch, memory, self.source.facets());
         let mut made: Vec<Made<N>> = Vec::new();
         let (mut world, mut part, mut area) = (0.0, 0.0, -0.0);
         let (mut mass, mut degenerate) = (0.0, 0);
         self.source.each_window(self.room(), welds, token, |window| -> Result<(), OutOfCoreError> {
             let facets = window.corners.par_iter().zip(&window.welded).enumerate();
-            facets.map(|(k, (corners, welded))| self.make(window.first + k, corners, welded)).collect_into_vec(&mut made);
+            facets
+                .map(|(k, (corners, welded))| self.make(window.first + k, corners, welded))
+                .collect_into_vec(&mut made);
             for (k, Made { twice, record }) in made.iter().enumerate() {
                 // In parts, as the area of a mesh is added up.
                 if (window.first + k).is_multiple_of(CHUNK) {

@@ -8,26 +8,29 @@ use serde::Serialize;
 
 use super::OutOfCoreError;
 use crate::mesh::out_of_core::MeshFile;
-use crate::rvd::parallel;
 
 /// The program itself, without work.
 const PROGRAM: u64 = 24 << 20;
 /// A thread: scratch memory for lists, pieces and searches, and its share of the tasks' sums.
 const THREAD: u64 = 12 << 20;
-/// A seed: the caller's copy, the session's, the index and what building it takes.
-const SEED: u64 = 24 + 24 + 150;
+/// A seed: the caller's copy, the session's with its direction, and the index.
+const SEED: u64 = 24 + 24 + 24 + 24 + 1 + 88;
+/// What building the index takes beside it.
+const INDEXING: u64 = 60;
 /// A seed's row of neighbours, beside 4 bytes a neighbour.
 const ROW: u64 = 9;
 /// A seed's sums, and their number's place on each thread.
 const SUMS: u64 = 48;
-/// A seed that moves: itself, its gradient, its direction, and sums beside those that are asked for.
-const MOVES: u64 = 24 + 24 + 24 + 1 + 48;
+/// A seed that moves: its gradient, and sums beside those that are asked for.
+const MOVES: u64 = 24 + 48;
 /// A facet in a window: corners in the unit frame, weights, numbers, vertices with weights, a seed near it.
 const FACET: u64 = 250;
 /// The most facets of a window: larger ones are not faster.
 const MOST: usize = 1 << 20;
 /// The fewest.
 const FEWEST: usize = 1 << 14;
+/// Facets that are added up together, at most.
+const BLOCK: usize = 256;
 /// The most memory for sorting: more does not save a pass over the records.
 const SORT: u64 = 256 << 20;
 /// The least.
@@ -63,6 +66,8 @@ pub struct Plan {
     pub program_bytes: u64,
     /// Seeds and their index.
     pub seed_bytes: u64,
+    /// What building the index takes beside it.
+    pub indexing_bytes: u64,
     /// Rows of neighbours.
     pub row_bytes: u64,
     /// Sums of cells, and vectors of seeds that move.
@@ -95,44 +100,45 @@ impl Plan {
         let program_bytes = PROGRAM + THREAD * wanted.threads as u64;
         let seed_bytes = seeds * SEED;
         let row_bytes = seeds * (ROW + 4 * wanted.neighbours as u64);
-        let sum_bytes =
-            seeds * (SUMS + 4 * wanted.threads as u64 + if wanted.moves { MOVES } else { 0 });
+        let sum_bytes = seeds * (SUMS + 4 * wanted.threads as u64 + if wanted.moves { MOVES } else { 0 });
+        let indexing_bytes = seeds * INDEXING;
         let resident = seed_bytes + row_bytes + sum_bytes;
-        // Windows begin where blocks do, whose length is a matter of the counts.
-        let block = parallel::block_of(wanted.seeds, facets);
+        // Seeds that move get a new index while there is a window.
+        let beside = if wanted.moves { indexing_bytes } else { 0 };
         let each = FACET + record_bytes(number) as u64;
-        let fewest = FEWEST.next_multiple_of(block).min(facets.next_multiple_of(block));
-        let room = wanted.limit_bytes.saturating_sub(program_bytes + resident);
-        let most = MOST.min(facets.next_multiple_of(block));
-        let window_facets = usize::try_from(room / each).unwrap_or(usize::MAX).min(most).max(fewest) / block * block;
-        let window_facets = window_facets.max(block);
+        let room = wanted.limit_bytes.saturating_sub(program_bytes + resident + beside);
+        let fits = usize::try_from(room / each).unwrap_or(usize::MAX);
+        // Of whole blocks, about.
+        let window_facets = fits.clamp(FEWEST, MOST).min(facets.next_multiple_of(BLOCK)) / BLOCK * BLOCK;
         let window_bytes = window_facets as u64 * each;
         // Before the first pass: sorting, and vertices.
         let sorted = facets as u64 * key_bytes(number) as u64;
         let vertex = if file.is_indexed() { 3 * number as u64 + 4 } else { 0 };
         let bits = if file.is_indexed() { vertices as u64 / 8 } else { 0 };
         let drawn = if wanted.drawn { 64 * seeds } else { 0 };
-        let given = seeds * 24;
         let all = vertices as u64 * vertex;
-        let room = wanted.limit_bytes.saturating_sub(program_bytes + READING + given);
+        let room = wanted.limit_bytes.saturating_sub(program_bytes + READING);
         let sort_bytes = sorted.min(SORT).min((room / 2).max(LEAST_SORT));
         let vertex_bytes = all.min(room.saturating_sub(sort_bytes).max(LEAST_SORT));
         let welding = vertices as u64 * (3 * number as u64 + 4);
         let prepare = (sort_bytes.min(sorted) + vertex_bytes).max(vertex_bytes + drawn).max(sort_bytes.min(welding));
-        let prepare_bytes = READING + given + prepare.max(bits);
-        let total_bytes = program_bytes + prepare_bytes.max(resident + window_bytes);
+        let prepare_bytes = READING + prepare.max(bits);
+        let pass = resident + (window_bytes + beside).max(indexing_bytes);
+        let total_bytes = program_bytes + prepare_bytes.max(pass);
         if total_bytes > wanted.limit_bytes {
             return Err(OutOfCoreError::DoesNotFit { needed_bytes: total_bytes, limit_bytes: wanted.limit_bytes });
         }
         let vertex_passes = if vertex_bytes == 0 { 1 } else { all.div_ceil(vertex_bytes).max(1) as usize };
         let waiting = if vertex_passes > 1 { facets as u64 * (9 * number as u64 + 12) } else { 0 };
         let welds = if file.is_indexed() { 4 } else { 12 + 8 } * facets as u64;
-        let scratch_bytes = welds + (facets * record_bytes(number)) as u64 + sorted.max(waiting + sorted);
+        let runs = if sort_bytes < sorted { sorted } else { 0 };
+        let scratch_bytes = welds + (facets * record_bytes(number)) as u64 + runs + waiting;
         Ok(Self {
             limit_bytes: wanted.limit_bytes,
             total_bytes,
             program_bytes,
             seed_bytes,
+            indexing_bytes,
             row_bytes,
             sum_bytes,
             window_bytes,

@@ -90,7 +90,8 @@ fn compare(path: &Path, format: Format, scratch: &Scratch, name: &str) {
     let file = || MeshFile::open(path, format).unwrap();
     let drawn: Vec<DVec3> = sample(&mesh, None, counts[2], 3).iter().map(|p| p.position).collect();
     let vertex_bytes = 3 * file().number_bytes() as u64 + 4;
-    for (window, vertices, sort) in [(1, 200, 1 << 16), (700, mesh.positions().len(), 1 << 20), (1 << 20, 77, 1 << 16)] {
+    for (window, vertices, sort) in [(1, 200, 1 << 16), (700, mesh.positions().len(), 1 << 20), (1 << 20, 77, 1 << 16)]
+    {
         let plan = plan(&file(), window, vertices as u64 * vertex_bytes, sort);
         let facets = Arc::new(FacetFile::new(file(), &plan, scratch, &Token::default()).unwrap());
         assert_eq!(facets.frame(), surface.frame(), "{name}");
@@ -98,7 +99,8 @@ fn compare(path: &Path, format: Format, scratch: &Scratch, name: &str) {
         assert_eq!(facets.hexagonal_energy(9), surface.hexagonal_energy(9), "{name}");
         assert!(facets.sample(counts[2], 3, &Token::default()).unwrap() == drawn, "{name}: other points");
         let mut windowed = backend.windowed_session(Arc::clone(&facets), SessionOptions::new(counts[2]));
-        for count in counts {
+        // The largest number once: most of the time goes to it.
+        for &count in if window == 700 { &counts[..] } else { &counts[..2] } {
             let seeds: Vec<DVec3> = drawn[..count].iter().map(|&p| surface.frame().to_unit(p)).collect();
             let (got, want) = (sums(&mut *windowed, &seeds), sums(&mut *whole, &seeds));
             assert!(got == want, "{name}: {count} seeds, windows of {window}");
@@ -125,7 +127,7 @@ fn windows_change_no_bit() {
     let folder = tempfile::tempdir().unwrap();
     let scratch = Scratch::new(folder.path());
     for shape in [Shape::Torus, Shape::Block, Shape::Slivers] {
-        let mesh = shape.build(1500);
+        let mesh = shape.build(600);
         let spoilt = spoilt(&mesh);
         let files = [
             ("plain.ply", io::encode(Format::Ply, &mesh).unwrap()),

@@ -10,6 +10,7 @@ use std::sync::Arc;
 use glam::DVec3;
 
 use super::{From, MANY, Parallel, ParallelSession, block_of};
+use crate::knn::{SeedIndex, Threads};
 use crate::rvd::on_host::OnHost;
 use crate::rvd::out_of_core::FacetFile;
 use crate::rvd::{CellSums, PassStats, PieceBatch, RvdError, Session, SessionOptions, Surface};
@@ -33,6 +34,10 @@ impl Parallel {
 impl WindowedSession {
     fn sum_up(&mut self, out: &mut CellSums, token: &Token) -> Result<PassStats, RvdError> {
         let Self { session, facets, bytes } = self;
+        if session.stale {
+            // Before there is a new one.
+            session.index = SeedIndex::with_threads(&[], Threads::One);
+        }
         let mut stats = PassStats { neighbours_ms: session.refresh_rows(token)?, ..PassStats::default() };
         stats.duplicate_seeds = session.index.duplicates() as u64;
         out.reset(session.seeds.len());

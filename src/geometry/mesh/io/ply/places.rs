@@ -7,8 +7,8 @@ use super::data::Layout;
 use super::header::{self, Element};
 use super::{DataError, check_elements};
 use crate::mesh::MeshError;
+use crate::mesh::io::Unfit;
 use crate::mesh::io::numbers::{Encoding, Kind, Order};
-use crate::mesh::out_of_core::MeshFileError;
 
 /// Records of one size, one after the other.
 #[derive(Clone, Copy, Debug, Default)]
@@ -32,8 +32,8 @@ pub(in crate::mesh) struct Places {
 }
 
 /// Finds them by the first bytes of a file of this length.
-pub(in crate::mesh) fn places(head: &[u8], bytes: u64) -> Result<Places, MeshFileError> {
-    let not = |reason: &str| MeshFileError::NotInWindows(reason.to_owned());
+pub(in crate::mesh) fn places(head: &[u8], bytes: u64) -> Result<Places, Unfit> {
+    let not = |reason: &str| Unfit::Kind(reason.to_owned());
     let header = header::read(head)?;
     check_elements(&header)?;
     if header.encoding != Encoding::Binary(Order::Little) {
@@ -79,17 +79,12 @@ fn is_needed(elements: &[Element], element: &Element) -> bool {
 }
 
 /// The corners of facet `facet`, whose record this is.
-pub(in crate::mesh) fn triangle(
-    record: &[u8],
-    list: usize,
-    vertices: usize,
-    facet: usize,
-) -> Result<[u32; 3], MeshFileError> {
+pub(in crate::mesh) fn triangle(record: &[u8], list: usize, vertices: usize, facet: usize) -> Result<[u32; 3], Unfit> {
     let corners = record.get(list + 1..).and_then(|bytes| bytes.first_chunk::<12>());
     let Some((3, corners)) = record.get(list).zip(corners).map(|(&count, corners)| (count, corners)) else {
         let count = record.get(list).copied().unwrap_or(0);
         let reason = format!("face {facet} has {count} corners");
-        return Err(MeshFileError::NotInWindows(reason));
+        return Err(Unfit::Kind(reason));
     };
     let corners = [0, 1, 2].map(|c| u32::from_le_bytes([0, 1, 2, 3].map(|b| corners[4 * c + b])));
     match corners.iter().position(|&v| v as usize >= vertices) {
