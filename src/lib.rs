@@ -73,7 +73,7 @@ pub mod mesh {
     #[doc(inline)]
     pub use geometry::mesh::{FeatureError, MAX_ELEMENTS, MeshError, TriMesh};
     #[doc(inline)]
-    pub use geometry::mesh::{attributes, closest_point, io, measure, numbers, sample, shapes};
+    pub use geometry::mesh::{attributes, closest_point, io, measure, numbers, out_of_core, sample, shapes};
 }
 
 pub mod rvd {
@@ -84,7 +84,7 @@ pub mod rvd {
         Accumulate, Backend, BackendChoice, BackendKind, CELLS_PER_FACET, Capacities, CellSums, Cells, DeviceFacts,
         DeviceWork, Diagram, Frame, Lifted, MAX_SEED_DISTANCE, PairStatus, Parallel, PassStats, PhasesMs, PieceBatch,
         Point, RvdError, Serial, Session, SessionOptions, Strategy, Surface, Together, Tuning, facet_edge,
-        on_threads_of,
+        on_threads_of, out_of_core,
     };
     #[doc(hidden)]
     pub use geometry::rvd::{Evaluation, Resident};

@@ -19,7 +19,7 @@ pub(crate) use server::config::{BackendArg, BackendArgs};
 /// All backends of a server. Errors: `BackendUnavailable` if the default one is the GPU and there is none.
 pub(crate) fn all(args: &BackendArgs) -> Result<Backends, JobError> {
     let backends = Backends {
-        gpu: gpu(args).inspect_err(|reason| tracing::info!(%reason, "no GPU backend")).map(|gpu| gpu as _),
+        gpu: gpus(args).inspect_err(|reason| tracing::info!(%reason, "no GPU backend")),
         parallel: Arc::new(Parallel::new(args.threads)?),
         serial: Arc::new(Serial),
         default: args.backend.into(),
@@ -48,21 +48,37 @@ pub(crate) fn on_threads<R: Send>(args: &BackendArgs, work: impl FnOnce() -> Res
 
 /// The GPU backend. Errors: a sentence that says why there is none, and what to do.
 pub(crate) fn gpu(args: &BackendArgs) -> Result<Arc<Gpu>, String> {
-    let options = BackendOptions {
+    options(args).open_gpu().map_err(|why| told(args, &why))
+}
+
+/// The same on as many adapters as are asked for.
+fn gpus(args: &BackendArgs) -> Result<Arc<dyn Backend>, String> {
+    options(args).open_gpus().map_err(|why| told(args, &why))
+}
+
+fn options(args: &BackendArgs) -> BackendOptions {
+    BackendOptions {
         threads: args.threads,
         software_gpu: args.gpu_software,
         gpu_timeout: args.gpu_timeout,
+        gpu_adapters: args.gpu_adapters.0,
+        // Its range is checked.
+        gpu_memory_bytes: args.gpu_memory_bytes().ok().flatten(),
         ..BackendOptions::new()
-    };
-    options.open_gpu().map_err(|why| match &why {
+    }
+}
+
+fn told(args: &BackendArgs, why: &NoGpu) -> String {
+    match why {
         // An adapter that opens and then fails is a fault that should be seen, not passed over.
         NoGpu::Broken(error) => {
             tracing::warn!(%error, "the GPU was found but does not work");
             format!("{why}; --backend parallel works without it")
         }
+        NoGpu::TooFew { .. } => format!("{why}; ask for fewer with --gpu-adapters"),
         _ if args.gpu_software => format!("{why}; --backend parallel works without a GPU"),
         _ => format!("{why}; --gpu-software takes a software adapter, --backend parallel works without a GPU"),
-    })
+    }
 }
 
 /// `tessera doctor`'s options: the same as where work is done, to see their effect.
@@ -90,7 +106,7 @@ pub(crate) fn run(args: &DoctorArgs) -> Result<()> {
         }
     }
     let begin = Instant::now();
-    match backends::gpu(&args.backend) {
+    match backends::gpus(&args.backend) {
         Ok(gpu) => {
             outln!("gpu         {}, ready in {} ms", gpu.adapter().unwrap_or_default(), begin.elapsed().as_millis())?;
         }

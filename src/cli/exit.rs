@@ -158,6 +158,7 @@ fn of_rvd(error: &RvdError) -> u8 {
         | RvdError::Device(_)
         | RvdError::BackendUnavailable { .. } => UNAVAILABLE,
         RvdError::Internal(_) => INTERNAL,
+        RvdError::Unreadable(_) => IO,
         _ => DATA,
     }
 }

@@ -241,7 +241,7 @@ pub(crate) fn write_json(path: &Path, report: &impl serde::Serialize) -> Result<
 }
 
 /// Writes a file. What has its name is replaced once the new one is whole.
-fn write(path: &Path, body: impl FnOnce(&mut dyn Write) -> std::io::Result<()>) -> Result<()> {
+pub(crate) fn write(path: &Path, body: impl FnOnce(&mut dyn Write) -> std::io::Result<()>) -> Result<()> {
     let mut out = Output::begin(path)?;
     body(&mut out.body).map_err(|error| unwritten(path, &error))?;
     out.finish()

@@ -1,5 +1,7 @@
 //! `tessera rvd`.
 
+mod windows;
+
 use std::fs::File;
 use std::io::{self, BufWriter};
 use std::path::{Path, PathBuf};
@@ -49,10 +51,15 @@ pub(crate) struct RvdArgs {
     input_format: Option<Format>,
     #[command(flatten)]
     seeds: Given<SeedArgs>,
+    /// Lloyd steps before the diagram: every seed to the centroid of its cell.
+    #[arg(long, value_name = "N", default_value_t = 0, value_parser = whole::<u32>, help_heading = "Steps")]
+    lloyd: u32,
     #[command(flatten)]
     files: FileArgs,
     #[command(flatten, next_help_heading = "Picture")]
     picture: PictureArgs,
+    #[command(flatten)]
+    windows: windows::WindowArgs,
     /// Draw the seeds as dots in the picture, where the surface is next to them.
     #[arg(long, requires = "picture", help_heading = "Picture")]
     dots: bool,
@@ -118,7 +125,10 @@ impl RvdArgs {
 
 pub(crate) fn run(args: &RvdArgs) -> Result<()> {
     check(args)?;
-    backends::on_threads(&args.backend, || work(args))
+    backends::on_threads(&args.backend, || match args.windows.memory_mib {
+        Some(limit_mib) => windows::run(args, limit_mib),
+        None => work(args),
+    })
 }
 
 fn work(args: &RvdArgs) -> Result<()> {
@@ -189,6 +199,11 @@ fn check(args: &RvdArgs) -> Result<()> {
     let inputs = [Some(args.input.as_path()), args.seeds.seeds.as_deref()];
     files::check_apart(inputs.into_iter().flatten(), outputs.into_iter().flatten())?;
     args.picture.check_for_cells()?;
+    windows::check(args)?;
+    if args.lloyd > 0 && args.at.endpoint.is_some() {
+        let text = "--lloyd with --endpoint: a server's diagram has no steps; leave one out";
+        return Err(Usage(text.to_owned()).into());
+    }
     if args.dots && args.at.endpoint.is_some() && args.seeds.seeds.is_none() {
         let text = "--dots with --endpoint: the server draws the points and keeps them; give them with --seeds";
         return Err(Usage(text.to_owned()).into());
@@ -232,8 +247,12 @@ fn here(
         &token,
     )?;
     token.check()?;
-    progress.stage("diagram", 0, 0);
     let mut diagram = Diagram::open(&prepared, backend.as_ref())?;
+    for step in 0..args.lloyd {
+        let ratio = diagram.lloyd(backend.as_ref(), &token)?;
+        progress.iteration(u64::from(step), u64::from(args.lloyd), ratio);
+    }
+    progress.stage("diagram", 0, 0);
     let centroids = if wants.centroids { diagram.sums(backend.as_ref(), &token)?.centroids } else { Vec::new() };
     if wants.cells {
         while let Some(batch) = diagram.batch(backend.as_ref(), &token)? {
@@ -243,7 +262,7 @@ fn here(
         }
     }
     let report = to_json(&diagram.report(&prepared, &BackendInfo::of(backend.as_ref())))?;
-    Ok((RvdResult { centroids, report }, Arc::clone(&prepared.seeds)))
+    Ok((RvdResult { centroids, report }, diagram.seeds()))
 }
 
 pub(crate) struct CellFile {

@@ -4,7 +4,9 @@
 
 use std::path::PathBuf;
 
+use super::exit::Usage;
 use super::files;
+use geometry::mesh::MAX_ELEMENTS;
 use geometry::mesh::io::Format;
 use geometry::mesh::shapes::{MAX_FACETS, Shape};
 pub(crate) use server::config::whole;
@@ -13,8 +15,8 @@ pub(crate) use server::config::whole;
 pub(crate) struct ShapeArgs {
     /// Surface: sphere, torus, genusN (0 to 99 holes), block, hills, sheets, slivers, square or plane.
     pub name: Shape,
-    /// Number of facets; the result is near it.
-    #[arg(long, value_name = "N", default_value_t = 10_000, value_parser = parse_facets)]
+    /// Number of facets; the result is near it. More than 50 million: torus, slivers, hills or plane, as .ply.
+    #[arg(long, value_name = "N", default_value_t = 10_000, value_parser = parse_any_facets)]
     pub facets: usize,
     /// File to write.
     #[arg(short, long, value_name = "FILE", help = files::help_of("File to write", "- is the standard output"))]
@@ -27,15 +29,42 @@ pub(crate) struct ShapeArgs {
 pub(crate) fn run(args: &ShapeArgs) -> anyhow::Result<()> {
     let output = files::Surface::new(&args.output, args.format);
     output.check_output()?;
-    let mesh = args.name.build(args.facets);
-    output.write(&mesh, None)?;
+    let is_packed = output.path().extension().is_some_and(|e| e.eq_ignore_ascii_case("gz"));
+    let is_ply = output.format(files::OUTPUT_FORMAT)? == Format::Ply && !output.is_standard() && !is_packed;
+    let (vertices, facets) = match args.name.lattice(args.facets).filter(|_| is_ply) {
+        // Nothing of it is held, so that it may be larger than memory.
+        Some(lattice) => {
+            files::write(output.path(), |out| lattice.write_ply(out))?;
+            (lattice.vertices(), lattice.facet_count())
+        }
+        None if args.facets > MAX_FACETS => {
+            let text = format!(
+                "--facets is {}; above {MAX_FACETS} write torus, slivers, hills or plane, as .ply",
+                args.facets
+            );
+            return Err(Usage(text).into());
+        }
+        None => {
+            let mesh = args.name.build(args.facets);
+            output.write(&mesh, None)?;
+            (mesh.positions().len(), mesh.facets().len())
+        }
+    };
     if !output.is_standard() {
-        outln!("{output}: {} vertices, {} facets", mesh.positions().len(), mesh.facets().len())?;
+        outln!("{output}: {vertices} vertices, {facets} facets")?;
     }
     Ok(())
 }
 
+fn parse_any_facets(text: &str) -> Result<usize, String> {
+    up_to(text, MAX_ELEMENTS / 2)
+}
+
 pub(crate) fn parse_facets(text: &str) -> Result<usize, String> {
-    let facets = whole(text).ok().filter(|facets| (1..=MAX_FACETS).contains(facets));
-    facets.ok_or_else(|| format!("a whole number from 1 to {MAX_FACETS} is needed, as 10000 or 1e4"))
+    up_to(text, MAX_FACETS)
+}
+
+fn up_to(text: &str, most: usize) -> Result<usize, String> {
+    let facets = whole(text).ok().filter(|facets| (1..=most).contains(facets));
+    facets.ok_or_else(|| format!("a whole number from 1 to {most} is needed, as 10000 or 1e4"))
 }

@@ -200,6 +200,8 @@ fn every_option_of_the_command_is_at_the_service() {
         "view",
         "up",
         "colour",
+        "gpu_adapters",
+        "gpu_memory_mib",
         "gpu_software",
         "threads",
         "endpoint",
@@ -229,7 +231,7 @@ fn every_option_of_the_command_is_at_the_service() {
     for option in &at_both {
         assert!(of_job.contains(option), "{option}");
     }
-    for option in ["output", "overwrite", "threads", "gpu_software", "picture"] {
+    for option in ["output", "overwrite", "threads", "gpu_software", "gpu_adapters", "picture"] {
         assert!(!of_job.contains(&option), "{option}");
     }
 }

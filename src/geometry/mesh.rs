@@ -23,6 +23,7 @@ pub(crate) mod input;
 pub mod io;
 pub mod measure;
 pub mod numbers;
+pub mod out_of_core;
 pub mod sample;
 pub mod shapes;
 pub(crate) mod sheets;
@@ -124,13 +125,7 @@ impl TriMesh {
         }
         let (low, high) = bounds(&positions, &facets);
         let extent = (high - low).max_element();
-        if extent >= 1e150 {
-            return Err(MeshError::ExtentTooLarge(extent));
-        }
-        // Below 2.2e-308 numbers are subnormal, and the scale to a unit box overflows. A width of 0 is reported below.
-        if extent > 0.0 && extent < 1e-305 {
-            return Err(MeshError::ExtentTooSmall(extent));
-        }
+        check_extent(extent)?;
         let mesh = Self::measured(positions, facets, low, extent);
         if mesh.degenerate_count == mesh.facets.len() {
             return Err(MeshError::NoArea { facets: mesh.facets.len() });
@@ -152,15 +147,11 @@ impl TriMesh {
         let measure = |(flats, facets): (&mut [bool], &[[u32; 3]])| {
             let (mut area, mut degenerate_count) = (0.0, 0);
             for (flat, corners) in flats.iter_mut().zip(facets) {
-                let [a, b, c] = corners.map(|v| (positions[v as usize] - low) / scale);
-                let twice = (b - a).cross(c - a).length();
-                // Repeated corners, or an area within rounding: an altitude below 1e-15 longest edges has no direction.
-                let longest = (b - a).length_squared().max((c - a).length_squared()).max((c - b).length_squared());
-                *flat = twice <= 1e-15 * longest;
-                if *flat {
-                    degenerate_count += 1;
-                } else {
-                    area += 0.5 * twice;
+                let twice = twice_area(corners.map(|v| (positions[v as usize] - low) / scale));
+                *flat = twice.is_none();
+                match twice {
+                    None => degenerate_count += 1,
+                    Some(twice) => area += 0.5 * twice,
                 }
             }
             (area, degenerate_count)
@@ -211,13 +202,33 @@ impl TriMesh {
     }
 }
 
+/// Refuses a bounding box whose longest side areas cannot be computed with.
+pub(crate) fn check_extent(extent: f64) -> Result<(), MeshError> {
+    if extent >= 1e150 {
+        return Err(MeshError::ExtentTooLarge(extent));
+    }
+    // Below 2.2e-308 numbers are subnormal, and the scale to a unit box overflows. A width of 0 has no area.
+    if extent > 0.0 && extent < 1e-305 {
+        return Err(MeshError::ExtentTooSmall(extent));
+    }
+    Ok(())
+}
+
+/// Twice the area of a facet with these corners in the unit box; `None` if it has none.
+pub(crate) fn twice_area([a, b, c]: [DVec3; 3]) -> Option<f64> {
+    let twice = (b - a).cross(c - a).length();
+    // Repeated corners, or an area within rounding: an altitude below 1e-15 longest edges has no direction.
+    let longest = (b - a).length_squared().max((c - a).length_squared()).max((c - b).length_squared());
+    (twice > 1e-15 * longest).then_some(twice)
+}
+
 /// The normal of a facet with these corners, as long as twice its area.
 pub(crate) fn normal([a, b, c]: [DVec3; 3]) -> DVec3 {
     (b - a).cross(c - a)
 }
 
 /// Facets per partial sum; partial sums are added in order, so that threads do not change them.
-const CHUNK: usize = 1 << 14;
+pub(crate) const CHUNK: usize = 1 << 14;
 
 fn bounds(positions: &[DVec3], facets: &[[u32; 3]]) -> (DVec3, DVec3) {
     let empty = (DVec3::INFINITY, DVec3::NEG_INFINITY);

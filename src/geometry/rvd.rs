@@ -15,6 +15,7 @@ mod figures;
 pub mod incident;
 mod on_host;
 mod options;
+pub mod out_of_core;
 pub mod parallel;
 pub mod resident;
 pub mod serial;

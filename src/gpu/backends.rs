@@ -10,7 +10,7 @@ use geometry::rvd::{Backend, BackendChoice, BackendKind, Parallel, RvdError, Ser
 use geometry::setters;
 
 #[cfg(feature = "device")]
-use crate::diagram::Gpu;
+use crate::diagram::{Gpu, SharedGpu};
 #[cfg(feature = "device")]
 use crate::{Device, DeviceOptions};
 
@@ -32,6 +32,10 @@ pub struct BackendOptions {
     pub software_gpu: bool,
     /// How long the GPU may take for one submission until it counts as lost; a minute by default.
     pub gpu_timeout: Option<Duration>,
+    /// How many adapters share the facets of a job; 0, the default, and 1 are the best one alone, `usize::MAX` is all.
+    pub gpu_adapters: usize,
+    /// Memory of a device that a session may take, bytes. Records of facets that it does not hold are sent when their turn comes.
+    pub gpu_memory_bytes: Option<u64>,
 }
 
 /// Why there is no GPU backend.
@@ -43,6 +47,14 @@ pub enum NoGpu {
     /// No adapter can be used.
     #[error("{0}")]
     NoAdapter(String),
+    /// There are fewer adapters than are to share the work.
+    #[error("{wanted} GPU adapters are asked for, and {found} can be used")]
+    TooFew {
+        /// How many are asked for.
+        wanted: usize,
+        /// How many there are.
+        found: usize,
+    },
     /// An adapter opens and then fails: a fault of its driver.
     #[error("the GPU was found but does not work: {0}")]
     Broken(String),
@@ -59,6 +71,8 @@ impl BackendOptions {
         with_threads(threads: usize => Some(threads)),
         with_software_gpu(software_gpu: bool),
         with_gpu_timeout(gpu_timeout: Duration => Some(gpu_timeout)),
+        with_gpu_adapters(gpu_adapters: usize),
+        with_gpu_memory_bytes(gpu_memory_bytes: u64 => Some(gpu_memory_bytes)),
     }
 
     /// Makes the backend. One for each process is enough: it may be shared by threads and by calls.
@@ -82,7 +96,7 @@ impl BackendOptions {
 
     #[cfg(feature = "device")]
     fn gpu(&self) -> Result<Arc<dyn Backend>, NoGpu> {
-        Ok(self.open_gpu()?)
+        self.open_gpus()
     }
 
     #[cfg(not(feature = "device"))]
@@ -93,11 +107,31 @@ impl BackendOptions {
     /// The GPU backend with all its methods.
     #[cfg(feature = "device")]
     pub fn open_gpu(&self) -> Result<Arc<Gpu>, NoGpu> {
+        let device = Device::open(&self.device_options()).map_err(|e| NoGpu::NoAdapter(e.to_string()))?;
+        Ok(Arc::new(Gpu::new(device, self.threads).map_err(|e| NoGpu::Broken(e.to_string()))?))
+    }
+
+    #[cfg(feature = "device")]
+    fn device_options(&self) -> DeviceOptions {
         let usual = DeviceOptions::default();
         let timeout = self.gpu_timeout.unwrap_or(usual.timeout);
-        let options = DeviceOptions { software: self.software_gpu, timeout, ..usual };
-        let device = Device::open(&options).map_err(|e| NoGpu::NoAdapter(e.to_string()))?;
-        Ok(Arc::new(Gpu::new(device, self.threads).map_err(|e| NoGpu::Broken(e.to_string()))?))
+        DeviceOptions { software: self.software_gpu, timeout, memory_bytes: self.gpu_memory_bytes, ..usual }
+    }
+
+    /// The GPU backend on as many adapters as are asked for.
+    #[cfg(feature = "device")]
+    pub fn open_gpus(&self) -> Result<Arc<dyn Backend>, NoGpu> {
+        if self.gpu_adapters <= 1 {
+            return Ok(self.open_gpu()?);
+        }
+        let opened = Device::open_up_to(&self.device_options(), self.gpu_adapters);
+        let devices = opened.map_err(|e| NoGpu::NoAdapter(e.to_string()))?;
+        if self.gpu_adapters != usize::MAX && devices.len() < self.gpu_adapters {
+            return Err(NoGpu::TooFew { wanted: self.gpu_adapters, found: devices.len() });
+        }
+        let gpus = devices.into_iter().map(|device| Gpu::new(device, self.threads).map(Arc::new));
+        let shared = gpus.collect::<Result<_, _>>().and_then(SharedGpu::new);
+        Ok(Arc::new(shared.map_err(|e| NoGpu::Broken(e.to_string()))?))
     }
 }
 

@@ -29,11 +29,20 @@ pub struct DeviceOptions {
     /// No buffer larger than this, and no more of one seen by a shader, though the adapter allows more: what
     /// another device's limits come to can be tried so.
     pub most_buffer_bytes: Option<u64>,
+    /// Memory that a session may take. One that needs more keeps the records of some windows of its facets on the device, and sends
+    /// the others when their turn comes.
+    pub memory_bytes: Option<u64>,
 }
 
 impl Default for DeviceOptions {
     fn default() -> Self {
-        Self { software: false, name: None, timeout: Duration::from_secs(60), most_buffer_bytes: None }
+        Self {
+            software: false,
+            name: None,
+            timeout: Duration::from_secs(60),
+            most_buffer_bytes: None,
+            memory_bytes: None,
+        }
     }
 }
 
@@ -68,6 +77,9 @@ pub struct AdapterSummary {
 pub const STORAGE_BUFFERS: u32 = 8;
 /// Invocations per workgroup of all shaders.
 pub const WORKGROUP: u32 = 64;
+
+/// Devices that are opened on one software adapter at most, for tests of several.
+const MOST_SOFTWARE: usize = 4;
 
 /// What 64-bit sums by one atomic take.
 const WIDE_ATOMICS: wgpu::Features = wgpu::Features::SHADER_INT64.union(wgpu::Features::SHADER_INT64_ATOMIC_ALL_OPS);
@@ -170,6 +182,7 @@ pub struct Device {
     queue: wgpu::Queue,
     adapter: AdapterSummary,
     pub(super) timeout: Duration,
+    memory_bytes: Option<u64>,
     flags: Arc<Flags>,
     meters: Mutex<Traffic>,
     timer: Mutex<Option<Timer>>,
@@ -190,11 +203,25 @@ impl Device {
     /// # Errors
     /// `NoAdapter`, listing what was found and why it will not do; `Failed` if the driver refuses.
     pub fn open(options: &DeviceOptions) -> Result<Arc<Self>, GpuError> {
+        Self::open_up_to(options, 1)?.into_iter().next().ok_or(GpuError::NoAdapter { found: Vec::new() })
+    }
+
+    /// Opens up to `most` adapters that `options` allow, the best first. All are reached through the same interface, so that no adapter
+    /// comes twice. A software adapter is opened as often as it takes.
+    ///
+    /// # Errors
+    /// As [`Self::open`].
+    pub fn open_up_to(options: &DeviceOptions, most: usize) -> Result<Vec<Arc<Self>>, GpuError> {
         let begin = Instant::now();
         let instance = instance();
         let mut found = Vec::new();
-        for adapter in ranked(&instance) {
-            tracing::debug!(ms = begin.elapsed().as_millis(), "adapters listed");
+        let mut opened: Vec<Arc<Self>> = Vec::new();
+        let ranked = ranked(&instance);
+        tracing::debug!(ms = begin.elapsed().as_millis(), "adapters listed");
+        for adapter in ranked {
+            if opened.len() >= most {
+                break;
+            }
             let summary = summarize(&adapter);
             let wanted = options.name.as_ref().is_none_or(|n| summary.name.to_lowercase().contains(&n.to_lowercase()));
             let refusal = if summary.software && !options.software {
@@ -205,15 +232,20 @@ impl Device {
                 summary.unusable.clone()
             };
             match refusal {
-                None => {
-                    let opened = Self::request(&adapter, summary, options);
-                    tracing::debug!(ms = begin.elapsed().as_millis(), "adapter opened");
-                    return opened;
+                // Of several interfaces that of the best one, and no software beside hardware.
+                None if opened.first().is_some_and(|best| {
+                    (&best.adapter.backend, best.adapter.software) != (&summary.backend, summary.software)
+                }) => {}
+                None if summary.software => {
+                    for _ in opened.len()..most.min(MOST_SOFTWARE) {
+                        opened.push(Self::request(&adapter, summary.clone(), options)?);
+                    }
                 }
+                None => opened.push(Self::request(&adapter, summary, options)?),
                 Some(why) => found.push(format!("{} ({}, {}): {why}", summary.name, summary.backend, summary.kind)),
             }
         }
-        Err(GpuError::NoAdapter { found })
+        if opened.is_empty() { Err(GpuError::NoAdapter { found }) } else { Ok(opened) }
     }
 
     fn request(adapter: &Adapter, summary: AdapterSummary, options: &DeviceOptions) -> Result<Arc<Self>, GpuError> {
@@ -242,6 +274,7 @@ impl Device {
             queue,
             adapter: summary,
             timeout: options.timeout,
+            memory_bytes: options.memory_bytes,
             flags,
             meters: Mutex::default(),
             timer: Mutex::default(),
@@ -258,6 +291,11 @@ impl Device {
     /// What is allocated on the device now, bytes, if its driver is asked through an allocator that knows.
     pub fn allocated_bytes(&self) -> Option<u64> {
         Some(self.device.generate_allocator_report()?.total_allocated_bytes)
+    }
+
+    /// Memory that a session may take, bytes; none if the driver alone limits it.
+    pub fn memory_bytes(&self) -> Option<u64> {
+        self.memory_bytes
     }
 
     /// Limits of the device.

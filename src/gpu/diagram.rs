@@ -24,6 +24,7 @@ mod pipelines;
 pub mod plan;
 mod session;
 pub mod shaders;
+mod shared;
 
 use std::sync::Arc;
 use std::time::Instant;
@@ -43,6 +44,7 @@ use layout::accumulate::{DIRECT, NOWHERE, TWO_PHASE};
 pub use neighbours::Found;
 use pipelines::Pipelines;
 use session::GpuSession;
+pub use shared::SharedGpu;
 
 type Result<T, E = RvdError> = std::result::Result<T, E>;
 

@@ -22,6 +22,7 @@ mod bench;
 mod config;
 mod given_creases;
 mod jobs;
+mod large;
 mod load;
 mod manual;
 mod newcomer;

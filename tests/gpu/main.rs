@@ -36,6 +36,7 @@ mod hangs;
 mod helpers;
 mod resident;
 mod shaders;
+mod shares;
 mod stage;
 mod strategies;
 mod twins;

@@ -35,29 +35,29 @@ macro_rules! require_gpu {
     };
 }
 
-fn surface(facets: usize, weighted: bool) -> Arc<Surface> {
+pub(super) fn surface(facets: usize, weighted: bool) -> Arc<Surface> {
     let mesh = Shape::Torus.build(facets);
     let weights: Vec<f64> = mesh.positions().iter().map(|p| 1.5 + (3.0 * p.x).sin() * (2.0 * p.y).cos()).collect();
     Arc::new(Surface::new(&mesh, weighted.then_some(&weights[..])).unwrap())
 }
 
 /// Centroids of random facets, each moved a little.
-fn seeds(surface: &Surface, n: usize, seed: u64) -> Vec<DVec3> {
+pub(super) fn seeds(surface: &Surface, n: usize, seed: u64) -> Vec<DVec3> {
     let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(seed);
     let mut noise = move || (rng.random::<f64>() - 0.5, rng.random_range(0..surface.facets().len() as u32));
     (0..n).map(|_| surface.centroid(noise().1) + DVec3::new(noise().0, noise().0, noise().0) * 1e-3).collect()
 }
 
-struct Outcome {
+pub(super) struct Outcome {
     sums: CellSums,
     pieces: PieceBatch,
-    stats: PassStats,
+    pub(super) stats: PassStats,
     evaluations: Vec<Evaluation>,
     moved: Vec<DVec3>,
 }
 
 /// Sums, pieces by parts, and some steps of the seeds.
-fn run(gpu: &Gpu, surface: &Arc<Surface>, seeds: &[DVec3], options: SessionOptions) -> Outcome {
+pub(super) fn run(gpu: &dyn Backend, surface: &Arc<Surface>, seeds: &[DVec3], options: SessionOptions) -> Outcome {
     let token = Token::default();
     let mut session = gpu.session(Arc::clone(surface), options).unwrap();
     session.set_seeds(seeds).unwrap();
@@ -83,7 +83,7 @@ fn run(gpu: &Gpu, surface: &Arc<Surface>, seeds: &[DVec3], options: SessionOptio
     Outcome { sums, pieces, stats, evaluations, moved }
 }
 
-fn same(name: &str, a: &Outcome, b: &Outcome) {
+pub(super) fn same(name: &str, a: &Outcome, b: &Outcome) {
     assert!(a.sums == b.sums, "{name}: sums");
     assert!(a.pieces == b.pieces, "{name}: pieces");
     assert_eq!(a.stats.pairs, b.stats.pairs, "{name}");

@@ -17,9 +17,9 @@ mod numbers;
 mod obj;
 mod off;
 mod packed;
-mod ply;
+pub(super) mod ply;
 mod polygons;
-mod stl;
+pub(super) mod stl;
 mod threemf;
 mod vtk;
 
@@ -36,6 +36,27 @@ use polygons::Fan;
 
 pub use packed::limit as unpacked_limit;
 pub use packed::{Measure, UNPACKED_RATIO, are_packed, pack_for, unpack, unpacked_wrong, unpacker};
+
+/// Why parts of a file cannot be read.
+#[derive(Debug)]
+pub(super) enum Unfit {
+    /// It is no surface.
+    Data(DataError),
+    /// It is of a kind that is read as a whole.
+    Kind(String),
+}
+
+impl From<DataError> for Unfit {
+    fn from(error: DataError) -> Self {
+        Self::Data(error)
+    }
+}
+
+impl From<MeshError> for Unfit {
+    fn from(error: MeshError) -> Self {
+        Self::Data(error.into())
+    }
+}
 
 /// Makes [`Format`] of its table: documentation, name, number in messages, codec.
 macro_rules! formats {

@@ -6,6 +6,7 @@
 //! platform and with any number of threads (ChaCha8, one stream; of the floating-point functions only those that IEEE 754
 //! rounds correctly). Must not know: the use of the points.
 
+use glam::DVec3;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 
@@ -82,9 +83,8 @@ impl<'a> Masses<'a> {
 
     fn draw(&self, rng: &mut ChaCha8Rng) -> SurfacePoint {
         loop {
-            let target = uniform(rng) * self.total;
+            let Draw { target, barycentric: [u, v, w] } = Draw::next(rng, self.total);
             let facet = self.cumulative.partition_point(|&sum| sum <= target).min(self.last);
-            let [u, v, w] = in_triangle(rng);
             if let Some([wa, wb, wc]) = self.weights(facet) {
                 let density = u * wa + v * wb + w * wc;
                 let chance = uniform(rng);
@@ -98,10 +98,37 @@ impl<'a> Masses<'a> {
     }
 
     fn point(&self, facet: usize, barycentric: [f64; 3]) -> SurfacePoint {
-        let [a, b, c] = self.mesh.corners(facet);
-        let position = a + (b - a) * barycentric[1] + (c - a) * barycentric[2];
+        let position = position(self.mesh.corners(facet), barycentric);
         SurfacePoint { position, facet: facet as u32, barycentric }
     }
+}
+
+fn position([a, b, c]: [DVec3; 3], barycentric: [f64; 3]) -> DVec3 {
+    a + (b - a) * barycentric[1] + (c - a) * barycentric[2]
+}
+
+/// What a point is drawn by: it lies in the first facet with which the masses of facets sum up to more than `target`.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Draw {
+    pub(crate) target: f64,
+    barycentric: [f64; 3],
+}
+
+impl Draw {
+    fn next(rng: &mut ChaCha8Rng, total: f64) -> Self {
+        Self { target: uniform(rng) * total, barycentric: in_triangle(rng) }
+    }
+
+    /// The point in a facet with these corners.
+    pub(crate) fn point(&self, corners: [DVec3; 3]) -> DVec3 {
+        position(corners, self.barycentric)
+    }
+}
+
+/// What the points of [`sample`] are drawn by without weights, for facets of this mass in all.
+pub(crate) fn draws(count: usize, seed: u64, total: f64) -> impl Iterator<Item = Draw> {
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    (0..count).map(move |_| Draw::next(&mut rng, total))
 }
 
 /// Barycentric coordinates of a random point of a triangle, uniform.

@@ -5,13 +5,16 @@
 //! point. All are about one unit in size. Must not know: its callers.
 
 use std::collections::HashMap;
-use std::f64::consts::TAU;
 use std::fmt;
 use std::str::FromStr;
 
 use glam::{DVec3, dvec3};
 
 use super::TriMesh;
+
+mod lattice;
+
+pub use lattice::Lattice;
 
 /// A procedural surface.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -59,8 +62,8 @@ impl Shape {
         let target = facets.clamp(1, MAX_FACETS);
         match self {
             Self::Sphere => sphere(target),
-            Self::Torus => torus(target, 1.0),
-            Self::Slivers => torus(target, 1000.0),
+            Self::Torus => Lattice::torus(target, 1.0).build(),
+            Self::Slivers => Lattice::torus(target, 1000.0).build(),
             Self::Genus(holes) => {
                 // One row of square holes in a slab three cubes wide.
                 let holes = holes.min(MAX_GENUS) as i32;
@@ -68,10 +71,24 @@ impl Shape {
             }
             // Two cubes are left out, which do not touch.
             Self::Block => surface([3, 2, 2], target, |cell| cell != [0, 1, 1] && cell != [2, 0, 1]),
-            Self::Hills => grid(side(target), hill).finish(),
-            Self::Plane => grid(side(target), |_, _| 0.0).finish(),
-            Self::Square => grid(1, |_, _| 0.0).finish(),
+            Self::Hills => Lattice::grid(side(target), hill).build(),
+            Self::Plane => Lattice::grid(side(target), flat).build(),
+            Self::Square => Lattice::grid(1, flat).build(),
             Self::Sheets => sheets(side(target / 2)),
+        }
+    }
+
+    /// The surface that [`Self::build`] makes, to be written without being held, of any number of facets up to
+    /// [`super::MAX_ELEMENTS`]; `None` for shapes that have to be held.
+    pub fn lattice(self, facets: usize) -> Option<Lattice> {
+        let target = facets.clamp(1, super::MAX_ELEMENTS / 2);
+        match self {
+            Self::Torus => Some(Lattice::torus(target, 1.0)),
+            Self::Slivers => Some(Lattice::torus(target, 1000.0)),
+            Self::Hills => Some(Lattice::grid(side(target), hill)),
+            Self::Plane => Some(Lattice::grid(side(target), flat)),
+            Self::Square => Some(Lattice::grid(1, flat)),
+            Self::Sphere | Self::Genus(_) | Self::Block | Self::Sheets => None,
         }
     }
 
@@ -137,22 +154,8 @@ fn side(facets: usize) -> usize {
     ((facets as f64 / 2.0).sqrt().round() as usize).max(1)
 }
 
-/// The unit square with `n * n` cells and a height.
-fn grid(n: usize, height: impl Fn(f64, f64) -> f64) -> Draft {
-    let mut draft = Draft::default();
-    for j in 0..=n {
-        for i in 0..=n {
-            let (x, y) = (i as f64 / n as f64, j as f64 / n as f64);
-            draft.positions.push(dvec3(x, y, height(x, y)));
-        }
-    }
-    let vertex = |i: usize, j: usize| (j * (n + 1) + i) as u32;
-    for j in 0..n {
-        for i in 0..n {
-            draft.quad([vertex(i, j), vertex(i + 1, j), vertex(i + 1, j + 1), vertex(i, j + 1)]);
-        }
-    }
-    draft
+fn flat(_: f64, _: f64) -> f64 {
+    0.0
 }
 
 /// Products and squares alone: the same bits everywhere.
@@ -165,12 +168,12 @@ fn hill(x: f64, y: f64) -> f64 {
 }
 
 fn sheets(n: usize) -> TriMesh {
-    let mut draft = grid(n, |_, _| 0.125 / n as f64);
-    let below = grid(n, |_, _| -0.125 / n as f64);
-    let offset = draft.positions.len() as u32;
-    draft.positions.extend(below.positions);
-    draft.facets.extend(below.facets.into_iter().map(|[a, b, c]| [a, c, b].map(|v| v + offset)));
-    draft.finish()
+    let sheet = |height: f64| Lattice::grid(n, flat).positions().map(move |p| dvec3(p.x, p.y, height));
+    let above = Lattice::grid(n, flat);
+    let offset = above.vertices() as u32;
+    let positions = sheet(0.125 / n as f64).chain(sheet(-0.125 / n as f64)).collect();
+    let below = above.facets().map(|[a, b, c]| [a, c, b].map(|v| v + offset));
+    TriMesh::assemble(positions, above.facets().chain(below).collect())
 }
 
 /// A regular solid, each face divided into n² triangles and blown up: 20 n² facets, or 8 n² or 4 n² if much nearer.
@@ -232,33 +235,6 @@ fn divide(corners: &[[f64; 3]], faces: &[[u32; 3]], n: u32) -> TriMesh {
                 draft.facets.push([a, b, c]);
                 draft.facets.extend(far.map(|d| [b, d, c]));
             }
-        }
-    }
-    draft.finish()
-}
-
-/// Radii 1 and 0.4. Rings stand `ratio` : 1 apart in turn.
-fn torus(facets: usize, ratio: f64) -> TriMesh {
-    const TUBE: f64 = 0.4;
-    let quads = facets as f64 / 2.0;
-    let around = ((quads * TUBE).sqrt().round() as usize).max(3);
-    let pairs = ((quads / around as f64 / 2.0).round() as usize).max(3);
-    let rings = 2 * pairs;
-    let mut draft = Draft::default();
-    for ring in 0..rings {
-        let pair = TAU / pairs as f64;
-        let angle = pair * (ring / 2) as f64 + if ring % 2 == 1 { pair * ratio / (1.0 + ratio) } else { 0.0 };
-        let (sin, cos) = angle.sin_cos();
-        for step in 0..around {
-            let (s, c) = (TAU * step as f64 / around as f64).sin_cos();
-            let r = 1.0 + TUBE * c;
-            draft.positions.push(dvec3(r * cos, r * sin, TUBE * s));
-        }
-    }
-    let at = |ring: usize, step: usize| (ring % rings * around + step % around) as u32;
-    for ring in 0..rings {
-        for step in 0..around {
-            draft.quad([at(ring, step), at(ring + 1, step), at(ring + 1, step + 1), at(ring, step + 1)]);
         }
     }
     draft.finish()

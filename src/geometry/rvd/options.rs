@@ -207,6 +207,12 @@ pub enum RvdError {
     /// The caller asked to stop, or a limit was reached.
     #[error(transparent)]
     Stopped(#[from] Stopped),
+    /// Facets that are read in windows cannot be read.
+    #[error("the facets cannot be read: {0}")]
+    Unreadable(String),
+    /// A session whose facets are read in windows was asked for pieces.
+    #[error("a surface that is read in windows has sums, and no pieces; read it as a whole")]
+    NoPieces,
     /// The plan will never fit this device.
     #[error(
         "the job needs a buffer of {needed_bytes} bytes and this device allows {limit_bytes}; use fewer seeds or facets, or the parallel backend"

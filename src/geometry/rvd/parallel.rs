@@ -12,6 +12,7 @@ mod candidates;
 mod divide;
 mod order;
 mod schedule;
+mod windowed;
 
 use std::ops::Range;
 use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
@@ -83,8 +84,13 @@ impl Backend for Parallel {
 
 impl<P: Point> ParallelSession<P> {
     fn open(pool: &Arc<rayon::ThreadPool>, surface: Arc<Surface<P>>, options: SessionOptions) -> Box<dyn Session<P>> {
-        let session = Self {
+        Box::new(OnHost::new(Self::new(pool, surface, options), Some(Arc::clone(pool))))
+    }
+
+    fn new(pool: &Arc<rayon::ThreadPool>, surface: Arc<Surface<P>>, options: SessionOptions) -> Self {
+        Self {
             pool: Arc::clone(pool),
+            of: surface.facets().len(),
             surface,
             options,
             seeds: Vec::new(),
@@ -99,8 +105,7 @@ impl<P: Point> ParallelSession<P> {
             no_table: NeighbourTable::default(),
             chunks: Vec::new(),
             walkers: (0..pool.current_num_threads()).map(|_| Mutex::default()).collect(),
-        };
-        Box::new(OnHost::new(session, Some(Arc::clone(pool))))
+        }
     }
 }
 
@@ -139,9 +144,26 @@ enum From {
     Rows { coarse: bool },
 }
 
+/// Facets of a block, for the counts of seeds and of all facets.
+fn block_of(seeds: usize, facets: usize) -> usize {
+    // A facet meets its share of the cells and some more at its rim.
+    let per_facet = 3 + 2 * seeds / facets.max(1);
+    (BLOCK_PAIRS / per_facet).clamp(1, BLOCK)
+}
+
+/// What facets did that were added up.
+struct Added {
+    stats: PassStats,
+    /// Facets without a list that holds.
+    unlisted: u64,
+}
+
 struct ParallelSession<P: Point> {
     pool: Arc<rayon::ThreadPool>,
+    /// The whole surface, or the window of it that is there.
     surface: Arc<Surface<P>>,
+    /// Facets of the whole.
+    of: usize,
     options: SessionOptions,
     seeds: Vec<P>,
     index: SeedIndex<P>,
@@ -215,7 +237,7 @@ impl<P: Point> ParallelSession<P> {
         self.order.begin(&self.surface);
         let blocks = self.blocks(self.order.len());
         // Where facets have many cells, the walk does most of the work, and it needs rows.
-        let coarse = self.seeds.len() > MANY * self.surface.facets().len();
+        let coarse = self.seeds.len() > MANY * self.of;
         let listed = self.stale && !self.seeds.is_empty() && !coarse;
         if listed
             && self.lists.hold(&self.seeds, blocks.facets * blocks.a_chunk)
@@ -262,6 +284,16 @@ impl<P: Point> ParallelSession<P> {
     /// Sums of all facets; `None` if those lists do not do.
     fn pass(&mut self, out: &mut CellSums<P>, from: From, token: &Token) -> Result<Option<PassStats>, RvdError> {
         out.reset(self.seeds.len());
+        let added = self.add_facets(out, from, token)?;
+        if let Some(stats) = &added {
+            // Seeds move from pass to pass, and lists are made for where they go.
+            self.lists.end_pass(&self.seeds, &out.area, from != From::Lists && stats.unlisted == 0);
+        }
+        Ok(added.map(|added| added.stats))
+    }
+
+    /// Adds the sums of all facets that are there.
+    fn add_facets(&mut self, out: &mut CellSums<P>, from: From, token: &Token) -> Result<Option<Added>, RvdError> {
         self.reset_walkers(token);
         let mut stats = PassStats::default();
         let Blocks { facets: block, a_chunk } = self.blocks(self.order.len());
@@ -323,8 +355,7 @@ impl<P: Point> ParallelSession<P> {
             chunk::add_up(out, chunks);
             stats.update_ms += elapsed_ms(begin);
         }
-        self.lists.end_pass(&self.seeds, &out.area, from != From::Lists && unlisted == 0);
-        Ok(Some(stats))
+        Ok(Some(Added { stats, unlisted }))
     }
 
     /// Pieces of `facets`, of flat ones too if they are asked for.
@@ -378,9 +409,7 @@ impl<P: Point> ParallelSession<P> {
     }
 
     fn blocks(&self, facets: usize) -> Blocks {
-        // A facet meets its share of the cells and some more at its rim.
-        let per_facet = 3 + 2 * self.seeds.len() / self.surface.facets().len();
-        let block = (BLOCK_PAIRS / per_facet).clamp(1, BLOCK);
+        let block = block_of(self.seeds.len(), self.of);
         let share = facets / (rayon::current_num_threads() * SHARES);
         Blocks { facets: block, a_chunk: (share / block).clamp(1, BLOCKS) }
     }

@@ -64,6 +64,25 @@ pub(super) fn snap_point<P: Point>(p: P) -> P {
     P::from_coordinates(P::each(|c| snapped(coordinates.as_ref()[c])))
 }
 
+/// Whether a facet with these corners in the unit frame has no area.
+pub(super) fn is_flat<P: Point>([a, b, c]: [P; 3]) -> bool {
+    let longest = (b - a).length_squared().max((c - b).length_squared()).max((a - c).length_squared());
+    (b - a).parallelogram(c - a) <= 1e-15 * longest
+}
+
+/// Facets of a task that sets them.
+const ALONE: usize = 4096;
+
+/// The energy of regular hexagons, for ∫√w.
+pub(super) fn hexagonal_energy(root_mass: f64, seeds: usize) -> f64 {
+    5.0 / (18.0 * 3f64.sqrt()) * root_mass * root_mass / seeds as f64
+}
+
+/// Area of a facet with these corners.
+pub(super) fn area_of<P: Point>([a, b, c]: [P; 3]) -> f64 {
+    0.5 * (b - a).parallelogram(c - a)
+}
+
 /// A mesh in the unit frame, with weights. Immutable; sessions share it.
 #[derive(Clone, Debug)]
 pub struct Surface<P: Point = DVec3> {
@@ -79,7 +98,56 @@ pub struct Surface<P: Point = DVec3> {
     root_mass: f64,
 }
 
+/// A surface of which a window is taken.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Whole {
+    pub frame: Frame,
+    /// Of all its facets, unit frame.
+    pub area: f64,
+}
+
 impl Surface {
+    /// One without facets, to be set.
+    pub(super) fn none() -> Self {
+        Self {
+            frame: Frame { centre: DVec3::ZERO, scale: 1.0 },
+            positions: Vec::new(),
+            weights: Vec::new(),
+            uniform: true,
+            facets: Vec::new(),
+            welded: Vec::new(),
+            skip: Vec::new(),
+            area: 0.0,
+            mass: 0.0,
+            root_mass: 0.0,
+        }
+    }
+
+    /// Takes facets with area and corners of their own, of a uniform density; area and mass are those of the whole. `facet` has
+    /// corners on the grid of the unit frame, and numbers from 0 to 2 in the order of the facet's vertices.
+    pub(super) fn set_alone<I: Send>(
+        &mut self,
+        whole: Whole,
+        each: impl IndexedParallelIterator<Item = I>,
+        facet: impl Fn(I) -> ([DVec3; 3], [u32; 3]) + Sync,
+    ) {
+        let count = each.len();
+        self.frame = whole.frame;
+        (self.area, self.mass, self.root_mass) = (whole.area, whole.area, whole.area);
+        self.positions.resize(3 * count, DVec3::ZERO);
+        self.weights.resize(3 * count, 1.0);
+        self.facets.clear();
+        self.facets.extend((0..count as u32).map(|f| [3 * f, 3 * f + 1, 3 * f + 2]));
+        self.welded.resize(count, [0; 3]);
+        self.skip.resize(count, false);
+        let slots = self.positions.par_chunks_exact_mut(3).zip(&mut self.welded);
+        each.zip(slots).enumerate().with_min_len(ALONE).for_each(|(f, (item, (positions, welded)))| {
+            let (corners, order) = facet(item);
+            positions.copy_from_slice(&corners);
+            *welded = order.map(|rank| 3 * f as u32 + rank);
+        });
+    }
+
     /// Takes a mesh and, if the density is not uniform, one weight per vertex (linear in each facet; edge length h needs
     /// w ∝ h⁻⁴). Errors: `WeightCount`, `BadWeight`, `NoArea`.
     pub fn new(mesh: &TriMesh, weights: Option<&[f64]>) -> Result<Self, RvdError> {
@@ -152,11 +220,7 @@ impl<P: Point> Surface<P> {
         let (positions, class): (Vec<P>, _) = rayon::join(unit, || weld_unless(mesh, token));
         let class = class?;
         // On the grid a facet may lose what area it had, by the same measure as in the mesh.
-        let flat = |f: usize| {
-            let [a, b, c] = mesh.facets()[f].map(|v| positions[v as usize]);
-            let longest = (b - a).length_squared().max((c - b).length_squared()).max((a - c).length_squared());
-            (b - a).parallelogram(c - a) <= 1e-15 * longest
-        };
+        let flat = |f: usize| is_flat(mesh.facets()[f].map(|v| positions[v as usize]));
         let skip: Vec<bool> =
             (0..mesh.facets().len()).into_par_iter().map(|f| mesh.is_degenerate(f) || flat(f)).collect();
         token.check()?;
@@ -254,7 +318,7 @@ impl<P: Point> Surface<P> {
     /// E_hex: the energy that `seeds` seeds would have on a flat surface of this size and density if every cell were a
     /// regular hexagon, 5/(18√3) (∫√w)²/n, unit frame. √w is taken as linear between the corners of a facet.
     pub fn hexagonal_energy(&self, seeds: usize) -> f64 {
-        5.0 / (18.0 * 3f64.sqrt()) * self.root_mass * self.root_mass / seeds as f64
+        hexagonal_energy(self.root_mass, seeds)
     }
 
     /// ∫√w, unit frame, √w taken as linear between the corners of a facet.
@@ -279,8 +343,7 @@ impl<P: Point> Surface<P> {
 
     /// Area of facet `f`, unit frame.
     pub fn facet_area(&self, f: u32) -> f64 {
-        let [a, b, c] = self.facets[f as usize].map(|v| self.positions[v as usize]);
-        0.5 * (b - a).parallelogram(c - a)
+        area_of(self.corners(f))
     }
 
     /// Whether facet `f` joins its neighbours: it has an area, or at least three corners in three places. A facet

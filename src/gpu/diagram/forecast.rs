@@ -31,6 +31,7 @@ pub(crate) fn session_bytes(forecast: &SessionForecast) -> u64 {
     let pairs = pairs.saturating_add(pairs / 2).saturating_add(SPARE_PAIRS);
     let counts = Counts {
         facets,
+        held: facets,
         window: facets,
         windows: 1,
         seeds,

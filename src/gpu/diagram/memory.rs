@@ -2,7 +2,8 @@
 //!
 //! Purpose: sizes of all buffers, the buffers themselves, where facets and their sets of cells lie. Where the buffers of all facets
 //! would be larger than what a shader can see of one, facets go by [`Windows`] of neighbouring ones: each has its records and first
-//! cells, and all take turns with the sets of cells and the list of pairs. The seeds' buffers and their sums are shared.
+//! cells, and all take turns with the sets of cells and the list of pairs. The seeds' buffers and their sums are shared. Where the
+//! device's memory does not hold the records of all windows ([`resident`]), the host sends those of each when its turn comes.
 //! Invariant: capacities grow, and stay for the life of the session. While buffers are missing nothing is uploaded. Facets have
 //! their own numbers everywhere; only where a record or a first cell lies is counted from the window's beginning. Sums are
 //! integers, so windows change no bit. With more than one window no facet is found by cell.
@@ -10,6 +11,7 @@
 
 mod buffers;
 pub(super) mod records;
+mod resident;
 
 use std::ops::Range;
 use std::sync::Arc;
@@ -41,6 +43,8 @@ pub(super) struct Memory {
     pub facets: Vec<layout::Facet>,
     /// `None` before the first use and while capacities grow.
     pub on_device: Option<OnDevice>,
+    /// Windows whose records are on the device.
+    pub resident: resident::Resident,
 }
 
 fn places(facets: &Range<u32>) -> Range<usize> {
@@ -78,6 +82,7 @@ impl Memory {
     /// facet of a window.
     pub(super) fn lay_out(&mut self, flags: bool) {
         let windows = &self.windows.all;
+        self.resident = resident::Resident::all(windows.len());
         for window in windows {
             let places = places(&window.facets);
             records::assign_slots(&mut self.facets[places.clone()], &self.slots_log2[places]);
@@ -88,13 +93,14 @@ impl Memory {
         let flags = if flags { window } else { 0 };
         let polygons = self.cx.limits().seen_bytes() / 16 / SLOTS as u64;
         let (windows, emitted) = (windows.len() as u64, pairs.min(1 << 16).min(polygons.max(1)));
-        self.counts = Counts { window, windows, slots: slots + flags, pairs, emitted, ..self.counts };
+        let held = self.counts.facets;
+        self.counts = Counts { window, windows, held, slots: slots + flags, pairs, emitted, ..self.counts };
     }
 
     pub(super) fn allocate(&mut self) -> Result<()> {
         let plan = Plan::new(self.counts, self.cx.limits())?;
         let facets: Vec<u64> = self.windows.all.iter().map(|w| w.facets.len() as u64).collect();
-        let buffers = Buffers::new(&self.cx.device, plan, &facets)?;
+        let buffers = Buffers::new(&self.cx.device, plan, &facets, self.resident.buffers())?;
         let bindings = Bindings::new(&self.cx.device, &self.cx.pipelines, &buffers)?;
         self.on_device = Some(OnDevice { buffers, bindings });
         Ok(())
@@ -115,10 +121,12 @@ impl Memory {
         window.ok_or_else(|| RvdError::Internal("no window".to_owned()))
     }
 
-    pub(super) fn upload_facets(&self) -> Result<()> {
-        for (window, to) in self.by_window() {
+    /// Sends the records of the windows that stay on the device.
+    pub(super) fn upload_facets(&mut self) -> Result<()> {
+        for (window, to) in self.by_window().take(self.resident.staying()) {
             write(&self.cx.device, &to.facets, 0, &self.facets[places(&window.facets)])?;
         }
+        self.resident.forget();
         Ok(())
     }
 
@@ -166,6 +174,10 @@ pub(crate) struct Windows {
     pub all: Vec<Window>,
     /// The window at work.
     pub present: usize,
+    /// The facets that are cut: all, or those that this device does.
+    pub share: Range<u32>,
+    /// The most facets of a window.
+    pub most: u64,
 }
 
 impl Windows {
@@ -176,9 +188,17 @@ impl Windows {
             expected: expected.iter().map(|&e| e as f32).collect(),
             pairs_per_cell,
             grown: 1.0,
+            share: all.facets.clone(),
             all: vec![all],
             present: 0,
+            most: u64::MAX,
         }
+    }
+
+    /// Cuts these facets alone. Before they are cut.
+    pub(crate) fn take_share(&mut self, share: Range<u32>) {
+        self.all = vec![Window { facets: share.clone(), slots: 0, pairs: 0 }];
+        self.share = share;
     }
 
     pub(crate) fn facets(&self) -> Range<u32> {
@@ -197,7 +217,11 @@ impl Windows {
     pub(crate) fn cut(&mut self, slots_log2: &[u8], limits: Limits) {
         let (expected, per_cell) = (&self.expected, self.pairs_per_cell * self.grown);
         let need = |(&e, &log2): (&f32, &u8)| Need { slots: 1 << log2, pairs: per_cell * f64::from(e) };
-        self.all = plan::windows(expected.iter().zip(slots_log2).map(need), self.spare(), limits);
+        let share = places(&self.share);
+        let needs = expected[share.clone()].iter().zip(&slots_log2[share]).map(need);
+        self.all = plan::windows(needs, self.spare(), self.most, limits);
+        let first = self.share.start;
+        self.all.iter_mut().for_each(|w| w.facets = w.facets.start + first..w.facets.end + first);
         self.present = 0;
     }
 

@@ -93,6 +93,8 @@ pub(super) struct Neighbours {
     cx: Arc<Context>,
     /// The seeds as they were set, and how many there are.
     pub seeds: Vec<DVec3>,
+    /// Their records, if another device has made them.
+    given: Vec<layout::Seed>,
     pub count: usize,
     pub place: Place,
     /// Cells along a side of the grid in which seeds are searched: of these, and at most.
@@ -117,6 +119,7 @@ impl Neighbours {
         Self {
             cx,
             seeds: Vec::new(),
+            given: Vec::new(),
             count: 0,
             place: Place::Set,
             side: finest,
@@ -135,6 +138,21 @@ impl Neighbours {
     /// Takes new seeds. [`Self::seeds_changed`] comes after it.
     pub(super) fn set_seeds(&mut self, seeds: &[DVec3]) -> Result<()> {
         take_seeds(seeds, self.cx.max_seeds, &mut self.seeds)?;
+        self.given.clear();
+        self.count_changed();
+        Ok(())
+    }
+
+    /// Takes seeds as another device has them. [`Self::seeds_changed`] comes after it.
+    pub(super) fn set_records(&mut self, records: &[layout::Seed]) {
+        self.seeds.clear();
+        self.seeds.extend(records.iter().map(|r| DVec3::from_array(r.position())));
+        self.given.clear();
+        self.given.extend(records.iter().map(|&r| layout::Seed { row_begin: 0, row_length: 0, ..r }));
+        self.count_changed();
+    }
+
+    fn count_changed(&mut self) {
         if self.count != self.seeds.len() {
             self.first_cells = FirstCells::default();
             self.count = self.seeds.len();
@@ -145,7 +163,6 @@ impl Neighbours {
             };
         }
         self.place = Place::Set;
-        Ok(())
     }
 
     /// The seeds are others than those that rows and first cells were made for.
@@ -171,12 +188,14 @@ impl Neighbours {
     }
 
     pub(super) fn records(&self) -> Vec<layout::Seed> {
-        self.seeds.iter().map(|&p| records::record(p)).collect()
+        match self.given.is_empty() {
+            true => self.seeds.iter().map(|&p| records::record(p)).collect(),
+            false => self.given.clone(),
+        }
     }
 
     pub(super) fn upload_seeds(&mut self, memory: &Memory) -> Result<()> {
-        self.host.records.clear();
-        self.host.records.extend(self.seeds.iter().map(|&p| records::record(p)));
+        self.host.records = self.records();
         Ok(write(&self.cx.device, &memory.there()?.buffers.seeds, 0, &self.host.records)?)
     }
 

@@ -18,6 +18,8 @@ use crate::dispatch::{ARGUMENTS_BYTES, Limits, PART, REDUCTION_GROUPS, STAGING_B
 pub(crate) struct Counts {
     /// Facets of all windows.
     pub facets: u64,
+    /// Facets whose records are on the device at once.
+    pub held: u64,
     /// Facets of the largest window.
     pub window: u64,
     pub windows: u64,
@@ -57,11 +59,11 @@ pub(crate) struct Window {
 }
 
 /// The longest windows of which every buffer can be seen whole: records and first cells of their facets, sets of
-/// cells with a word more a facet, and `spare` pairs beside those that are expected. One facet at least is in
-/// each; if that is too much, [`Plan::new`] says so.
-pub(crate) fn windows(needs: impl IntoIterator<Item = Need>, spare: u64, limits: Limits) -> Vec<Window> {
+/// cells with a word more a facet, and `spare` pairs beside those that are expected; of at most `facets`. One facet at
+/// least is in each; if that is too much, [`Plan::new`] says so.
+pub(crate) fn windows(needs: impl IntoIterator<Item = Need>, spare: u64, facets: u64, limits: Limits) -> Vec<Window> {
     let most = limits.seen_bytes();
-    let records = (most / size_of::<Facet>() as u64).min((most / 8).saturating_sub(EXTRA_CANDIDATES));
+    let records = (most / size_of::<Facet>() as u64).min((most / 8).saturating_sub(EXTRA_CANDIDATES)).min(facets);
     let (slots, pairs) = (most / 4, (most / 8).saturating_sub(spare) as f64);
     let mut windows = Vec::new();
     let (mut first, mut end, mut have) = (0, 0, Need { slots: 0, pairs: 0.0 });
@@ -111,7 +113,7 @@ macro_rules! session_buffers {
     ($with:ident $($own:ident: $type:ty),*) => {
         $with! {
             Plan {
-                facets = bytes::<Facet>(c.facets),
+                facets = bytes::<Facet>(c.held),
                 candidates = bytes::<[u32; 2]>(EXTRA_CANDIDATES.saturating_mul(c.windows).saturating_add(c.facets)),
                 staging = bytes::<[u32; SUM_WORDS]>(c.seeds)
                     .max(bytes::<[f32; 4]>(c.emitted.saturating_mul(c.polygon)))
@@ -221,7 +223,7 @@ impl Plan {
         fits(&[("facets", records), ("candidates", candidates)], limits)?;
         fits(&Self { facets: 0, candidates: 0, ..plan }.buffers(), limits)?;
         if counts.facets > MOST_FACETS {
-            let (needed_bytes, limit_bytes) = (plan.facets, bytes::<Facet>(MOST_FACETS));
+            let (needed_bytes, limit_bytes) = (bytes::<Facet>(counts.facets), bytes::<Facet>(MOST_FACETS));
             return Err(GpuError::NeverFits { what: "facets".to_owned(), needed_bytes, limit_bytes });
         }
         Ok(plan)
@@ -289,6 +291,7 @@ mod tests {
     fn counts(n: u64) -> Counts {
         Counts {
             facets: n,
+            held: n,
             window: n,
             windows: 1,
             seeds: n,
@@ -327,12 +330,12 @@ mod tests {
     #[test]
     fn windows_are_as_long_as_fits_and_leave_nothing_out() {
         let needs = |n: u64, slots: u64, pairs: f64| (0..n).map(move |_| Need { slots, pairs });
-        let one = windows(needs(1_000_000, 16, 3.0), 1024, LIMITS);
+        let one = windows(needs(1_000_000, 16, 3.0), 1024, u64::MAX, LIMITS);
         assert_eq!(one, [Window { facets: 0..1_000_000, slots: 16_000_000, pairs: 3_000_000 }]);
-        assert_eq!(windows(needs(0, 0, 0.0), 1024, LIMITS).len(), 1);
+        assert_eq!(windows(needs(0, 0, 0.0), 1024, u64::MAX, LIMITS).len(), 1);
         // By records, by slots, by pairs.
         for (slots, pairs, most) in [(16, 3.0, 1_398_101), (64, 3.0, 516_222), (16, 100.0, 167_761)] {
-            let many = windows(needs(5_000_000, slots, pairs), 1024, LIMITS);
+            let many = windows(needs(5_000_000, slots, pairs), 1024, u64::MAX, LIMITS);
             assert_eq!(many[0].facets, 0..most);
             assert!(many.windows(2).all(|w| w[0].facets.end == w[1].facets.start));
             assert_eq!(many.last().unwrap().facets.end, 5_000_000);
@@ -342,8 +345,12 @@ mod tests {
             assert!(all.iter().all(|bytes| *bytes <= 128 << 20), "{all:?}");
         }
         // What fits nowhere is alone, and refused by the plan.
-        let huge =
-            windows([needs(3, 16, 1.0), needs(1, 1 << 30, 1.0), needs(3, 16, 1.0)].into_iter().flatten(), 0, LIMITS);
+        let huge = windows(
+            [needs(3, 16, 1.0), needs(1, 1 << 30, 1.0), needs(3, 16, 1.0)].into_iter().flatten(),
+            0,
+            u64::MAX,
+            LIMITS,
+        );
         assert_eq!(huge.iter().map(|w| w.facets.clone()).collect::<Vec<_>>(), [0..3, 3..4, 4..7]);
     }
 

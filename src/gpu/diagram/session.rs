@@ -11,6 +11,7 @@
 mod pass;
 mod resident;
 mod search;
+mod shares;
 
 use std::ops::Range;
 use std::sync::Arc;
@@ -35,12 +36,16 @@ use geometry::rvd::{
 };
 use geometry::token::Token;
 
+pub(super) use shares::SharedSession;
+
 pub(super) struct GpuSession {
     cx: Arc<Context>,
     memory: Memory,
     neighbours: Neighbours,
     pub(super) clip: Clip,
     optimizer: Optimizer,
+    /// Sessions on other devices, which do the facets that this one does not.
+    others: Vec<Self>,
     /// What the device had done before the session was opened.
     opened: Traffic,
 }
@@ -101,10 +106,19 @@ impl GpuSession {
         let live = (0..facets.len()).filter(|&f| !surface.skips(f));
         let roots = live.map(|f| [f as u32, NONE]).collect();
         Self {
-            memory: Memory { cx: Arc::clone(&cx), counts, windows, slots_log2, facets, on_device: None },
+            memory: Memory {
+                cx: Arc::clone(&cx),
+                counts,
+                windows,
+                slots_log2,
+                facets,
+                on_device: None,
+                resident: Default::default(),
+            },
             neighbours: Neighbours::new(Arc::clone(&cx), side, roots),
             clip: Clip::new(Arc::clone(&cx), near, tuning.accumulate),
             optimizer: Optimizer::new(tuning.together),
+            others: Vec::new(),
             opened: cx.device.traffic(),
             cx,
         }
@@ -120,11 +134,13 @@ impl GpuSession {
         if self.memory.on_device.is_some() {
             return Ok(());
         }
-        if self.memory.cut() && self.clip.near.side > 0 {
+        let in_parts =
+            self.memory.cut() || self.memory.windows.share != self.facets() || self.cx.device.memory_bytes().is_some();
+        if in_parts && self.clip.near.side > 0 {
             // A seed would look for facets of all windows.
             self.clip.leave_all_to_propagation(&mut self.memory);
         }
-        self.memory.lay_out(self.clip.near.side > 0);
+        self.memory.lay_out_within(self.clip.near.side > 0)?;
         self.memory.allocate()?;
         self.clip.upload_near(&self.memory)?;
         self.neighbours.memory_changed(&self.memory)?;

@@ -12,8 +12,9 @@ use serde::Serialize;
 
 use crate::executor::prepared::Prepared;
 use crate::{BackendInfo, JobError};
+use geometry::cvt::{Iteration, StepKind};
 use geometry::remesh::report::{DeviceFigures, InputFigures, IterationFigures, MemoryFigures, RvdFigures, Timings};
-use geometry::rvd::{Backend, CellSums, DeviceWork, PassStats, PieceBatch, Session, SessionOptions, Surface};
+use geometry::rvd::{Backend, CellSums, DeviceWork, PassStats, PieceBatch, RvdError, Session, SessionOptions, Surface};
 use geometry::token::Token;
 
 pub use geometry::rvd::Cells as WorldSums;
@@ -30,7 +31,7 @@ pub struct RvdReport {
     pub threads: usize,
     pub seed: Option<u64>,
     pub seeds: usize,
-    /// Always false: nothing is iterated.
+    /// Always false: steps are counted, and not judged.
     pub converged: bool,
     pub input: InputFigures,
     pub rvd: RvdFigures,
@@ -56,6 +57,7 @@ pub struct Diagram {
     pieces_area: f64,
     met: Vec<bool>,
     figures: RvdFigures,
+    steps: Vec<IterationFigures>,
     compute_ms: f64,
 }
 
@@ -80,6 +82,7 @@ impl Diagram {
             met: vec![false; seeds.len()],
             seeds,
             figures: RvdFigures::default(),
+            steps: Vec::new(),
             compute_ms: start.elapsed().as_secs_f64() * 1e3,
         })
     }
@@ -99,6 +102,46 @@ impl Diagram {
         let session = self.session.take()?;
         self.past += session.device_work();
         Some(session)
+    }
+
+    /// One Lloyd step: every seed to the centroid of its cell; one without a cell stays. Returns the energy before it, over that of
+    /// a hexagonal tiling.
+    pub fn lloyd(&mut self, backend: &dyn Backend, token: &Token) -> Result<f64, JobError> {
+        let start = Instant::now();
+        let (frame, count) = (self.surface.frame(), self.seeds.len());
+        let none = || RvdError::Internal("this session moves no seeds".to_owned());
+        let session = self.session(backend)?;
+        let mut seeds = Vec::new();
+        let resident = session.resident().ok_or_else(none)?;
+        let evaluation = resident.evaluate(token)?;
+        resident.to_centroids()?;
+        resident.read(&mut seeds)?;
+        session.set_seeds(&seeds)?;
+        seeds.iter_mut().for_each(|p| *p = frame.to_world(*p));
+        self.seeds = Arc::new(seeds);
+        self.figures.add_pass(&evaluation.stats);
+        let ms = start.elapsed().as_secs_f64() * 1e3;
+        self.compute_ms += ms;
+        let energy_ratio = evaluation.energy / self.surface.hexagonal_energy(count);
+        let scale = frame.scale;
+        self.steps.push(IterationFigures::of(&Iteration {
+            index: self.steps.len(),
+            kind: StepKind::Lloyd,
+            energy: evaluation.energy / scale / scale / scale / scale,
+            energy_ratio,
+            gradient_norm: evaluation.gradient_squared.sqrt() / scale / scale / scale,
+            evaluations: 1,
+            empty_cells: evaluation.empty_cells,
+            area: evaluation.area / scale / scale,
+            ms,
+            stats: evaluation.stats,
+        }));
+        Ok(energy_ratio)
+    }
+
+    /// The seeds where they are now, caller's coordinates.
+    pub fn seeds(&self) -> Arc<Vec<DVec3>> {
+        Arc::clone(&self.seeds)
     }
 
     /// Sums over all cells.
@@ -169,7 +212,7 @@ impl Diagram {
             converged: false,
             input: prepared.figures.clone(),
             rvd: self.figures.clone(),
-            iterations: Vec::new(),
+            iterations: self.steps.clone(),
             timings_ms,
             memory: MemoryFigures { host_peak_bytes: None, device_bytes: self.device_bytes },
             device: DeviceFigures::new(work, &[]),

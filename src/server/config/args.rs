@@ -43,6 +43,24 @@ impl From<BackendArg> for BackendChoice {
     }
 }
 
+/// How many adapters share a job.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Adapters(pub usize);
+
+impl Default for Adapters {
+    fn default() -> Self {
+        Self(1)
+    }
+}
+
+fn adapters(text: &str) -> Result<Adapters, String> {
+    match whole(text) {
+        Ok(number) if (1..=64).contains(&number) => Ok(Adapters(number)),
+        _ if text == "all" => Ok(Adapters(usize::MAX)),
+        _ => Err("a whole number from 1 to 64 is needed, or all".to_owned()),
+    }
+}
+
 /// Backend and threads: the options of every subcommand that computes.
 #[derive(Args, Clone, Debug, Default)]
 pub struct BackendArgs {
@@ -55,6 +73,13 @@ pub struct BackendArgs {
     /// Threads of the CPU backend; all cores if not given.
     #[arg(long, value_name = "T", value_parser = whole::<usize>, env = "TESSERA_THREADS")]
     pub threads: Option<usize>,
+    /// GPU adapters that share the facets of a job in ranges: a number, or all. Results have the same bits on one.
+    #[arg(long, value_name = "N|all", default_value = "1", value_parser = adapters, env = "TESSERA_GPU_ADAPTERS")]
+    pub gpu_adapters: Adapters,
+    /// MiB of a GPU's memory that one job may take. Records of facets that it does not hold are sent whenever their turn comes, which is
+    /// slower. Not limited if not given.
+    #[arg(long, value_name = "MIB", value_parser = whole::<u64>, env = "TESSERA_GPU_MEMORY_MIB")]
+    pub gpu_memory_mib: Option<u64>,
     /// How long a GPU may take for one submission; a server has an option for it.
     #[arg(skip)]
     pub gpu_timeout: Option<Duration>,

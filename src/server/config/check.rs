@@ -247,6 +247,12 @@ pub fn data_dir(given: Option<&PathBuf>) -> Result<PathBuf, ConfigError> {
 
 impl BackendArgs {
     pub fn check(&self) -> Result<(), ConfigError> {
+        self.gpu_memory_bytes()?;
         self.threads.map_or(Ok(()), |threads| within("--threads", threads, 1..=4096).map(drop))
+    }
+
+    /// Memory of a GPU that a job may take, bytes.
+    pub fn gpu_memory_bytes(&self) -> Result<Option<u64>, ConfigError> {
+        mebibytes("--gpu-memory-mib", self.gpu_memory_mib)
     }
 }

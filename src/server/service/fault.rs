@@ -264,7 +264,8 @@ fn of_rvd(error: &RvdError) -> Fault {
         RvdError::NeverFits { .. } => "header".to_owned(),
         RvdError::OutOfMemory { .. } => return retry(Kind::ResourceExhausted, text, Duration::from_secs(5)),
         RvdError::DeviceLost(_) => return retry(Kind::Unavailable, text, Duration::from_secs(5)),
-        RvdError::Device(_) | RvdError::Internal(_) => {
+        // No job of a server is read in windows.
+        RvdError::Device(_) | RvdError::Internal(_) | RvdError::Unreadable(_) | RvdError::NoPieces => {
             tracing::error!(error = %text, "work failed");
             return Fault::new(Kind::Internal, "the work failed by a fault of the server; its log says why");
         }

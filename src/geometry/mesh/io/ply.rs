@@ -9,6 +9,7 @@
 mod carried;
 mod data;
 mod header;
+mod places;
 
 use super::held::{By, Held, Holds, eight_bit};
 use super::numbers::{Encoding, Order};
@@ -17,6 +18,7 @@ use crate::mesh::TriMesh;
 use crate::mesh::attributes::{ColourDepth, Colours, Scalar};
 use carried::{Carried, PREFIX, TAKEN};
 use header::Header;
+pub(in crate::mesh) use places::{Places, places, triangle};
 
 pub(super) const CODEC: Codec = Codec {
     extension: "ply",

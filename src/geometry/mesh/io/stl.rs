@@ -13,7 +13,7 @@ use glam::DVec3;
 use stl_io::{Normal, Triangle, Vertex};
 
 use super::held::{By, Held, Holds, check_single};
-use super::{Codec, Counts, DataError, Soup, VertexNumbers};
+use super::{Codec, Counts, DataError, Soup, Unfit, VertexNumbers};
 use crate::mesh::TriMesh;
 
 pub(super) const CODEC: Codec = Codec {
@@ -34,8 +34,8 @@ pub(super) const CODEC: Codec = Codec {
     vertices: VertexNumbers::Absent,
 };
 
-const HEADER: usize = 84;
-const RECORD: usize = 50;
+pub(in crate::mesh) const HEADER: usize = 84;
+pub(in crate::mesh) const RECORD: usize = 50;
 
 /// Whether the first word is "solid", with no comment before it: the title of a VTK file may be that word too.
 fn is_solid(text: &[u8]) -> bool {
@@ -115,6 +115,14 @@ fn encode(mesh: &TriMesh, _held: &Held<'_>) -> Result<Vec<u8>, DataError> {
     let mut out = Vec::with_capacity(HEADER + RECORD * triangles.len());
     stl_io::write_stl(&mut out, triangles.iter()).map_err(|error| DataError::Header(error.to_string()))?;
     Ok(out)
+}
+
+/// The facets of a binary file of this length with these first bytes, which [`RECORD`] bytes each follow one another.
+pub(in crate::mesh) fn facets_alone(head: &[u8], bytes: u64) -> Result<usize, Unfit> {
+    let declared = declared_facets(head)
+        .filter(|&count| bytes == HEADER as u64 + RECORD as u64 * count as u64)
+        .ok_or_else(|| Unfit::Kind("the file is text, or not as long as its header says".to_owned()))?;
+    Ok(declared)
 }
 
 fn declared_facets(bytes: &[u8]) -> Option<usize> {

@@ -109,6 +109,17 @@ impl<P: Point> Order<P> {
         }
     }
 
+    /// Takes a surface whose facets all have area and are in order, each with vertices of its own.
+    pub(super) fn take_in_turn(&mut self, surface: &Surface<P>) {
+        let count = surface.facets().len();
+        self.facets.clear();
+        self.facets.extend(0..count as u32);
+        surface.facets().clone_into(&mut self.corners);
+        let vertices = surface.positions().par_iter().zip(surface.weights()).with_min_len(CHUNK);
+        vertices.map(|(&p, &weight)| Vertex { p, weight }).collect_into_vec(&mut self.vertices);
+        self.starts.clear();
+    }
+
     pub(super) fn len(&self) -> usize {
         self.facets.len()
     }

@@ -80,6 +80,11 @@ pub(crate) fn encode(piece: &Integrals, s: &Scales) -> Units {
     ]
 }
 
+/// One cell's words as units.
+pub(crate) fn units(words: &[u32]) -> Units {
+    std::array::from_fn(|k| ((u64::from(words[2 * k + 1]) << 32) | u64::from(words[2 * k])) as i64)
+}
+
 pub(crate) fn add(words: &mut [u32], units: &Units) {
     for (limbs, unit) in words.chunks_exact_mut(2).zip(units) {
         let sum = ((u64::from(limbs[1]) << 32) | u64::from(limbs[0])).wrapping_add(*unit as u64);

@@ -6,6 +6,7 @@
 
 use wgpu::{BindGroup, BufferUsages as Usage};
 
+use super::resident::Resident;
 use crate::buffers::{Allocation, Staging, write};
 use crate::diagram::layout::Params;
 use crate::diagram::pipelines::Pipelines;
@@ -60,17 +61,25 @@ pub(crate) struct WindowBuffers {
 }
 
 impl Buffers {
-    /// Allocates everything, for windows of these numbers of facets. On an error what was allocated is freed again.
-    pub(crate) fn new(device: &Device, plan: Plan, windows: &[u64]) -> Result<Self, GpuError> {
+    /// Allocates everything, for windows of these numbers of facets, with `held` buffers for their records. On an error what was
+    /// allocated is freed again.
+    pub(crate) fn new(device: &Device, plan: Plan, windows: &[u64], held: usize) -> Result<Self, GpuError> {
         let mut allocation = Allocation::new(device, plan.total_bytes());
-        let mut window = |&facets: &u64| {
-            let (records, candidates) = plan::window_bytes(facets);
+        // The last one is for the longest of those that take turns with it.
+        let longest =
+            |buffer: usize| if buffer + 1 == held { windows[buffer..].iter().max() } else { windows.get(buffer) };
+        let records = |buffer: usize| plan::window_bytes(longest(buffer).copied().unwrap_or(0)).0;
+        let records: Vec<wgpu::Buffer> = (0..held)
+            .map(|buffer| allocation.make(device, "facets", records(buffer), STORAGE))
+            .collect::<Result<_, GpuError>>()?;
+        let mut window = |(k, &facets): (usize, &u64)| {
+            let (_, candidates) = plan::window_bytes(facets);
             Ok(WindowBuffers {
-                facets: allocation.make(device, "facets", records, STORAGE)?,
+                facets: records[Resident::buffer_of(held, k)].clone(),
                 candidates: allocation.make(device, "candidates", candidates, STORAGE)?,
             })
         };
-        let windows = windows.iter().map(&mut window).collect::<Result<_, GpuError>>()?;
+        let windows = windows.iter().enumerate().map(&mut window).collect::<Result<_, GpuError>>()?;
         let staging = Staging::new(device, &mut allocation, plan.staging)?;
         let made = Self::make(device, plan, allocation, (windows, staging))?;
         write(device, &made.origins, 0, &dispatch::origins(plan.origins / 4))?;

@@ -25,6 +25,14 @@ const SUBMISSION_MS: f64 = 50.0;
 impl GpuSession {
     /// Brings the pairs of all facets to their end, and adds them up.
     pub(crate) fn run_sums(&mut self, token: &Token, stats: &mut PassStats) -> Result<()> {
+        match self.others.is_empty() {
+            true => self.run_share(token, stats),
+            false => self.run_shares(token, stats),
+        }
+    }
+
+    /// The same of the facets that this device does.
+    pub(super) fn run_share(&mut self, token: &Token, stats: &mut PassStats) -> Result<()> {
         loop {
             let mut done = PassStats::default();
             let ended = self.attempt_sums(token, &mut done);
@@ -40,7 +48,7 @@ impl GpuSession {
         self.search_apart(token)?;
         let (mut finished, mut pairs) = (Vec::new(), 0);
         for k in 0..self.memory.windows.all.len() {
-            self.memory.windows.present = k;
+            self.memory.turn_to(k)?;
             if !self.attempt(self.memory.windows.facets(), Wants::Sums, token, stats)? {
                 return Ok(false);
             }
@@ -70,7 +78,7 @@ impl GpuSession {
         loop {
             // Where a capacity has grown, windows may be smaller.
             self.search_apart(token)?;
-            self.memory.windows.present = self.memory.windows.window_of(facets.start);
+            self.memory.turn_to(self.memory.windows.window_of(facets.start))?;
             let part = facets.start..facets.end.min(self.memory.windows.facets().end);
             if self.attempt(part.clone(), Wants::Pairs, token, stats)? {
                 stats.pairs += self.clip.pass.pairs;

@@ -117,8 +117,9 @@ impl GpuSession {
         token.check()?;
         self.open_optimizer()?;
         self.ensure_memory()?;
-        // Windows come one after another, and facets that are found by cell have to be proved first.
-        let alone = self.memory.windows.all.len() == 1 && self.clip.near.side == 0;
+        // Windows come one after another, facets that are found by cell have to be proved first, and sums of other devices come by
+        // the host.
+        let alone = self.memory.windows.all.len() == 1 && self.clip.near.side == 0 && self.others.is_empty();
         let together = steps.min(self.optimizer.there()?.batch.count);
         let before = self.work();
         let begin = Instant::now();

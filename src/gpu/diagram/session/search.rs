@@ -101,7 +101,7 @@ impl GpuSession {
         self.ensure_memory()?;
         let mut all = State::default();
         for k in 0..self.memory.windows.all.len() {
-            self.memory.windows.present = k;
+            self.memory.turn_to(k)?;
             self.memory.write_params(self.params())?;
             self.memory.write_state(State::default())?;
             let mut encoder = self.cx.device.encoder();

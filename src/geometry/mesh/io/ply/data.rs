@@ -205,17 +205,17 @@ fn records(header: &Header<'_>, carried: &mut Carried) -> Option<Soup> {
 }
 
 /// Where the properties of an element's records are.
-struct Layout<'a> {
+pub(super) struct Layout<'a> {
     /// Bytes of a record, more than 0.
-    stride: usize,
+    pub(super) stride: usize,
     scalars: Vec<(&'a str, usize, Kind)>,
     /// Place of the count of a list of three corners. The corners follow it.
-    list: Option<usize>,
+    pub(super) list: Option<usize>,
 }
 
 impl<'a> Layout<'a> {
     /// `None` if a record has a list other than a face's corners.
-    fn of(element: &'a Element) -> Option<Self> {
+    pub(super) fn of(element: &'a Element) -> Option<Self> {
         let mut layout = Self { stride: 0, scalars: Vec::new(), list: None };
         for property in &element.properties {
             match (property.length, property.item) {
@@ -235,7 +235,7 @@ impl<'a> Layout<'a> {
         (layout.stride > 0).then_some(layout)
     }
 
-    fn scalar(&self, name: &str) -> Option<(usize, Kind)> {
+    pub(super) fn scalar(&self, name: &str) -> Option<(usize, Kind)> {
         self.scalars.iter().find(|(n, ..)| *n == name).map(|&(_, at, number)| (at, number))
     }
 

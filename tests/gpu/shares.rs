@@ -1,0 +1,109 @@
+//! Promise: facets that several devices share, and records that the host sends in turn, change no bit.
+
+use std::sync::{Arc, OnceLock};
+
+use ::gpu::diagram::{Gpu, SharedGpu};
+use ::gpu::{Device, DeviceOptions};
+use glam::DVec3;
+use needs::needs;
+use tessera::mesh::shapes::Shape;
+use tessera::rvd::{Backend, Capacities, RvdError, SessionOptions, Strategy, Surface, Tuning};
+use tessera::token::Token;
+use tessera::{RemeshOptions, Seeds, remesh};
+
+use super::windows::{Outcome, run, same, seeds, surface};
+
+fn device(memory_bytes: Option<u64>) -> Arc<Gpu> {
+    let options = DeviceOptions { software: true, memory_bytes, ..DeviceOptions::default() };
+    Arc::new(Gpu::new(Device::open(&options).unwrap(), Some(2)).unwrap())
+}
+
+/// Three devices on one adapter.
+fn three() -> Option<&'static [Arc<Gpu>; 3]> {
+    static ALL: OnceLock<Option<[Arc<Gpu>; 3]>> = OnceLock::new();
+    ALL.get_or_init(|| crate::gpu::device().map(|_| [(); 3].map(|()| device(None)))).as_ref()
+}
+
+fn shared(devices: &[Arc<Gpu>]) -> SharedGpu {
+    SharedGpu::new(devices.to_vec()).unwrap()
+}
+
+fn on(backend: &dyn Backend, surface: &Arc<Surface>, seeds: &[DVec3], options: SessionOptions) -> Outcome {
+    run(backend, surface, seeds, options)
+}
+
+#[needs(gpu)]
+#[test]
+fn the_number_of_devices_changes_no_bit() {
+    let Some(all) = three() else { return };
+    let tiny = Capacities::new().with_neighbours(5).with_polygon(5).with_cells(2).with_pairs_percent(10);
+    let usual = Capacities::default();
+    for (name, facets, n, weighted, capacities) in
+        [("even", 6000, 900, false, usual), ("graded", 6000, 900, true, tiny), ("coarse", 60, 700, false, usual)]
+    {
+        let surface = surface(facets, weighted);
+        let seeds = seeds(&surface, n, 1);
+        for strategy in [Strategy::Facet, Strategy::Cell] {
+            let tuning = Tuning::new().with_strategy(strategy);
+            let options = SessionOptions::new(n).with_capacities(capacities).with_tuning(tuning);
+            let alone = on(&*all[0], &surface, &seeds, options);
+            for k in 1..=3 {
+                same(&format!("{name} on {k}"), &on(&shared(&all[..k]), &surface, &seeds, options), &alone);
+            }
+        }
+    }
+}
+
+/// Seeds that single precision cannot tell apart, and seeds far away: the pass is done in double, wherever facets are.
+#[needs(gpu)]
+#[test]
+fn what_the_host_does_is_shared_too() {
+    let Some(all) = three() else { return };
+    let surface = surface(500, false);
+    let mut twins = seeds(&surface, 100, 3);
+    twins.extend_from_within(..);
+    let heap: Vec<DVec3> = seeds(&surface, 200, 4).iter().map(|&p| p * 1e-6).collect();
+    let far: Vec<DVec3> = seeds(&surface, 50, 5).iter().map(|&p| p + DVec3::new(0.0, 100.0, 0.0)).collect();
+    for (name, seeds) in [("twins", twins), ("heap", heap), ("far", far)] {
+        let options = SessionOptions::new(seeds.len());
+        same(name, &on(&shared(&all[..2]), &surface, &seeds, options), &on(&*all[0], &surface, &seeds, options));
+    }
+}
+
+#[needs(gpu)]
+#[test]
+fn a_remesh_is_the_same_on_two_devices() {
+    let Some(all) = three() else { return };
+    let mesh = Shape::Torus.build(3000);
+    let options = RemeshOptions::new(Seeds::Sample { points: 300, seed: 2 }).with_newton(4);
+    let result = |backend: &dyn Backend| remesh(&mesh, &options, backend, &mut (), &Token::default()).unwrap().mesh;
+    assert!(result(&*all[0]) == result(&shared(&all[..2])));
+}
+
+#[needs(gpu)]
+#[test]
+fn records_that_are_sent_in_turn_change_no_bit() {
+    let Some([whole, ..]) = three() else { return };
+    for weighted in [false, true] {
+        let surface = surface(40_000, weighted);
+        let n = 500;
+        let seeds = seeds(&surface, n, 1);
+        let options = SessionOptions::new(n);
+        let all = on(&**whole, &surface, &seeds, options);
+        let bytes = whole.session(Arc::clone(&surface), options).unwrap().device_bytes();
+        // Records are 3.8 MB; what windows share gets smaller with them.
+        for share in [0.9, 0.8, 0.65] {
+            let limit = (share * bytes as f64) as u64;
+            let small = device(Some(limit));
+            let session = small.session(Arc::clone(&surface), options).unwrap();
+            assert!(session.device_bytes() <= limit, "{} for {limit}", session.device_bytes());
+            drop(session);
+            let part = on(&*small, &surface, &seeds, options);
+            same(&format!("{share} of {bytes}"), &part, &all);
+            // What is sent in a pass, beside seeds and parameters.
+            assert!(part.stats.uploaded_bytes > 500_000, "{:?}", part.stats);
+        }
+        let least = device(Some(bytes / 50)).session(Arc::clone(&surface), options);
+        assert!(matches!(least.err(), Some(RvdError::OutOfMemory { .. })));
+    }
+}
