@@ -73,7 +73,7 @@ pub mod mesh {
     #[doc(inline)]
     pub use geometry::mesh::{FeatureError, MAX_ELEMENTS, MeshError, TriMesh};
     #[doc(inline)]
-    pub use geometry::mesh::{attributes, closest_point, io, measure, numbers, sample, shapes};
+    pub use geometry::mesh::{attributes, closest_point, io, measure, metric, numbers, sample, shapes, tensor};
 }
 
 pub mod rvd {

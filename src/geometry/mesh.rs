@@ -21,9 +21,11 @@ pub mod features;
 pub(crate) mod input;
 pub mod io;
 pub mod measure;
+pub mod metric;
 pub mod numbers;
 pub mod sample;
 pub mod shapes;
+pub mod tensor;
 
 pub use features::FeatureError;
 use glam::DVec3;

@@ -9,6 +9,7 @@
 
 pub(super) mod boundary_ears;
 pub(super) mod repair;
+mod resize;
 
 use std::collections::HashSet;
 
@@ -156,6 +157,15 @@ impl LocalMesh {
 
     pub(crate) fn keep(&mut self, ends: [u32; 2]) {
         self.curves.insert(undirected(ends));
+    }
+
+    /// Moves a vertex; the facets around it turn from the normals that they have then.
+    pub(crate) fn place(&mut self, v: u32, p: DVec3) {
+        self.positions[v as usize] = p;
+        for k in 0..self.ring(v).len() {
+            let f = self.ring(v)[k];
+            self.normals[f as usize] = unit_normal(self.corners(f));
+        }
     }
 
     /// Facets turn from the normals that they have now.

@@ -130,6 +130,8 @@ pub(super) fn separation(clean: &TriMesh, components: usize, options: &RemeshOpt
         (_, DensityOptions { source: DensitySource::Sizes(sizes), .. }) => {
             sizes.iter().copied().fold(0.0, f64::max).min((high - low).length())
         }
+        // Edges may be long in one direction.
+        (_, DensityOptions { source: DensitySource::Metric(_), .. }) => uniform(POINTS_PER_COMPONENT * components),
         (_, density) => density.edge_length?,
     };
     let gap = SEPARATION_EDGES * edge + SEPARATION_DIAGONAL * (high - low).length();
