@@ -184,7 +184,7 @@ fn no_interface_lacks_an_option() {
 fn every_option_of_the_command_is_at_the_service() {
     let fields = fields::all();
     let options = fields.iter().map(|field| &*field.name).filter(|name| !NOT_OF_COMMAND.contains(name));
-    let at_both: Vec<&str> = options.chain(["sizes", "creases", "backend", "no_attributes"]).collect();
+    let at_both: Vec<&str> = options.chain(["sizes", "metric", "creases", "backend", "no_attributes"]).collect();
     const LOCAL: &[&str] = &[
         "input",
         "input_format",

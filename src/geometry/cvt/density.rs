@@ -28,6 +28,7 @@ use crate::token::{Stopped, Token};
 pub(crate) use curvature::principal;
 pub use expected::Expected;
 pub(crate) use lengths::LONGEST;
+pub use metric::check as check_metric;
 pub use net::Net;
 pub use options::{Count, DensityError, DensityOptions, DensitySource};
 pub use outline::Outline;

@@ -415,11 +415,13 @@ pub(super) const COLLAPSE_LENGTH: f64 = std::f64::consts::FRAC_1_SQRT_2;
 pub(super) const LONGEST_NEW: f64 = SPLIT_LENGTH;
 /// The shortest edge from the new vertex of a split to the facets' third corners, unless the edge is longer than the second.
 pub(super) const SHORTEST_NEW: f64 = 0.55;
-pub(super) const FAR_TOO_LONG: f64 = 2.0;
+pub(super) const FAR_TOO_LONG: f64 = 1.7;
 /// A collapse makes no facet with a shape below this, unless there was a worse one.
 pub(super) const POOR_QUALITY: f64 = 0.3;
 /// Least cosine between a facet's normal and that of the input, unless it was less before.
 pub(super) const FACING_COSINE: f64 = 0.5;
+/// The shortest edge that is split because a facet beside it does not face so.
+pub(super) const LEAST_ASTRAY: f64 = 0.1;
 /// Least cosine between a facet's normals before and after one move.
 pub(super) const TURNED_COSINE: f64 = 0.2;
 /// Least gain of the worse facet's shape by a flip.

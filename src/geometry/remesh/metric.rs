@@ -126,14 +126,14 @@ impl<'a> Adapting<'a> {
     /// Rounds until little changes. Returns how many there were.
     fn rounds(&mut self, most: usize) -> Result<usize> {
         for round in 1..=most {
-            let mut changed = 0;
-            changed += self.collapse()?;
+            let mut changed = self.collapse()?;
             self.flip()?;
-            changed += self.split()?;
+            let [split, astray] = self.split()?;
+            changed += split;
             self.flip()?;
             self.relocate(RELOCATION_PASSES)?;
             self.flip()?;
-            if (changed as f64) < SETTLED_SHARE * self.sites.len() as f64 {
+            if astray == 0 && (changed as f64) < SETTLED_SHARE * self.sites.len() as f64 {
                 return Ok(round);
             }
         }

@@ -158,10 +158,11 @@ fn run_stages(
     // Given edge lengths are not changed.
     let source = &options.density.source;
     let in_metric = matches!(source, DensitySource::Metric(_));
-    let free = !in_metric && !matches!(source, DensitySource::Sizes(_) | DensitySource::Weights(_));
+    let free = !matches!(source, DensitySource::Sizes(_) | DensitySource::Weights(_));
     let isotropic = options.anisotropy == Anisotropy::None;
     // Cells are larger than they look where the lifted surface is, and are no measure of its thickness.
-    let keep_thin = options.keep_thin && free && isotropic && options.placement == Placement::Fitted;
+    let improves = in_metric || options.placement == Placement::Fitted;
+    let keep_thin = options.keep_thin && free && isotropic && improves;
     let (low, high) = clean.bounds();
     let diagonal = (high - low).length();
     // A tolerance decides itself how many points there are, and a metric is scaled for their number.

@@ -9,8 +9,8 @@ use super::net::Net;
 use crate::mesh::tensor::Tensor;
 use crate::token::Token;
 
-/// Whether there is a metric for each of so many vertices.
-pub(crate) fn check(tensors: &[Tensor], vertices: usize, token: &Token) -> Result<(), DensityError> {
+/// Whether `tensors` are a metric for each of so many vertices: finite and positive definite.
+pub fn check(tensors: &[Tensor], vertices: usize, token: &Token) -> Result<(), DensityError> {
     if tensors.len() != vertices {
         return Err(DensityError::MetricCount { given: tensors.len(), vertices });
     }
