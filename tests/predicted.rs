@@ -273,7 +273,8 @@ fn cases(server: &Server) -> Vec<Case> {
         beside(&on_fine, JobArrays { edge_lengths: array, ..JobArrays::default() })
     };
     let weights = server.array(ArrayForm::F64, vertices, numbers((0..vertices).map(|_| 1.0)));
-    let tensors = server.array(ArrayForm::F64, vertices, numbers((0..vertices).flat_map(|_| [9.0, 0.0, 9.0, 0.0, 0.0, 9.0])));
+    let tensors =
+        server.array(ArrayForm::F64, vertices, numbers((0..vertices).flat_map(|_| [9.0, 0.0, 9.0, 0.0, 0.0, 9.0])));
     let metric = beside(&on_fine, JobArrays { metric: tensors, ..JobArrays::default() });
     let edges = |form| {
         let edge = fine.facets()[0];

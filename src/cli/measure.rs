@@ -98,8 +98,7 @@ pub(crate) fn run(args: &MeasureArgs) -> Result<()> {
     let token = Token::default();
     interrupt::cancel_on_signal(&token).context("cannot listen for signals")?;
     // The names of files say their formats.
-    let named =
-        |path: &PathBuf| files::Surface::new(path, args.input_format.filter(|_| path.as_os_str() == "-"));
+    let named = |path: &PathBuf| files::Surface::new(path, args.input_format.filter(|_| path.as_os_str() == "-"));
     let read = |path: &PathBuf| named(path).read_mesh();
     if [Some(&args.original), args.remesh.as_ref()].into_iter().flatten().filter(|path| path.as_os_str() == "-").count()
         > 1

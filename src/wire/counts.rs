@@ -67,12 +67,11 @@ pub struct Reads {
 /// Checks the counts of a mesh and of `seeds`.
 pub fn mesh(header: Option<&MeshHeader>, seeds: u64, reads: Reads, bounds: &Bounds) -> Result<MeshCounts, WireError> {
     let header = header.ok_or_else(|| WireError::field("mesh", "is missing; say how large the mesh is"))?;
-    let &MeshHeader { vertices, facets, position_type, weights, edge_lengths, creases, metric, ref attributes } = header;
+    let &MeshHeader { vertices, facets, position_type, weights, edge_lengths, creases, metric, ref attributes } =
+        header;
     within("mesh.vertices", vertices, 1, bounds.max_vertices)?;
     within("mesh.facets", facets, 1, bounds.max_facets)?;
-    for (path, count) in
-        [("mesh.weights", weights), ("mesh.edge_lengths", edge_lengths), ("mesh.metric", metric)]
-    {
+    for (path, count) in [("mesh.weights", weights), ("mesh.edge_lengths", edge_lengths), ("mesh.metric", metric)] {
         if count != 0 && count != vertices {
             let text = format!("is {count}; give 0, or one for each of the {vertices} vertices");
             return Err(WireError::field(path, text));

@@ -24,6 +24,7 @@ mod given_creases;
 mod jobs;
 mod load;
 mod manual;
+mod metric;
 mod newcomer;
 mod outputs;
 mod picture;

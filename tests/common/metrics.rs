@@ -33,7 +33,8 @@ impl Ground {
             Self::Wing => {
                 // From the trailing edge below to the leading edge and back above.
                 let x = 0.5 * (1.0 + (TAU * u).cos());
-                let half = 0.6 * (0.2969 * x.sqrt() - 0.126 * x - 0.3516 * x * x + 0.2843 * x.powi(3) - 0.1036 * x.powi(4));
+                let half =
+                    0.6 * (0.2969 * x.sqrt() - 0.126 * x - 0.3516 * x * x + 0.2843 * x.powi(3) - 0.1036 * x.powi(4));
                 let chord = 1.0 - 0.5 * v;
                 dvec3(chord * x + 0.4 * v, 1.2 * v, chord * half * -(TAU * u).sin().signum())
             }
@@ -70,10 +71,11 @@ pub enum Wanted {
 }
 
 impl Wanted {
-    pub fn random(random: &mut Random) -> Self {
+    /// With edges of this length at least in the mean of both directions, and up to ten times as long as wide.
+    pub fn random(random: &mut Random, mean: f64) -> Self {
         Self::Waves {
             phases: [(); 6].map(|()| TAU * random.unit()),
-            mean: 0.04 + 0.03 * random.unit(),
+            mean: mean * (1.0 + 0.75 * random.unit()),
             aspect: 1.0 + 9.0 * random.unit(),
         }
     }

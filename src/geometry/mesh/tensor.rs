@@ -37,22 +37,18 @@ impl Tensor {
         })
     }
 
-    /// M e.
+    /// The product M e.
     fn times(&self, e: DVec3) -> DVec3 {
         let [xx, xy, yy, xz, yz, zz] = self.0;
-        DVec3::new(
-            xx * e.x + xy * e.y + xz * e.z,
-            xy * e.x + yy * e.y + yz * e.z,
-            xz * e.x + yz * e.y + zz * e.z,
-        )
+        DVec3::new(xx * e.x + xy * e.y + xz * e.z, xy * e.x + yy * e.y + yz * e.z, xz * e.x + yz * e.y + zz * e.z)
     }
 
-    /// eᵀ M f.
+    /// The product eᵀ M f.
     pub fn product(&self, e: DVec3, f: DVec3) -> f64 {
         e.dot(self.times(f))
     }
 
-    /// √(eᵀ M e).
+    /// The length √(eᵀ M e).
     pub fn length(&self, e: DVec3) -> f64 {
         self.product(e, e).max(0.0).sqrt()
     }
@@ -198,7 +194,12 @@ mod tests {
     fn a_tensor_that_is_no_metric_is_known() {
         let positive = Tensor::of_lengths(axes(3), [1.0, 20.0, 0.5]);
         assert!(positive.not_positive().is_none());
-        for bad in [Tensor::default(), positive * -1.0, Tensor([1.0, 0.0, 1.0, 0.0, 0.0, 0.0]), Tensor([1.0, 2.0, 1.0, 0.0, 0.0, 1.0])] {
+        for bad in [
+            Tensor::default(),
+            positive * -1.0,
+            Tensor([1.0, 0.0, 1.0, 0.0, 0.0, 0.0]),
+            Tensor([1.0, 2.0, 1.0, 0.0, 0.0, 1.0]),
+        ] {
             assert!(bad.not_positive().is_some(), "{bad:?}");
         }
         assert!(!Tensor([f64::NAN, 0.0, 1.0, 0.0, 0.0, 1.0]).is_finite());

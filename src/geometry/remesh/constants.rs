@@ -443,6 +443,10 @@ pub(super) const ADAPTING_ROUNDS: usize = 30;
 pub(super) const SCALED_ROUNDS: usize = 8;
 /// Rounds end when fewer splits and collapses than this share of the vertices were made.
 pub(super) const SETTLED_SHARE: f64 = 0.002;
+/// The most vertices, in those of the draft, which has about as many as the metric's area asks for; and more of them for a coarse draft.
+/// A metric that is noise would take many times as many.
+pub(super) const MOST_GROWTH: usize = 4;
+pub(super) const SPARE_VERTICES: usize = 1000;
 /// Times that the metric is scaled for a number of vertices, at most, and how far off that number may be.
 pub(super) const SCALING_TIMES: usize = 4;
 pub(super) const SCALING_TOLERANCE: f64 = 0.01;

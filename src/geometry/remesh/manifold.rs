@@ -2,7 +2,7 @@
 //!
 //! Purpose: [`repair`] makes an oriented 2-manifold of the dual's triangles, [`boundary_ears`] restores edges of boundaries.
 //! [`LocalMesh`] is the result while it changes, or a part cut out of it, with its local operators: [`LocalMesh::flip`] and
-//! [`LocalMesh::turns`] say what is allowed; [`LocalMesh::apply`] does it.
+//! [`LocalMesh::turns`] say what is allowed; [`LocalMesh::apply`] does it. [`resize`] has operators that change the number of vertices.
 //! Invariant: a manifold stays one. An edge of a curve or of the boundary stays. No facet turns over, but by [`LocalMesh::flip_any`]. Valences stay within the
 //! range that a flip is given. One-rings are up to date after each operator.
 //! Must not know: seeds, diagrams, distances, why something changes.

@@ -46,6 +46,8 @@ pub(super) struct Adapted {
     /// By how much lengths were scaled for the number of vertices: below 1, edges are longer.
     pub(super) scale: f64,
     pub(super) rounds: usize,
+    /// Facets that face away from the input.
+    pub(super) facing_away: usize,
 }
 
 /// How a vertex may move.
@@ -68,6 +70,8 @@ struct Adapting<'a> {
     origin: Vec<Option<u32>>,
     rails: Rails,
     field: &'a mut MetricField,
+    /// The most vertices there may be.
+    most: usize,
     token: &'a Token,
 }
 
@@ -86,11 +90,12 @@ pub(super) fn adapt(draft: Draft, field: &mut MetricField, vertices: Option<usiz
         scale *= share.sqrt();
         rounds += state.rounds(SCALED_ROUNDS)?;
     }
+    let facing_away = state.facing_away()?;
     let Adapting { mesh, mobility, origin, rails, .. } = state;
     let (positions, facets) = mesh.into_parts();
     let stays = |(origin, mobility): (Option<u32>, Mobility)| origin.filter(|_| mobility == Mobility::Fixed);
     let fixed = origin.into_iter().zip(mobility).map(stays).collect();
-    Ok(Adapted { positions, facets, fixed, curve_edges: rails.edges(), scale, rounds })
+    Ok(Adapted { positions, facets, fixed, curve_edges: rails.edges(), scale, rounds, facing_away })
 }
 
 impl<'a> Adapting<'a> {
@@ -109,7 +114,8 @@ impl<'a> Adapting<'a> {
         };
         let mobility = fixed.iter().enumerate().map(of).collect();
         let origin = (0..fixed.len() as u32).map(Some).collect();
-        Ok(Self { mesh, sites, mobility, origin, rails, field, token })
+        let most = fixed.len() * MOST_GROWTH + SPARE_VERTICES;
+        Ok(Self { mesh, sites, mobility, origin, rails, field, most, token })
     }
 
     fn sites(field: &MetricField, positions: &[DVec3], token: &Token) -> Result<Vec<Site>> {
@@ -157,6 +163,14 @@ impl<'a> Adapting<'a> {
         let least = |least: f64, corners: [DVec3; 3]| least.min(self.field.facing(corners));
         let now = new.iter().copied().fold(f64::INFINITY, least);
         now >= FACING_COSINE || now >= old.fold(f64::INFINITY, least)
+    }
+
+    fn facing_away(&self) -> Result<usize> {
+        let facing = |(f, &t): (usize, &[u32; 3])| {
+            self.token.check_at(f).map(|()| usize::from(self.field.facing(self.mesh.places(t)) < 0.0))
+        };
+        let all = self.mesh.facets().par_iter().enumerate().map(facing);
+        Ok(all.try_reduce(|| 0, |a, b| Ok(a + b))?)
     }
 
     /// Leaves out what was taken out.

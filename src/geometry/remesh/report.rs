@@ -277,6 +277,8 @@ pub struct AdaptedFigures {
     pub scale: f64,
     /// Rounds of local changes.
     pub rounds: usize,
+    /// Facets that face away from the input: its bends are shorter than the metric's edges.
+    pub facing_away: usize,
 }
 
 /// What the repair had to do.

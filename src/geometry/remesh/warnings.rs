@@ -21,6 +21,9 @@ pub(super) fn of(report: &Report, attributes: Option<&Attributes>) -> Vec<Warnin
     of_repair(report, &mut all);
     of_lost(report, &mut all);
     of_shape(report, &mut all);
+    let away = "facets of the result face away from the input, which bends within an edge of the metric; give a metric with shorter \
+                edges there";
+    counted(&mut all, "metric_too_coarse", report.result.metric.map_or(0, |metric| metric.facing_away), away);
     all
 }
 

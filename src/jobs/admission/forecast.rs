@@ -77,7 +77,9 @@ impl Forecast {
     pub async fn counts_by_surface(&self, spec: &Spec, given: Option<(u64, u64)>) -> Result<Counts, JobApiError> {
         let counts = self.counts_of(spec, given, None).await?;
         let task = spec.task();
-        let (MeshSource::File { blob, format, .. }, None, None) = (&task.mesh, given, task.arrays.edge_lengths.or(task.arrays.metric)) else {
+        let (MeshSource::File { blob, format, .. }, None, None) =
+            (&task.mesh, given, task.arrays.edge_lengths.or(task.arrays.metric))
+        else {
             return Ok(counts);
         };
         let (owner, format) = (Owner::of(&spec.tenant), *format);

@@ -23,9 +23,9 @@ use geometry::mesh::{MeshError, TriMesh};
 use geometry::remesh::{RemeshOptions, Seeds};
 use geometry::token::Token;
 use wire::WireError;
+use wire::assemble::tensors;
 use wire::attributes::{self, UploadedAttribute};
 use wire::counts::Bounds;
-use wire::assemble::tensors;
 use wire::options::{ByVertex, Start, fill};
 use wire::proto::ArrayForm;
 
@@ -206,9 +206,7 @@ impl Reader<'_> {
         let lengths = arrays.edge_lengths.as_ref().map(lengths).transpose()?;
         let weights = arrays.weights.as_ref().map(|array| self.numbers(WEIGHTS, array, 1)).transpose()?;
         let metric = |array: &ArrayRef| match array.form {
-            ArrayForm::Text => {
-                self.text(METRIC, array, |text| surface.tensors(io::lists::tensors(text, self.token)?))
-            }
+            ArrayForm::Text => self.text(METRIC, array, |text| surface.tensors(io::lists::tensors(text, self.token)?)),
             _ => Ok(tensors(&self.numbers(METRIC, array, Tensor::NUMBERS as u64)?)),
         };
         let metric = arrays.metric.as_ref().map(metric).transpose()?;

@@ -181,7 +181,9 @@ pub(super) fn all() -> Map<String, Value> {
         ("sizes", list("Digest of a blob of text with the target edge length of each vertex, one a line.")),
         (
             "metric",
-            list("Digest of a blob of text with the metric tensor of each vertex, a line each: m11 m12 m22 m13 m23 m33."),
+            list(
+                "Digest of a blob of text with the metric tensor of each vertex, a line each: m11 m12 m22 m13 m23 m33.",
+            ),
         ),
         (
             "creases",

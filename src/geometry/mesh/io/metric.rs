@@ -60,7 +60,8 @@ fn of_vtk(format: Format, bytes: &[u8]) -> Result<Vec<Tensor>, DataError> {
         _ => {
             let named = arrays.iter().find(|array| array.name.eq_ignore_ascii_case("metric"));
             let names: Vec<&str> = arrays.iter().map(|array| array.name.as_str()).collect();
-            let text = || format!("the arrays {} have 6 or 9 numbers a point; call one of them metric", names.join(", "));
+            let text =
+                || format!("the arrays {} have 6 or 9 numbers a point; call one of them metric", names.join(", "));
             named.copied().ok_or_else(|| DataError::List(text()))?
         }
     };
@@ -182,7 +183,8 @@ fn of_numpy(bytes: &[u8]) -> Result<Vec<Tensor>, DataError> {
         [2 | 3, _, a, b, c, d, rest @ ..] => (u32::from_le_bytes([*a, *b, *c, *d]), rest),
         _ => return Err(wrong("its header is cut off".to_owned())),
     };
-    let (header, data) = rest.split_at_checked(length as usize).ok_or_else(|| wrong("its header is cut off".to_owned()))?;
+    let (header, data) =
+        rest.split_at_checked(length as usize).ok_or_else(|| wrong("its header is cut off".to_owned()))?;
     let header = String::from_utf8_lossy(header).replace([' ', '"', '\''], "");
     let field = |name: &str| header.split_once(&format!("{name}:")).map(|(_, rest)| rest);
     let descr = field("descr").and_then(|rest| rest.split(',').next()).unwrap_or_default();
@@ -206,7 +208,10 @@ fn of_numpy(bytes: &[u8]) -> Result<Vec<Tensor>, DataError> {
     let by_columns = field("fortran_order").is_some_and(|rest| rest.starts_with("True"));
     let numbers = kind.floats(data, order);
     if shape[0].checked_mul(each) != Some(numbers.len()) {
-        return Err(DataError::Truncated(format!("it has {} numbers, not those of its shape {shape:?}", numbers.len())));
+        return Err(DataError::Truncated(format!(
+            "it has {} numbers, not those of its shape {shape:?}",
+            numbers.len()
+        )));
     }
     let n = shape[0];
     // A symmetric matrix may be read by rows or by columns.
@@ -258,7 +263,9 @@ mod tests {
     #[test]
     fn medit_solutions_are_read() {
         let numbers = SIX.map(|m| m.to_string()).join(" ");
-        let text = format!("MeshVersionFormatted 2\nDimension 3 # comment\n\nSolAtVertices\n2\n1 3\n{numbers}\n{numbers}\nEnd\n");
+        let text = format!(
+            "MeshVersionFormatted 2\nDimension 3 # comment\n\nSolAtVertices\n2\n1 3\n{numbers}\n{numbers}\nEnd\n"
+        );
         assert_eq!(of("a.sol", text.as_bytes()).unwrap(), [Tensor(SIX); 2]);
         let plane = "MeshVersionFormatted 1\nDimension\n2\nSolAtVertices\n1\n1 3\n4 0 9\nEnd\n";
         assert_eq!(of("a.sol", plane.as_bytes()).unwrap(), [Tensor([4.0, 0.0, 9.0, 0.0, 0.0, 9.0])]);
@@ -315,12 +322,34 @@ mod tests {
         assert_eq!(of("a.vtk", file(&full).as_bytes()).unwrap(), [Tensor(SIX); 3]);
         let [xx, xy, yy, xz, yz, zz] = SIX;
         let six = [xx, yy, zz, xy, yz, xz].map(|m| m.to_string()).join(" ");
-        let short = format!("FIELD data 2\nother 6 3 double\n{six} {six} {six}\nMetric 6 3 double\n{six} {six} {six}\n");
+        let short =
+            format!("FIELD data 2\nother 6 3 double\n{six} {six} {six}\nMetric 6 3 double\n{six} {six} {six}\n");
         assert_eq!(of("a.vtk", file(&short).as_bytes()).unwrap(), [Tensor(SIX); 3]);
         let error = of("a.vtk", file(&short.replace("Metric", "more")).as_bytes()).unwrap_err().to_string();
         assert!(error.contains("other, more"), "{error}");
         let error = of("a.vtk", file("SCALARS s double 1\nLOOKUP_TABLE default\n1 2 3\n").as_bytes()).unwrap_err();
         assert!(error.to_string().contains("6 or 9"), "{error}");
+    }
+
+    /// Files that are cut off, and files with any byte changed, are read or refused.
+    #[test]
+    fn no_bytes_stop_a_reader() {
+        let numbers = SIX.map(|m| m.to_string()).join(" ");
+        let text = format!("MeshVersionFormatted 2\nDimension 2\nSolAtVertices\n2\n1 3\n{numbers}\nEnd\n");
+        let mut binary = [1i32, 1, 3, 20, 2, 62, 0, 2, 1, 3].map(i32::to_le_bytes).concat();
+        SIX.iter().for_each(|m| binary.extend_from_slice(&(*m as f32).to_le_bytes()));
+        let array = numpy("<f8", "(1, 3, 3)", false, &matrix());
+        for (name, bytes) in [("a.sol", text.into_bytes()), ("a.solb", binary), ("a.npy", array)] {
+            assert!(of(name, &bytes).is_ok_and(|all| !all.is_empty()), "{name}");
+            for k in 0..bytes.len() {
+                _ = of(name, &bytes[..k]);
+                for byte in [0, 1, 9, b'9', b'(', 0x7f, 0xff] {
+                    let mut changed = bytes.clone();
+                    changed[k] = byte;
+                    _ = of(name, &changed);
+                }
+            }
+        }
     }
 
     #[test]

@@ -25,7 +25,11 @@ impl Adapting<'_> {
             }
             let ways = [edge, [edge[1], edge[0]]].map(|[from, to]| (self.longest_after(from, to), from, to));
             let best = ways.into_iter().min_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)))?;
-            (best.0 <= LONGEST_NEW && self.keeps_shape(best.1, best.2)).then_some(Proposal { length, from: best.1, to: best.2 })
+            (best.0 <= LONGEST_NEW && self.keeps_shape(best.1, best.2)).then_some(Proposal {
+                length,
+                from: best.1,
+                to: best.2,
+            })
         };
         let mut proposals: Vec<Proposal> = self.mesh.edges().par_iter().filter_map(propose).collect();
         self.token.check()?;

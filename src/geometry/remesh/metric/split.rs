@@ -34,7 +34,7 @@ impl Adapting<'_> {
         for Proposal { length, edge, site, mobility } in proposals {
             let mut footprint = edge.to_vec();
             footprint.extend(self.mesh.beside(edge).iter().map(|&(_, v)| v));
-            if footprint.iter().any(|&v| touched[v as usize]) {
+            if footprint.iter().any(|&v| touched[v as usize]) || self.sites.len() >= self.most {
                 continue;
             }
             footprint.iter().for_each(|&v| touched[v as usize] = true);

@@ -27,8 +27,7 @@ pub(super) fn adapt(
     let unit = |p: glam::DVec3| if p.is_finite() { frame.to_unit(p) } else { glam::DVec3::ZERO };
     let broken = |e| RvdError::Internal(format!("a surface was valid before: {e}"));
     let places = input.positions().iter().map(|&p| unit(p)).collect();
-    let mut field =
-        MetricField::new(&TriMesh::new(places, input.facets().to_vec()).map_err(broken)?, tensors, token)?;
+    let mut field = MetricField::new(&TriMesh::new(places, input.facets().to_vec()).map_err(broken)?, tensors, token)?;
     // A length of the unit frame is so many times the caller's.
     field.scale(frame.scale.recip());
     let (lines, stretches) = curves.stretches(surface, &built.segments, &built.vertex_seed);
@@ -46,7 +45,8 @@ pub(super) fn adapt(
     let unit_mesh = TriMesh::new(adapted.positions, adapted.facets).map_err(|_| RemeshError::too_few(places.len()))?;
     let figures = MetricFigures::of(&field, &unit_mesh, token)?;
     let mesh = TriMesh::new(world, unit_mesh.into_parts().1).map_err(|_| RemeshError::too_few(places.len()))?;
-    let metric = Some(AdaptedFigures { figures, scale: adapted.scale, rounds: adapted.rounds });
+    let metric::Adapted { scale, rounds, facing_away, .. } = adapted;
+    let metric = Some(AdaptedFigures { figures, scale, rounds, facing_away });
     let vertex_seed = (0..mesh.positions().len() as u32).collect();
     Ok(Built { mesh, vertex_seed, segments, curve_edges: adapted.curve_edges, repair, missed, metric })
 }
