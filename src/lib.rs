@@ -73,7 +73,9 @@ pub mod mesh {
     #[doc(inline)]
     pub use geometry::mesh::{FeatureError, MAX_ELEMENTS, MeshError, TriMesh};
     #[doc(inline)]
-    pub use geometry::mesh::{attributes, closest_point, io, measure, numbers, out_of_core, sample, shapes};
+    pub use geometry::mesh::{
+        attributes, closest_point, io, measure, metric, numbers, out_of_core, sample, shapes, tensor,
+    };
 }
 
 pub mod rvd {

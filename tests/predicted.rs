@@ -273,6 +273,9 @@ fn cases(server: &Server) -> Vec<Case> {
         beside(&on_fine, JobArrays { edge_lengths: array, ..JobArrays::default() })
     };
     let weights = server.array(ArrayForm::F64, vertices, numbers((0..vertices).map(|_| 1.0)));
+    let tensors =
+        server.array(ArrayForm::F64, vertices, numbers((0..vertices).flat_map(|_| [9.0, 0.0, 9.0, 0.0, 0.0, 9.0])));
+    let metric = beside(&on_fine, JobArrays { metric: tensors, ..JobArrays::default() });
     let edges = |form| {
         let edge = fine.facets()[0];
         let count = 3 * fine.facets().len() - 7;
@@ -336,6 +339,7 @@ fn cases(server: &Server) -> Vec<Case> {
         case("seeds of a text", seeds(200, ArrayForm::F64), seeds(20_000, ArrayForm::Text)),
         case("sizes", on_fine.clone(), lengths(ArrayForm::F64)),
         case("sizes of a text", on_fine.clone(), lengths(ArrayForm::Text)),
+        upper("a metric", on_fine.clone(), metric),
         case("weights", on_fine.clone(), beside(&on_fine, JobArrays { weights, ..JobArrays::default() })),
         case("creases", on_fine.clone(), edges(ArrayForm::U32)),
         case("creases of a text", on_fine.clone(), edges(ArrayForm::Text)),

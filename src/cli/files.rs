@@ -1,4 +1,5 @@
-//! Files of the command line: surfaces, points, lists that go by the vertices of the input (`--sizes`, `--creases`), reports.
+//! Files of the command line: surfaces, points, lists that go by the vertices of the input (`--sizes`, `--metric`,
+//! `--creases`), reports.
 //!
 //! Invariant: numbers are written so that reading gives the same bits. A file appears under its name only when it is
 //! whole, and replaces only then what was there. `-` is the standard input or output, where a command takes it for a surface.
@@ -18,6 +19,7 @@ use super::exit::{BadInput, NoFolder, NoInput, NotWritten, Usage};
 use geometry::mesh::attributes::Attributes;
 use geometry::mesh::io::lists::{FileVertices, NO_NUMBERS};
 use geometry::mesh::io::{DataError, FileError, Format};
+use geometry::mesh::tensor::Tensor;
 use geometry::mesh::{TriMesh, io};
 use geometry::remesh::Warning;
 use geometry::token::Token;
@@ -318,6 +320,20 @@ pub(crate) fn read_lengths(path: &Path, input: &Surface, mesh: &TriMesh) -> Resu
     list(path, input, mesh, |vertices, text| vertices.lengths(text, &Token::default()))
 }
 
+/// Reads a metric tensor for each vertex of the file `input`, which was read as `mesh`.
+pub(crate) fn read_metric(path: &Path, input: &Surface, mesh: &TriMesh) -> Result<Vec<Tensor>> {
+    let tensors = read_tensors(path)?;
+    let ordered = numbering(input, mesh)?.tensors(tensors);
+    Ok(ordered.map_err(|error| BadInput(format!("{}: {error}", path.display())))?)
+}
+
+/// Reads the metric tensors of a file.
+pub(crate) fn read_tensors(path: &Path) -> Result<Vec<Tensor>> {
+    let bytes = std::fs::read(path).map_err(|cause| NoInput { path: path.to_owned(), cause })?;
+    let tensors = io::metric::read(&path.to_string_lossy(), &bytes, &Token::default());
+    Ok(tensors.map_err(|error| BadInput(format!("{}: {error}", path.display())))?)
+}
+
 /// Reads two vertices of the file `input` a line from `path`, numbered from 0: edges of `mesh`, which was read from it.
 /// Empty lines and lines that begin with `#` are left out.
 pub(crate) fn read_edges(path: &Path, input: &Surface, mesh: &TriMesh) -> Result<Vec<[u32; 2]>> {
@@ -331,11 +347,15 @@ fn list<T>(
     read: impl FnOnce(&FileVertices, &str) -> Result<T, DataError>,
 ) -> Result<T> {
     let text = read_text(path)?;
+    Ok(read(&numbering(input, mesh)?, &text).map_err(|error| BadInput(format!("{}: {error}", path.display())))?)
+}
+
+/// How the vertices of `input` are numbered in `mesh`, which was read from it.
+fn numbering(input: &Surface, mesh: &TriMesh) -> Result<FileVertices> {
     let format = input.format(INPUT_FORMAT)?;
     let bytes = if FileVertices::needs_bytes(format) { input.bytes(format)? } else { Vec::new() };
     let vertices = FileVertices::of(format, &bytes, mesh);
-    let vertices = vertices.map_err(|error| BadInput(format!("{input}: {error}")))?;
-    Ok(read(&vertices, &text).map_err(|error| BadInput(format!("{}: {error}", path.display())))?)
+    Ok(vertices.map_err(|error| BadInput(format!("{input}: {error}")))?)
 }
 
 #[cfg(test)]

@@ -8,14 +8,16 @@ use anyhow::{Context, Result};
 use clap::Args;
 use serde::Serialize;
 
-use super::exit::{NotWritten, Usage};
+use super::exit::{BadInput, NotWritten, Usage};
 use super::picture::PictureArgs;
 use super::say::SayArgs;
 use super::{files, interrupt, say};
+use geometry::cvt::density::check_metric;
 use geometry::mesh::TriMesh;
 use geometry::mesh::crossings::{Crossings, crossings};
 use geometry::mesh::io::Format;
 use geometry::mesh::measure::{Quality, Topology, quality_and_distances, topology};
+use geometry::mesh::metric::{MetricField, MetricFigures};
 use geometry::token::{Stopped, Token};
 
 /// Measure a mesh: its triangles, its topology, and how far it is from the mesh that it was made from.
@@ -33,6 +35,9 @@ pub(crate) struct MeasureArgs {
     /// Format of the standard input.
     #[arg(long, value_name = "FORMAT", value_parser = files::format())]
     pub(crate) input_format: Option<Format>,
+    /// File with a metric at each vertex of ORIGINAL, as of remesh: the lengths of edges and the shapes of facets in it.
+    #[arg(long, value_name = "FILE")]
+    pub(crate) metric: Option<PathBuf>,
     #[command(flatten, next_help_heading = "Picture")]
     pub(crate) picture: PictureArgs,
     #[command(flatten)]
@@ -45,6 +50,8 @@ struct Measured {
     #[serde(skip_serializing_if = "Option::is_none")]
     remesh: Option<Surface>,
     quality: Quality,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    metric: Option<MetricFigures>,
 }
 
 #[derive(Serialize)]
@@ -90,26 +97,28 @@ impl Surface {
 pub(crate) fn run(args: &MeasureArgs) -> Result<()> {
     let token = Token::default();
     interrupt::cancel_on_signal(&token).context("cannot listen for signals")?;
-    let read = |path: &PathBuf| {
-        // The names of files say their formats.
-        let format = args.input_format.filter(|_| path.as_os_str() == "-");
-        files::Surface::new(path, format).read_mesh()
-    };
+    // The names of files say their formats.
+    let named = |path: &PathBuf| files::Surface::new(path, args.input_format.filter(|_| path.as_os_str() == "-"));
+    let read = |path: &PathBuf| named(path).read_mesh();
     if [Some(&args.original), args.remesh.as_ref()].into_iter().flatten().filter(|path| path.as_os_str() == "-").count()
         > 1
     {
         return Err(Usage("the standard input can be only one of the two".to_owned()).into());
     }
     args.picture.check()?;
-    let original = read(&args.original)?;
+    let surface = named(&args.original);
+    args.metric.iter().try_for_each(|_| files::check_numbered(&surface, "--metric"))?;
+    let original = surface.read_mesh()?;
     let remesh = args.remesh.as_ref().map(|path| Ok::<_, anyhow::Error>((path, read(path)?))).transpose()?;
     let result = remesh.as_ref().map_or(&original, |(_, mesh)| mesh);
     let (quality, _) = quality_and_distances(&original, None, result, &token)?;
+    let metric = args.metric.as_ref().map(|path| in_metric(path, (&surface, &original), result, &token)).transpose()?;
     args.picture.draw(result, &[])?;
     let measured = Measured {
         original: Surface::new(&args.original, &original, &token)?,
         remesh: remesh.map(|(path, mesh)| Surface::new(path, &mesh, &token)).transpose()?,
         quality,
+        metric,
     };
     if args.say.json {
         say::json(&serde_json::to_value(&measured)?)?;
@@ -118,6 +127,19 @@ pub(crate) fn run(args: &MeasureArgs) -> Result<()> {
         measured.tell()?;
     }
     Ok(())
+}
+
+/// The figures of `result` in the metric that a file has for `original`.
+fn in_metric(
+    path: &Path,
+    (surface, original): (&files::Surface, &TriMesh),
+    result: &TriMesh,
+    token: &Token,
+) -> Result<MetricFigures> {
+    let tensors = files::read_metric(path, surface, original)?;
+    check_metric(&tensors, original.positions().len(), token)
+        .map_err(|error| BadInput(format!("{}: {error}", path.display())))?;
+    Ok(MetricFigures::of(&MetricField::new(original, &tensors, token)?, result, token)?)
 }
 
 impl Measured {
@@ -133,6 +155,11 @@ impl Measured {
         outln!(
             "triangles   Q {q_min:.3} at least, {q_avg:.3} in the mean; angles {theta_min_deg:.1}° at least, {under_30_percent:.2} % under 30°"
         )?;
+        if let Some(MetricFigures { unit_edges_percent, edge_least, edge_largest, quality_least, .. }) = self.metric {
+            outln!(
+                "metric      {unit_edges_percent:.2} % of the edges from 0.71 to 1.41, all from {edge_least:.2} to {edge_largest:.2}; shapes {quality_least:.3} at least"
+            )?;
+        }
         outln!("valence     {v567_percent:.2} % of the inner vertices have 5 to 7 neighbours")
     }
 }

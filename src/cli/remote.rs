@@ -67,9 +67,12 @@ pub(crate) fn remesh(
     use proto::remesh_request::Message as Ask;
     use proto::remesh_response::Message as Answer;
     let lengths = if let DensitySource::Sizes(sizes) = &options.density.source { &sizes[..] } else { &[] };
+    let metric = if let DensitySource::Metric(metric) = &options.density.source { &metric[..] } else { &[] };
+    let numbers: Vec<f64> = metric.iter().flat_map(|tensor| tensor.0).collect();
     let announced = options.attributes.as_ref().map(attributes::headers).unwrap_or_default();
     let described = proto::MeshHeader {
         edge_lengths: lengths.len() as u64,
+        metric: metric.len() as u64,
         creases: options.creases.len() as u64,
         attributes: announced.clone(),
         ..mesh_header(mesh)
@@ -79,6 +82,7 @@ pub(crate) fn remesh(
     let mut messages = vec![Ask::Header(header)];
     messages.extend(mesh_chunks(mesh).map(Ask::Chunk));
     messages.extend(number_chunks(ArrayKind::EdgeLengths, lengths).map(Ask::Chunk));
+    messages.extend(number_chunks(ArrayKind::Metric, &numbers).map(Ask::Chunk));
     if !options.creases.is_empty() {
         messages.extend(index_chunks(ArrayKind::Creases, options.creases.as_flattened()).map(Ask::Chunk));
     }

@@ -56,11 +56,15 @@ impl Source {
         if format != Format::Gltf {
             return Self::open(path);
         }
-        let bytes = io::read_bytes(path, format).map_err(unread)?;
-        let mut kept = NamedTempFile::new().context("cannot keep what the surface takes in")?;
-        kept.write_all(&bytes).context("cannot keep what the surface takes in")?;
+        Self::of(path, &io::read_bytes(path, format).map_err(unread)?)
+    }
+
+    /// What was made of a file.
+    pub(crate) fn of(path: &Path, bytes: &[u8]) -> Result<Self> {
+        let mut kept = NamedTempFile::new().context("cannot keep what is made of the file")?;
+        kept.write_all(bytes).context("cannot keep what is made of the file")?;
         let mut hash = Hash::default();
-        hash.add(&bytes);
+        hash.add(bytes);
         Ok(Self { path: path.to_owned(), digest: hash.digest(), size: hash.bytes(), kept: Some(kept) })
     }
 

@@ -127,7 +127,8 @@ fn text_of(path: &str) -> String {
 }
 
 /// Options of the message that the command has not.
-const NOT_OF_COMMAND: &[&str] = &["anisotropy_auto", "max_deviation_length", "measure", "points_percent", "weld_percent"];
+const NOT_OF_COMMAND: &[&str] =
+    &["anisotropy_auto", "max_deviation_length", "measure", "points_percent", "weld_percent"];
 /// Options of the message that Python has not: `points` takes a share too, and `anisotropy` a word.
 const NOT_OF_PYTHON: &[&str] = &["anisotropy_auto", "max_deviation_length", "points_percent", "weld_percent"];
 
@@ -186,7 +187,7 @@ fn no_interface_lacks_an_option() {
 fn every_option_of_the_command_is_at_the_service() {
     let fields = fields::all();
     let options = fields.iter().map(|field| &*field.name).filter(|name| !NOT_OF_COMMAND.contains(name));
-    let at_both: Vec<&str> = options.chain(["sizes", "creases", "backend", "no_attributes"]).collect();
+    let at_both: Vec<&str> = options.chain(["sizes", "metric", "creases", "backend", "no_attributes"]).collect();
     const LOCAL: &[&str] = &[
         "input",
         "input_format",

@@ -22,11 +22,13 @@ pub(crate) mod hanging;
 pub(crate) mod input;
 pub mod io;
 pub mod measure;
+pub mod metric;
 pub mod numbers;
 pub mod out_of_core;
 pub mod sample;
 pub mod shapes;
 pub(crate) mod sheets;
+pub mod tensor;
 
 pub use features::FeatureError;
 use glam::DVec3;

@@ -2,7 +2,7 @@
 //!
 //! Purpose: one call from a surface and a count to a new surface and a report. The rooms below do the work: `pipeline` has
 //! the stages in their order, `features` the curves to keep, `manifold` the combinatorics, `fit` the placement of the
-//! vertices, `improve` local changes, `distance` the distances between both surfaces, `attributes` what the mesh carries.
+//! vertices, `improve` local changes, `metric` unit edges in a metric, `distance` the distances between both surfaces, `attributes` what the mesh carries.
 //! Invariant: the result is oriented as the input; what could not be kept is in the report.
 //! Must not know: files, jobs, the network.
 
@@ -14,6 +14,7 @@ mod fit;
 mod improve;
 mod lift;
 mod manifold;
+mod metric;
 mod pipeline;
 pub mod report;
 mod triangle;
@@ -405,6 +406,12 @@ pub enum RemeshError {
         points: usize,
         /// [`Refine::max_points`].
         most: usize,
+    },
+    /// A metric says what facets are to be like, and so does another option.
+    #[error("a metric is given beside {other}; leave one of the two out")]
+    MetricBeside {
+        /// "anisotropy", "a tolerance" or "seeds".
+        other: &'static str,
     },
     /// The attributes are not the surface's.
     #[error(transparent)]

@@ -12,18 +12,19 @@ use glam::DVec3;
 
 use super::attributes::{AttributeCounts, UploadedAttribute};
 use super::counts::MeshCounts;
+use super::options::ByVertex;
 use super::proto::{ArrayKind, Chunk};
 use super::{WireError, unknown_enum};
 use geometry::mesh::numbers::NumberType::{self, F32, F64, U32};
 use geometry::mesh::numbers::Order;
+use geometry::mesh::tensor::Tensor;
 
 #[derive(Debug)]
 pub struct Uploaded {
     pub positions: Vec<DVec3>,
     pub facets: Vec<[u32; 3]>,
-    pub weights: Option<Vec<f64>>,
+    pub by_vertex: ByVertex,
     pub seeds: Vec<DVec3>,
-    pub edge_lengths: Option<Vec<f64>>,
     pub creases: Vec<[u32; 2]>,
     /// What was announced beside the mesh, in this order.
     pub attributes: Vec<UploadedAttribute>,
@@ -31,7 +32,7 @@ pub struct Uploaded {
 
 #[derive(Debug)]
 pub struct Assembly {
-    arrays: [Array; 6],
+    arrays: [Array; 7],
     attributes: Vec<(AttributeCounts, Array, Array)>,
 }
 
@@ -69,6 +70,7 @@ impl Assembly {
                 array(ArrayKind::Weights, F64, 1, mesh.weights, Store::Numbers(Vec::new())),
                 array(ArrayKind::Seeds, points, 3, mesh.seeds, Store::Points(Vec::new())),
                 array(ArrayKind::EdgeLengths, F64, 1, mesh.edge_lengths, Store::Numbers(Vec::new())),
+                array(ArrayKind::Metric, F64, Tensor::NUMBERS as u64, mesh.metric, Store::Numbers(Vec::new())),
                 array(ArrayKind::Creases, U32, 2, mesh.creases, Store::Pairs(Vec::new())),
             ],
             attributes: Vec::new(),
@@ -110,7 +112,7 @@ impl Assembly {
                     format!("is {name}, and header.mesh.attributes[{}] is no scalar", chunk.attribute)
                 }
                 _ => format!(
-                    "is {name}; upload POSITIONS, FACETS, WEIGHTS, SEEDS, EDGE_LENGTHS, CREASES or an array of an attribute in the header"
+                    "is {name}; upload POSITIONS, FACETS, WEIGHTS, SEEDS, EDGE_LENGTHS, METRIC, CREASES or an array of an attribute in the header"
                 ),
             };
             return Err(WireError::field("chunk.kind", text).into());
@@ -135,20 +137,23 @@ impl Assembly {
             Some(UploadedAttribute { counts, numbers, corners })
         });
         let attributes = attributes.collect::<Option<Vec<_>>>();
-        let [positions, facets, weights, seeds, edge_lengths, creases] = self.arrays.map(|a| a.store);
-        match (positions, facets, weights, seeds, edge_lengths, creases, attributes) {
+        let [positions, facets, weights, seeds, edge_lengths, metric, creases] = self.arrays.map(|a| a.store);
+        match (positions, facets, weights, seeds, edge_lengths, metric, creases, attributes) {
             (
                 Store::Points(positions),
                 Store::Triples(facets),
                 Store::Numbers(weights),
                 Store::Points(seeds),
                 Store::Numbers(edge_lengths),
+                Store::Numbers(metric),
                 Store::Pairs(creases),
                 Some(attributes),
             ) => {
                 let weights = (!weights.is_empty()).then_some(weights);
                 let edge_lengths = (!edge_lengths.is_empty()).then_some(edge_lengths);
-                Ok(Uploaded { positions, facets, weights, seeds, edge_lengths, creases, attributes })
+                let metric = (!metric.is_empty()).then(|| tensors(&metric));
+                let by_vertex = ByVertex { edge_lengths, weights, metric };
+                Ok(Uploaded { positions, facets, by_vertex, seeds, creases, attributes })
             }
             _ => Err(WireError::field("chunk", "internal: arrays changed places")),
         }
@@ -162,6 +167,7 @@ impl Array {
             ArrayKind::Facets => "mesh.facets",
             ArrayKind::Weights => "mesh.weights",
             ArrayKind::EdgeLengths => "mesh.edge_lengths",
+            ArrayKind::Metric => "mesh.metric",
             ArrayKind::Creases => "mesh.creases",
             _ => "seeds",
         };
@@ -316,6 +322,11 @@ pub(super) fn points(data: &[u8], number: NumberType) -> Vec<DVec3> {
     number.floats(data, Order::Little).as_chunks::<3>().0.iter().map(|p| DVec3::from_array(*p)).collect()
 }
 
+/// Six numbers each; what is left over is none.
+pub fn tensors(numbers: &[f64]) -> Vec<Tensor> {
+    numbers.as_chunks().0.iter().map(|&numbers| Tensor(numbers)).collect()
+}
+
 pub(super) fn indices(data: &[u8]) -> Vec<u32> {
     data.as_chunks::<4>().0.iter().map(|b| u32::from_le_bytes(*b)).collect()
 }
@@ -362,7 +373,7 @@ mod tests {
         let up = assembly.finish().unwrap();
         assert_eq!(up.positions[2].to_array(), [6.0, 7.0, 8.0]);
         assert_eq!(up.facets, [[0, 1, 2]]);
-        assert_eq!(up.weights.unwrap().len(), 3);
+        assert_eq!(up.by_vertex.weights.unwrap().len(), 3);
     }
 
     #[test]

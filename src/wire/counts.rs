@@ -41,6 +41,7 @@ pub struct MeshCounts {
     /// Bytes a coordinate: 4 or 8.
     pub coordinate_bytes: u64,
     pub edge_lengths: u64,
+    pub metric: u64,
     pub creases: u64,
     pub seeds: u64,
 }
@@ -59,17 +60,18 @@ pub fn mesh_header(mesh: &TriMesh) -> MeshHeader {
 #[derive(Clone, Copy, Debug)]
 pub struct Reads {
     pub edge_lengths: bool,
-    /// Creases and attributes.
+    /// Creases, a metric and attributes.
     pub features: bool,
 }
 
 /// Checks the counts of a mesh and of `seeds`.
 pub fn mesh(header: Option<&MeshHeader>, seeds: u64, reads: Reads, bounds: &Bounds) -> Result<MeshCounts, WireError> {
     let header = header.ok_or_else(|| WireError::field("mesh", "is missing; say how large the mesh is"))?;
-    let &MeshHeader { vertices, facets, position_type, weights, edge_lengths, creases, ref attributes } = header;
+    let &MeshHeader { vertices, facets, position_type, weights, edge_lengths, creases, metric, ref attributes } =
+        header;
     within("mesh.vertices", vertices, 1, bounds.max_vertices)?;
     within("mesh.facets", facets, 1, bounds.max_facets)?;
-    for (path, count) in [("mesh.weights", weights), ("mesh.edge_lengths", edge_lengths)] {
+    for (path, count) in [("mesh.weights", weights), ("mesh.edge_lengths", edge_lengths), ("mesh.metric", metric)] {
         if count != 0 && count != vertices {
             let text = format!("is {count}; give 0, or one for each of the {vertices} vertices");
             return Err(WireError::field(path, text));
@@ -78,6 +80,7 @@ pub fn mesh(header: Option<&MeshHeader>, seeds: u64, reads: Reads, bounds: &Boun
     within("mesh.creases", creases, 0, 3 * facets)?;
     for (path, count, is_read) in [
         ("mesh.edge_lengths", edge_lengths, reads.edge_lengths),
+        ("mesh.metric", metric, reads.features),
         ("mesh.creases", creases, reads.features),
         ("mesh.attributes", attributes.len() as u64, reads.features),
     ] {
@@ -90,7 +93,7 @@ pub fn mesh(header: Option<&MeshHeader>, seeds: u64, reads: Reads, bounds: &Boun
         PositionType::F64 | PositionType::Unspecified => 8,
     };
     within("seeds", seeds, 0, bounds.max_seeds)?;
-    Ok(MeshCounts { vertices, facets, weights, coordinate_bytes, edge_lengths, creases, seeds })
+    Ok(MeshCounts { vertices, facets, weights, coordinate_bytes, edge_lengths, metric, creases, seeds })
 }
 
 #[cfg(test)]

@@ -12,6 +12,7 @@ use super::proto::{self, BoundaryRule, Measure, RvdOutput, ThinRule};
 use super::{WireError, unknown_enum};
 use geometry::cvt::density::{DensityOptions, DensitySource};
 use geometry::cvt::{CvtOptions, Projection};
+use geometry::mesh::tensor::Tensor;
 use geometry::remesh::{Anisotropy, Placement, Refine, RemeshOptions, Seeds, Share, Tolerance};
 
 type Read<T> = Result<T, WireError>;
@@ -23,6 +24,7 @@ pub struct Beside {
     pub seeds: Option<u64>,
     pub edge_lengths: bool,
     pub weights: bool,
+    pub metric: bool,
 }
 
 /// A session of iterations. Arrays are empty until [`fill`].
@@ -69,15 +71,24 @@ macro_rules! start {
 
 start!(RemeshOptions, Session, Diagram);
 
+/// Arrays by vertex, of which options read one at most.
+#[derive(Debug, Default)]
+pub struct ByVertex {
+    pub edge_lengths: Option<Vec<f64>>,
+    pub weights: Option<Vec<f64>>,
+    pub metric: Option<Vec<Tensor>>,
+}
+
 /// Puts the arrays that came into the options that were checked for them.
-pub fn fill(options: &mut dyn Start, points: Vec<DVec3>, edge_lengths: Option<Vec<f64>>, weights: Option<Vec<f64>>) {
+pub fn fill(options: &mut dyn Start, points: Vec<DVec3>, arrays: ByVertex) {
     let (seeds, density) = options.start();
     if let Seeds::Given(given) = seeds {
         *given = points;
     }
-    match (&mut density.source, edge_lengths, weights) {
-        (DensitySource::Sizes(sizes), Some(lengths), _) => *sizes = lengths,
-        (DensitySource::Weights(given), _, Some(weights)) => *given = weights,
+    match (&mut density.source, arrays) {
+        (DensitySource::Sizes(sizes), ByVertex { edge_lengths: Some(lengths), .. }) => *sizes = lengths,
+        (DensitySource::Weights(given), ByVertex { weights: Some(weights), .. }) => *given = weights,
+        (DensitySource::Metric(given), ByVertex { metric: Some(metric), .. }) => *given = metric,
         _ => {}
     }
 }
@@ -102,6 +113,9 @@ fn points(count: Option<u32>, percent: Option<f64>, facets: Option<u32>) -> Read
         _ => Ok(first.map(|(_, points)| points)),
     }
 }
+
+/// Why an option is refused beside a metric.
+const BESIDE_METRIC: &str = "is given beside a metric, which says how facets are to be; leave one of the two out";
 
 /// The most percent of the vertices that points may be.
 const MOST_PERCENT: f64 = 100_000.0;
@@ -158,6 +172,18 @@ pub fn remesh(given: &proto::RemeshOptions, beside: Beside, bounds: &Bounds) -> 
         }
         (length, percent) => length.map(Tolerance::Length).or(percent.map(Tolerance::DiagonalPercent)),
     };
+    if matches!(density.source, DensitySource::Metric(_)) {
+        let others = [
+            ("anisotropy", given.anisotropy.is_some_and(|share| share != 0.0)),
+            ("anisotropy_auto", given.anisotropy_auto),
+            ("max_deviation", given.max_deviation.is_some()),
+            ("max_deviation_length", given.max_deviation_length.is_some()),
+            ("seeds", matches!(seeds, Seeds::Given(_))),
+        ];
+        if let Some((name, _)) = others.into_iter().find(|other| other.1) {
+            return Err(WireError::field(name, BESIDE_METRIC));
+        }
+    }
     let counts = (!matches!(seeds, Seeds::Implied { .. }), first(&seeds, beside));
     let tolerances = (given.max_deviation, given.max_deviation_length);
     Ok(RemeshOptions {
@@ -227,7 +253,7 @@ fn start(
 ) -> Read<(Seeds, DensityOptions)> {
     let density = self::density(density, beside, bounds)?;
     let seed = seed.unwrap_or(Seeds::RANDOM_SEED);
-    let implied = density.edge_length.is_some() || beside.edge_lengths;
+    let implied = density.edge_length.is_some() || beside.edge_lengths || beside.metric;
     let counted = points.is_some() || beside.seeds.is_some();
     if counted && density.edge_length.is_some() {
         let text = "is given beside a number of points; give one of the two";
@@ -267,12 +293,15 @@ fn density(given: Option<&proto::Density>, beside: Beside, bounds: &Bounds) -> R
     let kind = match choice("density.source", source)? {
         Source::Unspecified if beside.edge_lengths => Source::EdgeLengths,
         Source::Unspecified if beside.weights => Source::Weights,
+        Source::Unspecified if beside.metric => Source::Metric,
         Source::Unspecified => Source::Uniform,
         source => source,
     };
-    for (what, given, of) in
-        [("edge lengths", beside.edge_lengths, Source::EdgeLengths), ("weights", beside.weights, Source::Weights)]
-    {
+    for (what, given, of) in [
+        ("edge lengths", beside.edge_lengths, Source::EdgeLengths),
+        ("weights", beside.weights, Source::Weights),
+        ("metric tensors", beside.metric, Source::Metric),
+    ] {
         if given != (kind == of) {
             let name = word(&kind);
             let text = match given {
@@ -285,6 +314,10 @@ fn density(given: Option<&proto::Density>, beside: Beside, bounds: &Bounds) -> R
     if edge_length.is_some() && beside.edge_lengths {
         let text = "is given beside edge lengths of vertices; give one of the two";
         return Err(WireError::field("density.edge_length", text));
+    }
+    let others = [("edge_length", edge_length), ("adaptivity", adaptivity), ("gradation", gradation)];
+    if let Some((name, _)) = others.into_iter().find(|(_, given)| beside.metric && given.is_some()) {
+        return Err(WireError::field(format!("density.{name}"), BESIDE_METRIC));
     }
     positive("density.edge_length", edge_length)?;
     positive("density.gradation", gradation)?;
@@ -301,6 +334,7 @@ fn density(given: Option<&proto::Density>, beside: Beside, bounds: &Bounds) -> R
             Source::Lfs => DensitySource::FeatureSize,
             Source::Error => DensitySource::Error,
             Source::ErrorMax => DensitySource::ErrorMax,
+            Source::Metric => DensitySource::Metric(Vec::new()),
         },
         edge_length,
         adaptivity: adaptivity.unwrap_or(usual.adaptivity),
@@ -394,6 +428,7 @@ pub fn source(density: &DensityOptions) -> proto::DensitySource {
         DensitySource::FeatureSize => proto::DensitySource::Lfs,
         DensitySource::Error => proto::DensitySource::Error,
         DensitySource::ErrorMax => proto::DensitySource::ErrorMax,
+        DensitySource::Metric(_) => proto::DensitySource::Metric,
     }
 }
 
@@ -401,6 +436,8 @@ pub fn source(density: &DensityOptions) -> proto::DensitySource {
 pub fn of_remesh(options: &RemeshOptions) -> proto::RemeshOptions {
     let count = |count: usize| u32::try_from(count).unwrap_or(u32::MAX);
     let tolerance = options.refine.map(|refine| refine.tolerance);
+    // A metric is taken as it is.
+    let bounded = !matches!(options.density.source, DensitySource::Metric(_));
     proto::RemeshOptions {
         points: if let Seeds::Sample { points, .. } = &options.seeds { Some(count(*points)) } else { None },
         points_percent: if let Seeds::Share { of: Share::Percent(x), .. } = options.seeds { Some(x) } else { None },
@@ -409,8 +446,8 @@ pub fn of_remesh(options: &RemeshOptions) -> proto::RemeshOptions {
         density: Some(proto::Density {
             source: source(&options.density).into(),
             edge_length: options.density.edge_length,
-            adaptivity: Some(options.density.adaptivity),
-            gradation: Some(options.density.gradation),
+            adaptivity: bounded.then_some(options.density.adaptivity),
+            gradation: bounded.then_some(options.density.gradation),
         }),
         lloyd: Some(count(options.lloyd)),
         newton: Some(count(options.newton)),

@@ -53,8 +53,12 @@ fn check<H: Header>(header: &H, bounds: &Bounds) -> Result<Checked<H::Options>, 
     let (of_mesh, seeds, backend) = header.parts();
     let backend = codec::backend(backend)?;
     let mesh = counts::mesh(of_mesh, seeds, H::READS, bounds)?;
-    let beside =
-        Beside { seeds: (seeds > 0).then_some(seeds), edge_lengths: mesh.edge_lengths > 0, weights: mesh.weights > 0 };
+    let beside = Beside {
+        seeds: (seeds > 0).then_some(seeds),
+        edge_lengths: mesh.edge_lengths > 0,
+        weights: mesh.weights > 0,
+        metric: mesh.metric > 0,
+    };
     let options = header.options(beside, bounds).map_err(|error| error.under("options"))?;
     let attributes =
         attributes::check(of_mesh.map_or(&[], |mesh| &mesh.attributes), mesh).map_err(|error| error.under("mesh"))?;

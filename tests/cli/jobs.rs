@@ -194,6 +194,13 @@ fn every_option_arrives() {
     assert_eq!(spec.queue_deadline, Some(prost_types::Duration { seconds: 60, nanos: 0 }));
     assert_eq!(spec.labels.len(), 2);
 
+    file("metric.txt", "# text\n4 0 4 0 0 4\n4 0 4 0 0 0.25\n");
+    stage.ok("jobs submit remesh in.off --metric metric.txt");
+    let (request, _) = stage.fake.created();
+    let metric = request.spec.unwrap().arrays.unwrap().metric.unwrap();
+    assert_eq!((metric.form(), metric.count), (ArrayForm::Text, 0));
+    assert_eq!(metric.digest, digest(b"4e0 0e0 4e0 0e0 0e0 4e0\n4e0 0e0 4e0 0e0 0e0 2.5e-1\n"));
+
     stage.ok("jobs submit rvd in.off --seeds seeds.xyz --outputs centroids,sums --format ply");
     let (request, _) = stage.fake.created();
     let spec = request.spec.unwrap();

@@ -25,6 +25,7 @@ mod jobs;
 mod large;
 mod load;
 mod manual;
+mod metric;
 mod newcomer;
 mod outputs;
 mod picture;

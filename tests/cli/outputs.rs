@@ -115,7 +115,7 @@ fn wrong_numbers_are_told_what_is_allowed() {
         ("--points 1e10", "from 1 to 4294967295"),
         ("--points 1.5", "as 10000, 1e4 or 10k"),
         ("--points 20 --lloyd -1", "unexpected argument"),
-        ("--seed 3", "<--points <N|P%>|--facets <N>|--edge-length <H>|--sizes <FILE>>"),
+        ("--seed 3", "<--points <N|P%>|--facets <N>|--edge-length <H>|--sizes <FILE>|--metric <FILE>>"),
     ] {
         let out = tessera(folder.path(), &format!("remesh nowhere.ply -o out.ply {option}"));
         assert!(out.status.code() == Some(2) && said(&out).contains(words), "{option}: {}", said(&out));

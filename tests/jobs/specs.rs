@@ -97,6 +97,24 @@ fn what_is_wrong_is_named() {
     assert_eq!(refused(beside(creases)), "spec.arrays.creases.form");
     let lengths = JobArrays { edge_lengths: array(ArrayForm::Text, 9), ..Default::default() };
     assert_eq!(refused(beside(lengths)), "spec.arrays.edge_lengths.count");
+    let metric = |form| JobArrays { metric: array(form, 9), ..Default::default() };
+    assert_eq!(refused(beside(metric(ArrayForm::F32))), "spec.arrays.metric.form");
+    assert_eq!(refused(beside(metric(ArrayForm::Text))), "spec.arrays.metric.count");
+    let with_metric = |change: fn(&mut RemeshOptions)| {
+        move |s: &mut JobSpec| {
+            s.arrays = Some(JobArrays { metric: array(ArrayForm::Text, 0), ..Default::default() });
+            change(remesh(s));
+        }
+    };
+    assert_eq!(refused(with_metric(|o| o.anisotropy_auto = true)), at("anisotropy_auto"));
+    assert_eq!(refused(with_metric(|o| o.anisotropy = Some(0.5))), at("anisotropy"));
+    assert_eq!(refused(with_metric(|o| o.max_deviation = Some(0.5))), at("max_deviation"));
+    let graded = |o: &mut RemeshOptions| o.density = Some(Density { gradation: Some(0.3), ..Default::default() });
+    assert_eq!(refused(with_metric(graded)), at("density.gradation"));
+    let curvature = |o: &mut RemeshOptions| {
+        o.density = Some(Density { source: DensitySource::Curvature.into(), ..Default::default() });
+    };
+    assert_eq!(refused(with_metric(curvature)), at("density.source"));
     let diagram = |s: &mut JobSpec| {
         s.work = Some(job_spec::Work::Rvd(DiagramOptions { points: Some(4), ..Default::default() }));
         s.arrays = Some(JobArrays { creases: array(ArrayForm::U32, 3), ..Default::default() });

@@ -14,6 +14,8 @@ mod cases;
 mod gpu;
 #[path = "../common/hostile.rs"]
 mod hostile;
+#[path = "../common/metrics.rs"]
+mod metrics;
 #[path = "../common/parts.rs"]
 mod parts;
 #[path = "../common/points.rs"]
@@ -34,6 +36,7 @@ mod fidelity;
 mod generated;
 mod hostile_meshes;
 mod hostile_seeds;
+mod metric;
 mod near_corners;
 mod pipeline;
 mod real_meshes;

@@ -4,7 +4,7 @@
 // the page does, and a file name is never more than a file name. Must not know: the form, the service.
 
 /** Options that name a stored file. */
-export const FILES: readonly string[] = ["sizes", "creases"];
+export const FILES: readonly string[] = ["sizes", "metric", "creases"];
 
 export interface Call {
   /** Name of the input file. */
@@ -85,7 +85,7 @@ function python({ name }: Call, options: Readonly<Record<string, unknown>>, outp
   };
   const words = given.filter(([key]) => !(key in ELSEWHERE)).map(([key, value]) => `, ${key}=${literal(key, value)}`);
   const hasFiles = FILES.some((key) => key in options);
-  const files = hasFiles ? "# sizes.txt, creases.txt: the command fetches them.\nimport numpy\n" : "";
+  const files = hasFiles ? "# sizes.txt, metric.txt, creases.txt: the command fetches them.\nimport numpy\n" : "";
   return `${remarks(options)}${files}import tessera_remesh\n\nresult = tessera_remesh.remesh(${JSON.stringify(path(name))}${words.join("")})\nresult.save(${JSON.stringify(path(output))})`;
 }
 

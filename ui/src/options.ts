@@ -13,7 +13,7 @@ import { count, whole } from "./words.ts";
 const POINTS = [4, 4_000_000] as const;
 
 /** Options that say how many points there are, in place of a number. */
-const SIZES: readonly string[] = ["edge_length", "facets", "sizes"];
+const SIZES: readonly string[] = ["edge_length", "facets", "sizes", "metric"];
 
 export class Options {
   private schemas: Schemas = {};
@@ -56,7 +56,7 @@ export class Options {
     };
     const left = Object.keys(spec).filter((name) => !["mesh", "remesh", "backend", "result", "labels", "arrays"].includes(name));
     for (const [name, { digest, form }] of Object.entries(spec.arrays ?? {})) {
-      const option = form === "ARRAY_FORM_TEXT" ? { edge_lengths: "sizes", creases: "creases" }[name] : undefined;
+      const option = form === "ARRAY_FORM_TEXT" ? { edge_lengths: "sizes", metric: "metric", creases: "creases" }[name] : undefined;
       if (option) set[option] = digest;
       else left.push(name);
     }

@@ -9,6 +9,7 @@ use numpy::ndarray::ArrayView2;
 use numpy::{Element, PyArray1, PyArrayMethods, PyReadonlyArray1, PyReadonlyArray2};
 use pyo3::prelude::*;
 use tessera::mesh::numbers::NumberType;
+use tessera::mesh::tensor::Tensor;
 use tessera::rvd::on_threads_of;
 use tessera::{Backend, TriMesh};
 
@@ -35,6 +36,11 @@ pub(crate) fn pairs(array: &Bound<'_, PyAny>, name: &str) -> PyResult<Vec<DVec2>
 /// Four numbers of each: (n, 4), float64 or float32.
 pub(crate) fn fours(array: &Bound<'_, PyAny>, name: &str) -> PyResult<Vec<[f64; 4]>> {
     rows::<4>(array, name)
+}
+
+/// Metric tensors m11 m12 m22 m13 m23 m33: (n, 6), float64 or float32.
+pub(crate) fn tensors(array: &Bound<'_, PyAny>, name: &str) -> PyResult<Vec<Tensor>> {
+    rows::<6>(array, name).map(|rows| rows.into_iter().map(Tensor).collect())
 }
 
 fn rows<const N: usize>(array: &Bound<'_, PyAny>, name: &str) -> PyResult<Vec<[f64; N]>> {

@@ -106,6 +106,17 @@ impl<'py> Options<'py> {
         let words = [("uniform", 0), ("curvature", 1), ("lfs", 2), ("error", 3), ("error_max", 4)];
         let named = self.word("density", &words)?;
         let (sizes, weights) = (self.list("sizes", arrays::numbers)?, self.list("weights", arrays::numbers)?);
+        if let Some(metric) = self.list("metric", arrays::tensors)? {
+            if !matches!(named, None | Some(0)) || sizes.is_some() || weights.is_some() {
+                return Err(input("density, sizes, weights and metric exclude each other; give one of them"));
+            }
+            for name in ["edge_length", "gradation", "adaptivity"] {
+                if self.any(name)?.is_some() {
+                    return Err(input(format!("{name} is given beside metric; leave one of the two out")));
+                }
+            }
+            return Ok(DensityOptions::from_source(DensitySource::Metric(metric)));
+        }
         let source = match (named, sizes, weights) {
             (None | Some(0), None, None) => DensitySource::Uniform,
             (Some(1), None, None) => DensitySource::Curvature,

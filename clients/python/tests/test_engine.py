@@ -80,6 +80,14 @@ WRONG = [
     ({"points": 100, "density": "thick"}, "density"),
     ({"points": 100, "density": np.ones(3)}, "weights"),
     ({"points": 100, "sizes": np.zeros(1800)}, "edge length"),
+    ({"metric": np.ones((1800, 5))}, "metric has the shape"),
+    ({"metric": np.zeros((1800, 6))}, "vertex 0 is not positive definite"),
+    ({"metric": np.full((1800, 6), np.nan)}, "vertex 0 has a number that is not finite"),
+    ({"metric": np.tile(np.eye(3) + np.eye(3, k=1), (1800, 1, 1))}, "not symmetric"),
+    ({"metric": np.tile(np.eye(3), (9, 1, 1))}, "9 metric tensors"),
+    ({"metric": np.tile(np.eye(3), (1800, 1, 1)), "density": "curvature"}, "exclude each other"),
+    ({"metric": np.tile(np.eye(3), (1800, 1, 1)), "gradation": 0.3}, "gradation"),
+    ({"metric": np.tile(np.eye(3), (1800, 1, 1)), "anisotropy": "auto"}, "anisotropy"),
     ({"points": 100, "placement": "here"}, "placement"),
     ({"points": 100, "creases": [[0, 5000]]}, "5000"),
     ({"points": 100, "creases": [[0, 1, 2]]}, "creases"),
@@ -259,6 +267,21 @@ def test_density_moves_points(surface):
     sizes = np.where(vertices[:, 0] > 0, 0.1, 0.4)
     result = tessera_remesh.remesh(vertices, faces, sizes=sizes)
     assert (result.vertices[:, 0] > 0).mean() > 0.7
+
+
+def test_edges_have_length_one_in_a_metric(surface):
+    vertices, faces = surface
+    short, long = 0.08, 0.4
+    metric = np.tile(np.diag([short**-2, long**-2, long**-2]), (len(vertices), 1, 1))
+    result = tessera_remesh.remesh(vertices, faces, metric=metric)
+    again = tessera_remesh.remesh(vertices, faces, metric=metric[:, [0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]])
+    assert np.array_equal(result.vertices, again.vertices)
+    assert result.report.raw["result"]["metric"]["unit_edges_percent"] > 90
+    edges = result.vertices[result.faces] - result.vertices[np.roll(result.faces, 1, axis=1)]
+    lengths = np.sqrt(np.einsum("fei,ij,fej->fe", edges, metric[0], edges))
+    assert ((lengths > 0.71) & (lengths < 1.41)).mean() > 0.9
+    fewer = tessera_remesh.remesh(vertices, faces, 300, metric=metric)
+    assert abs(len(fewer.vertices) - 300) < 10
 
 
 def test_progress_is_heard_and_may_cancel(surface):

@@ -40,6 +40,7 @@ OPTIONS = [
     {"edge_length": 0.4, "density": "lfs", "boundaries": "free", "thin": "even", "measure": False},
     {"points": 200, "density": np.linspace(1, 9, 1800)},
     {"sizes": np.linspace(0.2, 0.6, 1800)},
+    {"metric": np.linspace([4, 0, 9, 0, 0, 4], [9, 1, 4, 0, 0, 9], 1800)},
     {"points": 200, "max_deviation": 1.0, "max_points": 400},
     {"points": 200, "max_deviation": 1.0, "sizes": np.linspace(1, 3, 1800)},
     {"points": 300, "creases": [[0, 30], [30, 60]], "crease_angle": 0.0},

@@ -19,7 +19,7 @@ use crate::{files, remote};
 use geometry::mesh::io::Format;
 pub(super) use server::config::BackendArg;
 use wire::counts::Bounds;
-use wire::options::{self, Beside};
+use wire::options;
 use wire::proto::{
     ArrayForm, ArrayRef, DiagramOptions, JobArrays, JobMesh, JobSpec, MeshFile, ResultFormat, RvdOutput, job_mesh,
     job_spec, result_format,
@@ -101,7 +101,7 @@ impl InputArgs {
 }
 
 #[derive(Args, Debug)]
-#[command(group(ArgGroup::new("size").required(true).multiple(true).args(["points", "edge_length", "sizes"])))]
+#[command(group(ArgGroup::new("size").required(true).multiple(true).args(["points", "edge_length", "sizes", "metric"])))]
 pub(super) struct RemeshWork {
     #[command(flatten)]
     input: InputArgs,
@@ -123,11 +123,10 @@ impl RemeshWork {
     pub(super) fn asked(&self) -> Result<Asked> {
         let Self { input, size, shape, steps, .. } = self;
         let message = given::message(&[&size.set, &shape.set, &steps.set])?;
-        let beside = Beside { edge_lengths: size.sizes.is_some(), ..Beside::default() };
-        options::remesh(&message, beside, &Bounds::WIDEST).map_err(usage)?;
+        options::remesh(&message, size.beside(), &Bounds::WIDEST).map_err(usage)?;
         if let Input::File(path) = &input.input {
             let format = input.format()?;
-            let named = [(&size.sizes, "--sizes"), (&shape.creases, "--creases")];
+            let named = [(&size.sizes, "--sizes"), (&size.metric, "--metric"), (&shape.creases, "--creases")];
             named
                 .iter()
                 .filter(|(file, _)| file.is_some())
@@ -136,7 +135,8 @@ impl RemeshWork {
         let mut asked = input.begin(self.no_attributes.then_some(false))?;
         let mut text = |path: &Option<PathBuf>| path.as_deref().map(|path| text(path, &mut asked.sources)).transpose();
         let (edge_lengths, creases) = (text(&size.sizes)?, text(&shape.creases)?);
-        asked.spec.arrays = Some(JobArrays { edge_lengths, creases, ..JobArrays::default() })
+        let metric = size.metric.as_deref().map(|path| metric(path, &mut asked.sources)).transpose()?;
+        asked.spec.arrays = Some(JobArrays { edge_lengths, creases, metric, ..JobArrays::default() })
             .filter(|arrays| *arrays != JobArrays::default());
         asked.spec.work = Some(job_spec::Work::Remesh(message));
         asked.spec.result =
@@ -180,6 +180,20 @@ impl RvdWork {
         }));
         Ok(asked)
     }
+}
+
+/// The tensors of a file, as text: by the vertices of the surface's file, whose numbers the server knows.
+fn metric(path: &Path, sources: &mut Vec<Source>) -> Result<ArrayRef> {
+    let mut text = String::new();
+    for tensor in files::read_tensors(path)? {
+        let numbers = tensor.0.map(|m| format!("{m:e}"));
+        text += &numbers.join(" ");
+        text.push('\n');
+    }
+    let source = Source::of(path, text.as_bytes())?;
+    let array = ArrayRef { digest: source.digest.clone(), form: ArrayForm::Text.into(), count: 0 };
+    sources.push(source);
+    Ok(array)
 }
 
 /// A file of text that an option names.

@@ -24,12 +24,12 @@ use geometry::remesh::{Anisotropy, RemeshOptions, Seeds};
 use geometry::token::Token;
 use server::config::{BackendArgs, count, whole};
 use wire::counts::Bounds;
-use wire::options::{self, Beside};
+use wire::options::{self, Beside, ByVertex};
 use wire::proto::{self, BoundaryRule, Placement, Projection, ThinRule};
 use wire::{WireError, names};
 
 #[derive(Args, Debug)]
-#[command(group(ArgGroup::new("size").required(true).multiple(true).args(["points", "facets", "edge_length", "sizes"])))]
+#[command(group(ArgGroup::new("size").required(true).multiple(true).args(["points", "facets", "edge_length", "sizes", "metric"])))]
 pub(crate) struct RemeshArgs {
     /// The surfaces.
     #[arg(required = true, value_name = "INPUT", help = files::help_of("The surface", "several with --out-dir; - is the \
@@ -82,7 +82,7 @@ pub(super) struct FileArgs {
 }
 
 #[derive(Args, Debug)]
-#[command(next_help_heading = "Size (--points, --facets, --edge-length or --sizes is required)")]
+#[command(next_help_heading = "Size (--points, --facets, --edge-length, --sizes or --metric is required)")]
 pub(crate) struct SizeArgs {
     /// Number of seeds, about the number of vertices of the result: 10000, 10k, or 50% of the input's vertices.
     #[arg(long, value_name = "N|P%", value_parser = points, allow_negative_numbers = true)]
@@ -99,6 +99,11 @@ pub(crate) struct SizeArgs {
     /// input's vertices. With --points only the ratios are kept.
     #[arg(long, value_name = "FILE")]
     pub(crate) sizes: Option<PathBuf>,
+    /// File with a metric at each vertex of the input: edges get length 1 in it. Medit .sol, VTK point arrays of 6 or 9 numbers, .npy of
+    /// shape (n, 6) or (n, 3, 3), or six numbers a line: m11 m12 m22 m13 m23 m33. With --points it is scaled for their number.
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["sizes", "edge_length", "density", "gradation", "adaptivity"])]
+    #[arg(conflicts_with_all = ["anisotropy", "max_deviation"])]
+    pub(crate) metric: Option<PathBuf>,
     /// Where short edges go.
     #[arg(long, default_value = "uniform", value_parser = words(DENSITIES), conflicts_with = "sizes")]
     pub(crate) density: DensitySource,
@@ -117,6 +122,13 @@ pub(crate) struct SizeArgs {
     /// The most points that --max-deviation may come to; twice --points if not given.
     #[arg(long, value_name = "N", requires = "max_deviation", value_parser = count)]
     pub(crate) max_points: Option<u32>,
+}
+
+impl SizeArgs {
+    /// Which arrays are given.
+    pub(crate) fn beside(&self) -> Beside {
+        Beside { edge_lengths: self.sizes.is_some(), metric: self.metric.is_some(), ..Beside::default() }
+    }
 }
 
 #[derive(Args, Debug)]
@@ -242,7 +254,7 @@ impl RemeshArgs {
     /// The options that are set, and the library's of them. Arrays are empty. Errors: what cannot be whatever the surface.
     pub(crate) fn asked(&self) -> Result<(proto::RemeshOptions, RemeshOptions)> {
         let message = given::message(&[&self.size.set, &self.shape.set, &self.steps.set])?;
-        let beside = Beside { edge_lengths: self.size.sizes.is_some(), ..Beside::default() };
+        let beside = self.size.beside();
         let options = options::remesh(&message, beside, &Bounds::of_library()).map_err(usage)?;
         Ok((message, options))
     }
@@ -259,7 +271,9 @@ impl RemeshArgs {
         let path = self.input.first().map_or(Path::new(""), PathBuf::as_path);
         let input = &Surface::new(path, self.files.input_format);
         let lengths = self.size.sizes.as_ref().map(|path| files::read_lengths(path, input, mesh)).transpose()?;
-        options::fill(&mut options, Vec::new(), lengths, None);
+        let metric = self.size.metric.as_ref().map(|path| files::read_metric(path, input, mesh)).transpose()?;
+        let arrays = ByVertex { edge_lengths: lengths, metric, ..ByVertex::default() };
+        options::fill(&mut options, Vec::new(), arrays);
         options.creases = creases;
         if let Some(path) = &self.shape.creases {
             options.creases.extend(files::read_edges(path, input, mesh)?);

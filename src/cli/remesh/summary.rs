@@ -81,6 +81,11 @@ impl Told<'_> {
         if let Some([under, valence]) = all(&["under_30_percent", "v567_percent"]).as_deref() {
             lines.push(format!("            under 30° {under:.2} %; valence 5-7 {valence:.2} %"));
         }
+        let of_metric = ["unit_edges_percent", "edge_least", "edge_largest"].map(|what| format!("metric/{what}"));
+        if let Some([unit, least, largest]) = all(&of_metric.each_ref().map(String::as_str)).as_deref() {
+            let lengths = format!("from {least:.2} to {largest:.2}");
+            lines.push(format!("metric      {unit:.2} % of the edges from 0.71 to 1.41, all {lengths}"));
+        }
         if let Some([hausdorff, rms]) = all(&["hausdorff_percent", "rms_percent"]).as_deref() {
             lines.push(format!("distance    Hausdorff {hausdorff:.4} %, RMS {rms:.4} % of the diagonal"));
         }

@@ -45,6 +45,7 @@ fn check_together(args: &RemeshArgs) -> Result<()> {
         ),
         (several && report.is_some(), for_one("--report") + "; --json prints a report a line"),
         (several && args.size.sizes.is_some(), for_one("--sizes")),
+        (several && args.size.metric.is_some(), for_one("--metric")),
         (several && args.shape.creases.is_some(), for_one("--creases")),
         (several && args.picture.picture.is_some(), for_one("--picture")),
         (several && reads_standard, "- is the standard input; it goes with no other input".to_owned()),
@@ -94,7 +95,7 @@ fn place(folder: &Path, input: &Path, format: Option<geometry::mesh::io::Format>
 /// Refuses outputs that would replace what is needed, or each other.
 fn check_files(args: &RemeshArgs, tasks: &[Task]) -> Result<()> {
     let RemeshArgs { files: FileArgs { report, overwrite, .. }, size, shape, picture, .. } = args;
-    let named = [shape.creases.as_deref(), size.sizes.as_deref()];
+    let named = [shape.creases.as_deref(), size.sizes.as_deref(), size.metric.as_deref()];
     let named = || named.into_iter().flatten();
     for Task { input, output } in tasks {
         if !output.is_standard() && files::same(input.path(), output.path()) && !overwrite {
@@ -103,7 +104,11 @@ fn check_files(args: &RemeshArgs, tasks: &[Task]) -> Result<()> {
             ))
             .into());
         }
-        let numbers = [(size.sizes.is_some(), "--sizes"), (shape.creases.is_some(), "--creases")];
+        let numbers = [
+            (size.sizes.is_some(), "--sizes"),
+            (size.metric.is_some(), "--metric"),
+            (shape.creases.is_some(), "--creases"),
+        ];
         for (_, option) in numbers.iter().filter(|(is_given, _)| *is_given) {
             files::check_numbered(input, option)?;
         }

@@ -154,6 +154,8 @@ fn most(mesh: &TriMesh, options: &RemeshOptions) -> (u64, u64) {
         (Seeds::Implied { .. }, DensitySource::Sizes(sizes)) => {
             of_length(sizes.iter().copied().fold(f64::INFINITY, f64::min))
         }
+        // A metric may ask for any number.
+        (Seeds::Implied { .. }, DensitySource::Metric(_)) => MOST,
         (Seeds::Implied { .. }, _) => options.density.edge_length.map_or(MOST, of_length),
         (Seeds::Share { of, .. }, _) => of.points(mesh) as u64,
     };

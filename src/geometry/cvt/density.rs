@@ -1,6 +1,6 @@
 //! Density: how long edges should be, and where.
 //!
-//! Purpose: [`plan`] turns [`DensityOptions`] (uniform, weights, lengths, curvature, feature size) into what
+//! Purpose: [`plan`] turns [`DensityOptions`] (uniform, weights, lengths, curvature, feature size, metric) into what
 //! the iterations take: weights linear in each facet, a surface whose facets are fine enough for that, and a
 //! number of points. Edge length h needs weight h⁻⁴, and 2/√3 h⁻² points per area.
 //! Invariant: lengths are bounded in ratio and slope (a spike cannot eat the budget), and what bounds them is
@@ -11,6 +11,7 @@ mod curvature;
 mod expected;
 mod feature_size;
 mod lengths;
+mod metric;
 mod net;
 mod options;
 mod outline;
@@ -27,12 +28,14 @@ use crate::token::{Stopped, Token};
 pub(crate) use curvature::principal;
 pub use expected::Expected;
 pub(crate) use lengths::LONGEST;
+pub use metric::check as check_metric;
 pub use net::Net;
 pub use options::{Count, DensityError, DensityOptions, DensitySource};
 pub use outline::Outline;
 pub(crate) use size_field::SizeField;
 
 use lengths::{Bounded, Least, adapt, fill_gaps, of_curvature, of_error, resolved, without_noise};
+use options::MOST_RATIO;
 
 /// What came of a density, for a report. Lengths are in the caller's units.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
@@ -171,9 +174,18 @@ fn level<'a>(mesh: &'a TriMesh, options: &DensityOptions, count: Count, token: &
 
 fn varying<'a>(mesh: &'a TriMesh, options: &DensityOptions, count: Count, token: &Token) -> Planned<'a> {
     let net = Net::new(mesh, token)?;
+    let in_metric = matches!(options.source, DensitySource::Metric(_));
+    // A metric is taken as it is.
+    let free = in_metric.then(|| DensityOptions {
+        gradation: f64::INFINITY,
+        clamp: f64::INFINITY,
+        ratio: MOST_RATIO,
+        ..DensityOptions::default()
+    });
+    let bounds = free.as_ref().unwrap_or(options);
     let target = match (count, options.edge_length, &options.source) {
         (Count::Points(points), ..) => Some(points as f64),
-        (Count::Implied, _, DensitySource::Sizes(_)) => None,
+        (Count::Implied, _, DensitySource::Sizes(_) | DensitySource::Metric(_)) => None,
         (Count::Implied, Some(edge), _) => Some(net.outline.points(edge)),
         (Count::Implied, None, _) => return Err(DensityError::NoCount),
     };
@@ -185,6 +197,7 @@ fn varying<'a>(mesh: &'a TriMesh, options: &DensityOptions, count: Count, token:
     token.check()?;
     let (raw, sheets) = match &options.source {
         DensitySource::Sizes(sizes) => (sizes.clone(), None),
+        DensitySource::Metric(tensors) => (metric::lengths(&net, tensors, token)?, None),
         DensitySource::FeatureSize => {
             let size = feature_size::local(&net, token)?;
             (size.all, Some(size.between_sheets))
@@ -193,19 +206,19 @@ fn varying<'a>(mesh: &'a TriMesh, options: &DensityOptions, count: Count, token:
         DensitySource::ErrorMax => (of_error(&net, target.unwrap_or(1.0), 0.25, token)?, None),
         _ => (of_curvature(&net, target.unwrap_or(1.0), token)?, None),
     };
-    let given = matches!(options.source, DensitySource::Sizes(_));
+    let given = in_metric || matches!(options.source, DensitySource::Sizes(_));
     let mut field = SizeField::new(&net, if given { raw } else { fill_gaps(&net, raw) })?;
     let mut sheets = sheets.map(|sheets| SizeField::new(&net, fill_gaps(&net, sheets))).transpose()?;
     token.check()?;
     let median = field.median(&net);
-    let clamped = adapt(&mut field, median, options);
-    sheets.iter_mut().for_each(|sheets| _ = adapt(sheets, median, options));
+    let clamped = adapt(&mut field, median, bounds);
+    sheets.iter_mut().for_each(|sheets| _ = adapt(sheets, median, bounds));
     let least = match target {
         Some(target) if !given => Some(Least { edge: resolved(&net, target), sheets }),
         _ => None,
     };
     let (Bounded { field, graded, outside, points }, noise, smoothing_rounds) =
-        without_noise(field, least.as_ref(), &net, options, target, token)?;
+        without_noise(field, least.as_ref(), &net, bounds, target, token)?;
     token.check()?;
     let points_implied = points;
     let points = match count {

@@ -99,7 +99,8 @@ impl OneRings {
         self.changed.get(self.list[v as usize] as usize).map_or_else(|| self.base.of(v), Vec::as_slice)
     }
 
-    pub(crate) fn replace(&mut self, f: u32, old: [u32; 3], new: [u32; 3]) {
+    /// A facet has other corners. Without old ones it is new, without new ones it is no more.
+    pub(crate) fn replace(&mut self, f: u32, old: impl IntoIterator<Item = u32>, new: impl IntoIterator<Item = u32>) {
         for v in old {
             self.facets_mut(v).retain(|&g| g != f);
         }
@@ -108,6 +109,12 @@ impl OneRings {
             let at = facets.partition_point(|&g| g < f);
             facets.insert(at, f);
         }
+    }
+
+    /// Adds a vertex without facets, after all others.
+    pub(crate) fn push(&mut self) {
+        self.list.push(self.changed.len() as u32);
+        self.changed.push(Vec::new());
     }
 
     fn facets_mut(&mut self, v: u32) -> &mut Vec<u32> {

@@ -291,7 +291,9 @@ mod tests {
             for noise in [1e-15, 1e-12, 1e-7] {
                 let soup = soup(&mesh, noise);
                 let (stitched, moved) =
-                    stitch_boundaries(&soup, &Adjacency::new(&soup), Reach::of(&soup, None), &Token::default()).unwrap().unwrap();
+                    stitch_boundaries(&soup, &Adjacency::new(&soup), Reach::of(&soup, None), &Token::default())
+                        .unwrap()
+                        .unwrap();
                 assert_eq!(topology(&stitched), topology(&mesh), "{shape:?} {noise}");
                 assert!(moved > 0);
                 let farthest = soup.positions().iter().zip(stitched.positions()).map(|(a, b)| a.distance(*b));
@@ -305,7 +307,11 @@ mod tests {
     fn what_is_apart_or_one_already_stays() {
         let mesh = Shape::Plane.build(2000);
         for mesh in [Shape::Torus.build(2000), mesh.clone(), soup(&mesh, 0.0), soup(&mesh, 1e-3)] {
-            assert!(stitch_boundaries(&mesh, &Adjacency::new(&mesh), Reach::of(&mesh, None), &Token::default()).unwrap().is_none());
+            assert!(
+                stitch_boundaries(&mesh, &Adjacency::new(&mesh), Reach::of(&mesh, None), &Token::default())
+                    .unwrap()
+                    .is_none()
+            );
         }
         // Facets as small as what is tolerance elsewhere.
         let mut tiny = mesh.positions().iter().map(|p| *p * 1e-8).collect::<Vec<_>>();
@@ -314,7 +320,11 @@ mod tests {
         tiny.extend([DVec3::new(1.0, 0.0, 1.0), DVec3::new(0.0, 1.0, 1.0)]);
         facets.push([n - 1, n, n + 1]);
         let tiny = TriMesh::new(tiny, facets).unwrap();
-        assert!(stitch_boundaries(&tiny, &Adjacency::new(&tiny), Reach::of(&tiny, None), &Token::default()).unwrap().is_none());
+        assert!(
+            stitch_boundaries(&tiny, &Adjacency::new(&tiny), Reach::of(&tiny, None), &Token::default())
+                .unwrap()
+                .is_none()
+        );
     }
 
     fn flip(mesh: &TriMesh, which: impl Fn(usize) -> bool) -> TriMesh {

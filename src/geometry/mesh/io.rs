@@ -13,6 +13,7 @@ mod gmsh;
 mod held;
 pub mod lists;
 mod medit;
+pub mod metric;
 mod numbers;
 mod obj;
 mod off;

@@ -146,9 +146,7 @@ fn around_material(sides: &mut [Side], outward: bool, found: &mut Vec<[usize; 2]
     let angle = |side: &Side| (1e9 * side.out.dot(up).atan2(side.out.dot(right))).round();
     // Of two in one place, one ends a solid before the other begins one.
     let begins = |side: &Side| side.forward != outward;
-    sides.sort_by(|a, b| {
-        angle(a).total_cmp(&angle(b)).then(begins(a).cmp(&begins(b))).then(a.facet.cmp(&b.facet))
-    });
+    sides.sort_by(|a, b| angle(a).total_cmp(&angle(b)).then(begins(a).cmp(&begins(b))).then(a.facet.cmp(&b.facet)));
     let mut open: Vec<usize> = Vec::new();
     let mut closed = vec![false; sides.len()];
     // The second time around ends what began before the first angle.
@@ -257,13 +255,15 @@ mod tests {
         // A wall on a floor, that the file joins to it, or not.
         let (floor, n) = (Shape::Plane.build(800), 800);
         let (low, high) = floor.bounds();
-        let middle = floor.positions().iter().map(|p| (p.x - (low.x + high.x) / 2.0).abs()).fold(f64::INFINITY, f64::min);
+        let middle =
+            floor.positions().iter().map(|p| (p.x - (low.x + high.x) / 2.0).abs()).fold(f64::INFINITY, f64::min);
         let line: Vec<u32> = (0..floor.positions().len() as u32)
             .filter(|&v| ((floor.positions()[v as usize].x - (low.x + high.x) / 2.0).abs() - middle).abs() < 1e-9)
             .collect();
         assert!(line.len() > 5 && floor.facets().len() <= 2 * n);
         let x = floor.positions()[line[0] as usize].x;
-        let mut line: Vec<u32> = line.into_iter().filter(|&v| (floor.positions()[v as usize].x - x).abs() < 1e-9).collect();
+        let mut line: Vec<u32> =
+            line.into_iter().filter(|&v| (floor.positions()[v as usize].x - x).abs() < 1e-9).collect();
         line.sort_by(|&a, &b| floor.positions()[a as usize].y.total_cmp(&floor.positions()[b as usize].y));
         for joined in [true, false] {
             let (mut positions, mut facets) = floor.clone().into_parts();

@@ -407,3 +407,48 @@ pub(super) const BOUND_ROUNDING: f64 = 1.0 - ROUNDING;
 pub(super) const RADIUS_ROUNDING: f64 = 1.0 + ROUNDING;
 /// Squares below this share of a squared bound have roots below the bound despite rounding.
 pub(super) const SQUARE_ROUNDING: f64 = 1.0 - 1e-12;
+
+// Unit edges in a metric. Lengths are those of the metric.
+
+/// An edge longer than this is split, and a shorter one than this collapsed.
+pub(super) const SPLIT_LENGTH: f64 = std::f64::consts::SQRT_2;
+pub(super) const COLLAPSE_LENGTH: f64 = std::f64::consts::FRAC_1_SQRT_2;
+/// The longest edge that a collapse may make.
+pub(super) const LONGEST_NEW: f64 = SPLIT_LENGTH;
+/// The shortest edge from the new vertex of a split to the facets' third corners, unless the edge is longer than the second.
+pub(super) const SHORTEST_NEW: f64 = 0.55;
+pub(super) const FAR_TOO_LONG: f64 = 1.7;
+/// A collapse makes no facet with a shape below this, unless there was a worse one.
+pub(super) const POOR_QUALITY: f64 = 0.3;
+/// Least cosine between a facet's normal and that of the input, unless it was less before.
+pub(super) const FACING_COSINE: f64 = 0.5;
+/// The shortest edge that is split because a facet beside it does not face so.
+pub(super) const LEAST_ASTRAY: f64 = 0.1;
+/// Least cosine between a facet's normals before and after one move.
+pub(super) const TURNED_COSINE: f64 = 0.2;
+/// Least gain of the worse facet's shape by a flip.
+pub(super) const LEAST_FLIP_GAIN: f64 = 1e-3;
+/// Least and largest valence that flips make. In a metric that changes fast, many edges meet.
+pub(super) const METRIC_VALENCES: [usize; 2] = [4, 12];
+pub(super) const METRIC_FLIPPING_PASSES: usize = 10;
+/// Cost of a facet with shape 0, where an edge that is e times too long costs 1.
+pub(super) const SHAPE_WEIGHT: f64 = 0.5;
+/// Least gain of a move, cost.
+pub(super) const LEAST_MOVE_GAIN: f64 = 1e-4;
+/// Shares of its step that a vertex tries.
+pub(super) const MOVE_SHARES: [f64; 3] = [1.0, 0.5, 0.25];
+/// An edge shorter than this pushes as one of this length.
+pub(super) const SHORTEST_PULLED: f64 = 0.3;
+pub(super) const RELOCATION_PASSES: usize = 6;
+/// Rounds at most, and after a change of scale.
+pub(super) const ADAPTING_ROUNDS: usize = 30;
+pub(super) const SCALED_ROUNDS: usize = 8;
+/// Rounds end when fewer splits and collapses than this share of the vertices were made.
+pub(super) const SETTLED_SHARE: f64 = 0.002;
+/// The most vertices, in those of the draft, which has about as many as the metric's area asks for; and more of them for a coarse draft.
+/// A metric that is noise would take many times as many.
+pub(super) const MOST_GROWTH: usize = 4;
+pub(super) const SPARE_VERTICES: usize = 1000;
+/// Times that the metric is scaled for a number of vertices, at most, and how far off that number may be.
+pub(super) const SCALING_TIMES: usize = 4;
+pub(super) const SCALING_TOLERANCE: f64 = 0.01;

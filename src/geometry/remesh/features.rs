@@ -5,6 +5,7 @@
 //! counted. Must not know: backends, iterations, how a result is improved.
 
 pub(super) mod envelope;
+pub(super) mod polyline;
 
 use std::collections::HashSet;
 
@@ -18,11 +19,12 @@ use crate::cvt::curves::{CurveSeeds, INNER_POINTS, Segment, edge_length};
 use crate::cvt::density::Plan;
 use crate::mesh::TriMesh;
 use crate::mesh::edges::undirected;
-use crate::mesh::features::{CurveKind, FeatureOptions, Features};
+use crate::mesh::features::{Curve, CurveKind, FeatureOptions, Features};
 use crate::mesh::sample::spread_unless;
 use crate::rvd::{Frame, Surface};
 use crate::token::{Stopped, Token};
 use envelope::CurveSample;
+use polyline::{Polyline, Stretch};
 
 /// `count` of some points in an order, evenly spaced in it; all if there are fewer.
 fn evenly(points: &[DVec3], count: usize) -> impl Iterator<Item = DVec3> + '_ {
@@ -246,6 +248,38 @@ impl KeptCurves {
             segment.between.map(|position| CurveSample { position, edge, area, limit })
         };
         present.flat_map(of).collect()
+    }
+
+    /// The curves by arc length, unit frame, and the stretches of those edges that a result has; `edges` are those of
+    /// [`KeptCurves::edges_in`].
+    pub(crate) fn stretches(
+        &self,
+        surface: &Surface,
+        edges: &[Option<[u32; 2]>],
+        vertex_seed: &[u32],
+    ) -> (Vec<Polyline>, Vec<([u32; 2], Stretch)>) {
+        let at = |v: u32| surface.positions()[v as usize];
+        let of = |c: &Curve| Polyline::new(c.round().map(at).collect(), c.closed);
+        let lines: Vec<Polyline> = self.features.curves.iter().map(of).collect();
+        let stretch = |(segment, &edge): (&Segment, &Option<[u32; 2]>)| {
+            let [a, b] = edge?;
+            let line = &lines[segment.curve as usize];
+            let place = |end: usize| match segment.ends[end] {
+                // The corner at the beginning of an open curve may be at its end too.
+                seed if self.is_corner(seed) && end == 0 => 0.0,
+                seed if self.is_corner(seed) => line.length(),
+                seed => line.nearest(self.seeds.seeds[seed as usize]),
+            };
+            let edge = if vertex_seed[a as usize] == segment.ends[0] { [a, b] } else { [b, a] };
+            Some((edge, line.stretch(segment.curve, [place(0), place(1)])))
+        };
+        let stretches = self.seeds.segments.par_iter().zip(edges).filter_map(stretch).collect();
+        (lines, stretches)
+    }
+
+    /// Whether a seed is one of a curve's.
+    pub(crate) fn has_seed(&self, seed: u32) -> bool {
+        (seed as usize) < self.seeds.len()
     }
 
     /// What the report says; `edges` are those of [`KeptCurves::edges_in`].

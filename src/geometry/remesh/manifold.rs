@@ -2,13 +2,14 @@
 //!
 //! Purpose: [`repair`] makes an oriented 2-manifold of the dual's triangles, [`boundary_ears`] restores edges of boundaries.
 //! [`LocalMesh`] is the result while it changes, or a part cut out of it, with its local operators: [`LocalMesh::flip`] and
-//! [`LocalMesh::turns`] say what is allowed; [`LocalMesh::apply`] does it.
+//! [`LocalMesh::turns`] say what is allowed; [`LocalMesh::apply`] does it. [`resize`] has operators that change the number of vertices.
 //! Invariant: a manifold stays one. An edge of a curve or of the boundary stays. No facet turns over, but by [`LocalMesh::flip_any`]. Valences stay within the
 //! range that a flip is given. One-rings are up to date after each operator.
 //! Must not know: seeds, diagrams, distances, why something changes.
 
 pub(super) mod boundary_ears;
 pub(super) mod repair;
+mod resize;
 
 use std::collections::HashSet;
 
@@ -156,6 +157,15 @@ impl LocalMesh {
 
     pub(crate) fn keep(&mut self, ends: [u32; 2]) {
         self.curves.insert(undirected(ends));
+    }
+
+    /// Moves a vertex; the facets around it turn from the normals that they have then.
+    pub(crate) fn place(&mut self, v: u32, p: DVec3) {
+        self.positions[v as usize] = p;
+        for k in 0..self.ring(v).len() {
+            let f = self.ring(v)[k];
+            self.normals[f as usize] = unit_normal(self.corners(f));
+        }
     }
 
     /// Facets turn from the normals that they have now.

@@ -19,6 +19,7 @@
 //! Invariant: the observer hears of the stages in this order; what could not be kept is in the report.
 //! Must not know: how a stage does its work, files, jobs, the network.
 
+mod adapt;
 mod extract;
 mod optimize;
 mod prepare;
@@ -31,7 +32,7 @@ use std::time::Instant;
 use glam::DVec3;
 
 use super::attributes::{self, Provenance};
-use super::report::{CountFigures, InputFigures, MemoryFigures, Report, ResultFigures, Timings};
+use super::report::{CountFigures, CountReason, InputFigures, MemoryFigures, Report, ResultFigures, Timings};
 use super::{
     Anisotropy, Limits, Observer, Placement, Refine, Remesh, RemeshError, RemeshOptions, Result, Seeds, Tolerance,
     warnings,
@@ -67,8 +68,24 @@ pub fn remesh(
         Anisotropy::Share(share) if !Anisotropy::SHARES.contains(&share) => return Err(RemeshError::BadLift { share }),
         anisotropy => anisotropy == Anisotropy::Share(0.0),
     };
-    let measured = (flat || options.refine.is_some() || matches!(options.seeds, Seeds::Share { .. })).then(|| {
+    let in_metric = matches!(options.density.source, DensitySource::Metric(_));
+    if in_metric {
+        let others = [
+            ("anisotropy", options.anisotropy != Anisotropy::None && !flat),
+            ("a tolerance", options.refine.is_some()),
+            ("seeds", matches!(options.seeds, Seeds::Given(_))),
+        ];
+        if let Some((other, _)) = others.into_iter().find(|other| other.1) {
+            return Err(RemeshError::MetricBeside { other });
+        }
+    }
+    let changes = flat || in_metric || options.refine.is_some() || matches!(options.seeds, Seeds::Share { .. });
+    let measured = changes.then(|| {
         let mut options = options.clone();
+        if in_metric {
+            // Local changes place the vertices on the surface.
+            options.placement = Placement::Surface;
+        }
         if flat {
             options.anisotropy = Anisotropy::None;
         }
@@ -139,14 +156,17 @@ fn run_stages(
     let limited = limits.map(|limits| RemeshOptions { refine: Some(limits.into()), ..options.clone() });
     let options = limited.as_ref().unwrap_or(options);
     // Given edge lengths are not changed.
-    let free = !matches!(options.density.source, DensitySource::Sizes(_) | DensitySource::Weights(_));
+    let source = &options.density.source;
+    let in_metric = matches!(source, DensitySource::Metric(_));
+    let free = !matches!(source, DensitySource::Sizes(_) | DensitySource::Weights(_));
     let isotropic = options.anisotropy == Anisotropy::None;
     // Cells are larger than they look where the lifted surface is, and are no measure of its thickness.
-    let keep_thin = options.keep_thin && free && isotropic && options.placement == Placement::Fitted;
+    let improves = in_metric || options.placement == Placement::Fitted;
+    let keep_thin = options.keep_thin && free && isotropic && improves;
     let (low, high) = clean.bounds();
     let diagonal = (high - low).length();
-    // A tolerance decides itself how many points there are.
-    let scales_seeds = options.refine.is_none();
+    // A tolerance decides itself how many points there are, and a metric is scaled for their number.
+    let scales_seeds = options.refine.is_none() && !in_metric;
     let mut job = Job { separated, asked, backend, token, observer, laps, keep_thin, scales_seeds, diagonal, topology };
     let attempt = match (limits, &options.seeds) {
         (Some(limits), &(Seeds::Sample { seed, .. } | Seeds::Implied { seed })) => {
@@ -234,13 +254,17 @@ fn measure(
     let crossings = crossings?;
     let ((topology, coincident_vertices), (quality, lost)) = (topology?, quality?.unzip());
     let (vertices, facets) = (result.positions().len(), result.facets().len());
-    let repair = built.repair;
-    let result = ResultFigures { vertices, facets, topology, coincident_vertices, quality, lost, crossings, repair };
+    let (repair, metric) = (built.repair, built.metric);
+    let result =
+        ResultFigures { vertices, facets, topology, coincident_vertices, quality, metric, lost, crossings, repair };
     laps.end(|t| &mut t.measure);
     laps.timings.total = elapsed_ms(laps.begin);
     let reason = match options.refine {
         // A tolerance decides how many points there are, and not how many vertices share one.
         Some(_) if vertices <= asked => None,
+        _ if metric.is_some() && wanted.fewest_vertices() <= asked => {
+            (!optimize::is_near(vertices, asked)).then_some(CountReason::Metric)
+        }
         _ => optimize::count_reason((vertices, result.topology.components), asked, &options.seeds, &wanted),
     };
     let vertex_count = CountFigures { asked, seeds: seeds.len(), reason };
@@ -252,7 +276,7 @@ fn measure(
         converged,
         topology_changes: wanted.changes(&result.topology),
         input,
-        features: curves.figures(&built.curve_edges),
+        features: curves.figures(&built.segments),
         rvd,
         device,
         iterations,
@@ -268,7 +292,7 @@ fn measure(
     Ok(Remesh {
         mesh: built.mesh,
         vertex_seed: built.vertex_seed,
-        curve_edges: built.curve_edges.into_iter().flatten().collect(),
+        curve_edges: built.curve_edges,
         seeds,
         report,
         attributes: None,

@@ -15,6 +15,7 @@ pub use crate::mesh::crossings::Crossings;
 pub use crate::mesh::duplicates::InputKind;
 pub use crate::mesh::input::InputFigures;
 use crate::mesh::measure::{Quality, Topology};
+pub use crate::mesh::metric::MetricFigures;
 pub use crate::rvd::RvdFigures;
 
 /// What `--report` writes.
@@ -174,6 +175,8 @@ pub enum CountReason {
     SmallParts,
     /// Parts of the input have no thickness: seeds there have no vertex.
     NoThickness,
+    /// Edges cannot have the lengths that the metric asks for with so many vertices.
+    Metric,
 }
 
 /// What ended the rounds for a tolerance.
@@ -254,12 +257,28 @@ pub struct ResultFigures {
     /// Shape and distance figures; absent if not measured.
     #[serde(flatten)]
     pub quality: Option<Quality>,
+    /// Edges and facets in the metric; absent without one.
+    pub metric: Option<AdaptedFigures>,
     /// What it lacks of the input; absent if not measured.
     pub lost: Option<LostParts>,
     /// Facets that cross others; absent if not measured.
     pub crossings: Option<Crossings>,
     /// What the repair had to do.
     pub repair: RepairFigures,
+}
+
+/// How well a result fits its metric.
+#[derive(Clone, Copy, Debug, Default, Serialize, PartialEq)]
+pub struct AdaptedFigures {
+    /// Lengths and shapes in the metric, scaled.
+    #[serde(flatten)]
+    pub figures: MetricFigures,
+    /// By how much the metric's edges were made longer for the number of vertices that was asked for; 1 if none was.
+    pub scale: f64,
+    /// Rounds of local changes.
+    pub rounds: usize,
+    /// Facets that face away from the input: its bends are shorter than the metric's edges.
+    pub facing_away: usize,
 }
 
 /// What the repair had to do.

@@ -21,6 +21,9 @@ pub(super) fn of(report: &Report, attributes: Option<&Attributes>) -> Vec<Warnin
     of_repair(report, &mut all);
     of_lost(report, &mut all);
     of_shape(report, &mut all);
+    let away = "facets of the result face away from the input, which bends within an edge of the metric; give a metric with shorter \
+                edges there";
+    counted(&mut all, "metric_too_coarse", report.result.metric.map_or(0, |metric| metric.facing_away), away);
     all
 }
 
@@ -78,6 +81,7 @@ fn of_count(report: &Report, all: &mut Vec<Warning>) {
                 "parts of the input are too small for a facet and were left out; more points keep them"
             }
             CountReason::NoThickness => "parts of the input have no thickness",
+            CountReason::Metric => "edges of the metric's lengths need another number; see `result.metric`",
         };
         let (asked, vertices) = (count.asked, report.result.vertices);
         let asked = match report.refine.ended {

@@ -186,6 +186,8 @@ fn host_bytes(counts: &Counts, threads: usize) -> u64 {
         DensitySource::Curvature | DensitySource::Lfs | DensitySource::Error | DensitySource::ErrorMax => {
             counts.vertices.saturating_mul(32)
         }
+        // Logarithms of tensors, and their surface with its tree.
+        DensitySource::Metric => counts.vertices.saturating_mul(100).saturating_add(counts.facets.saturating_mul(100)),
         _ => 0,
     };
     let (pair, cells) = match counts.kind {
@@ -233,6 +235,8 @@ fn seconds(counts: &Counts, threads: usize) -> f64 {
     let density = match counts.density {
         DensitySource::Unspecified | DensitySource::Uniform | DensitySource::Weights => 0.0,
         DensitySource::EdgeLengths => 0.5,
+        // Rounds of local changes take about as long as the fit, for each point.
+        DensitySource::Metric => 2.0,
         DensitySource::Curvature | DensitySource::Error | DensitySource::ErrorMax => 1.4,
         DensitySource::Lfs => 5.4,
     } * facets;

@@ -77,7 +77,9 @@ impl Forecast {
     pub async fn counts_by_surface(&self, spec: &Spec, given: Option<(u64, u64)>) -> Result<Counts, JobApiError> {
         let counts = self.counts_of(spec, given, None).await?;
         let task = spec.task();
-        let (MeshSource::File { blob, format, .. }, None, None) = (&task.mesh, given, task.arrays.edge_lengths) else {
+        let (MeshSource::File { blob, format, .. }, None, None) =
+            (&task.mesh, given, task.arrays.edge_lengths.or(task.arrays.metric))
+        else {
             return Ok(counts);
         };
         let (owner, format) = (Owner::of(&spec.tenant), *format);
@@ -186,13 +188,14 @@ impl Forecast {
 
     /// Bytes of the lists beside a surface: their text, and the numbers that are made of it.
     async fn list_bytes(&self, owner: Owner, arrays: Arrays, surface: &Counts) -> u64 {
-        let Arrays { seeds, edge_lengths, weights, creases } = arrays;
+        let Arrays { seeds, edge_lengths, weights, metric, creases } = arrays;
         // How many numbers there are, at most.
         let (lengths, edges) = (surface.vertices, surface.facets.saturating_mul(3));
         let mut bytes = 0u64;
         for (array, most, least, each) in [
             (edge_lengths, lengths, 2, LENGTH_BYTES),
             (weights, lengths, 2, LENGTH_BYTES),
+            (metric, lengths, 12, METRIC_BYTES),
             (creases, edges, 4, EDGE_BYTES),
             (seeds, 0, 6, LENGTH_BYTES),
         ] {
@@ -283,6 +286,8 @@ impl Forecast {
 
 /// Bytes of an edge length: twice eight, while they are brought into another order, and as much in the density.
 const LENGTH_BYTES: u64 = 32;
+/// Bytes of a metric tensor: six numbers, as of an edge length, and their logarithms.
+const METRIC_BYTES: u64 = 240;
 /// Bytes of a crease: its two ends, while the list grows, and what finds it among the edges of the surface.
 const EDGE_BYTES: u64 = 64;
 

@@ -146,6 +146,7 @@ mod tests {
                 seeds: array(ArrayForm::F32),
                 edge_lengths: array(ArrayForm::F64),
                 weights: array(ArrayForm::F64),
+                metric: array(ArrayForm::F64),
                 creases: array(ArrayForm::Text),
             }),
         };

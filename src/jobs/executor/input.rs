@@ -18,13 +18,15 @@ use geometry::mesh::attributes::{AttributeError, Attributes};
 use geometry::mesh::io::lists::{FileVertices, most_edges, points};
 use geometry::mesh::io::{self, DataError, Loaded};
 use geometry::mesh::numbers::Order;
+use geometry::mesh::tensor::Tensor;
 use geometry::mesh::{MeshError, TriMesh};
 use geometry::remesh::{RemeshOptions, Seeds};
 use geometry::token::Token;
 use wire::WireError;
+use wire::assemble::tensors;
 use wire::attributes::{self, UploadedAttribute};
 use wire::counts::Bounds;
-use wire::options::{Start, fill};
+use wire::options::{ByVertex, Start, fill};
 use wire::proto::ArrayForm;
 
 #[derive(Debug)]
@@ -109,6 +111,7 @@ const FILE: &str = "spec.mesh.file";
 const SEEDS: &str = "spec.arrays.seeds";
 const LENGTHS: &str = "spec.arrays.edge_lengths";
 const WEIGHTS: &str = "spec.arrays.weights";
+const METRIC: &str = "spec.arrays.metric";
 const CREASES: &str = "spec.arrays.creases";
 
 /// The surface of a job, and how its vertices are numbered where lists go by them.
@@ -202,7 +205,12 @@ impl Reader<'_> {
         };
         let lengths = arrays.edge_lengths.as_ref().map(lengths).transpose()?;
         let weights = arrays.weights.as_ref().map(|array| self.numbers(WEIGHTS, array, 1)).transpose()?;
-        fill(options, seeds.unwrap_or_default(), lengths, weights);
+        let metric = |array: &ArrayRef| match array.form {
+            ArrayForm::Text => self.text(METRIC, array, |text| surface.tensors(io::lists::tensors(text, self.token)?)),
+            _ => Ok(tensors(&self.numbers(METRIC, array, Tensor::NUMBERS as u64)?)),
+        };
+        let metric = arrays.metric.as_ref().map(metric).transpose()?;
+        fill(options, seeds.unwrap_or_default(), ByVertex { edge_lengths: lengths, weights, metric });
         let (seeds, density) = options.start();
         density.max_points = usize::try_from(self.bounds.max_seeds).unwrap_or(usize::MAX);
         match seeds.count() {
@@ -248,7 +256,7 @@ impl Reader<'_> {
                     (io::decode(format, &bytes).map_err(wrong)?, None, Vec::new(), Vec::new())
                 };
                 // Lists that are text go by the numbers of the file's vertices.
-                let lists = [task.arrays.edge_lengths, task.arrays.creases];
+                let lists = [task.arrays.edge_lengths, task.arrays.metric, task.arrays.creases];
                 let vertices = match lists.iter().flatten().any(|list| list.form == ArrayForm::Text) {
                     true => FileVertices::of(format, &bytes, &mesh).map_err(wrong)?,
                     false => FileVertices::of_arrays(&mesh),

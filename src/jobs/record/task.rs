@@ -148,6 +148,8 @@ pub struct Arrays {
     pub edge_lengths: Option<ArrayRef>,
     /// One a vertex: F64.
     pub weights: Option<ArrayRef>,
+    /// Six numbers a vertex: F64 or text.
+    pub metric: Option<ArrayRef>,
     /// Two vertices each: U32 or text.
     pub creases: Option<ArrayRef>,
 }
@@ -182,6 +184,7 @@ impl Task {
             seeds: arrays.seeds.map(|array| array.count),
             edge_lengths: arrays.edge_lengths.is_some(),
             weights: arrays.weights.is_some(),
+            metric: arrays.metric.is_some(),
         };
         let operation = match work {
             job_spec::Work::Remesh(given) => options::remesh(given, beside, &Bounds::WIDEST)
@@ -207,8 +210,8 @@ impl Task {
     }
 
     pub fn blobs(&self) -> Vec<Digest> {
-        let Arrays { seeds, edge_lengths, weights, creases } = self.arrays;
-        let mut arrays = vec![seeds, edge_lengths, weights, creases];
+        let Arrays { seeds, edge_lengths, weights, metric, creases } = self.arrays;
+        let mut arrays = vec![seeds, edge_lengths, weights, metric, creases];
         let mut all = Vec::new();
         match &self.mesh {
             MeshSource::File { blob, .. } => all.push(*blob),
@@ -283,11 +286,12 @@ impl ArrayRef {
 
 impl Arrays {
     fn of(given: Option<&proto::JobArrays>, vertices: Option<u64>, work: &job_spec::Work) -> Read<Self> {
-        let Some(proto::JobArrays { seeds, edge_lengths, weights, creases }) = given else {
+        let Some(proto::JobArrays { seeds, edge_lengths, weights, creases, metric }) = given else {
             return Ok(Self::default());
         };
         for (path, given, is_read) in [
             ("edge_lengths", edge_lengths, !matches!(work, job_spec::Work::Rvd(_))),
+            ("metric", metric, matches!(work, job_spec::Work::Remesh(_))),
             ("creases", creases, matches!(work, job_spec::Work::Remesh(_))),
         ] {
             if given.is_some() && !is_read {
@@ -302,6 +306,7 @@ impl Arrays {
             seeds: read("seeds", seeds, &[F32, F64, Text], None)?,
             edge_lengths: read("edge_lengths", edge_lengths, &[F64, Text], vertices)?,
             weights: read("weights", weights, &[F64], vertices)?,
+            metric: read("metric", metric, &[F64, Text], vertices)?,
             creases: read("creases", creases, &[U32, Text], None)?,
         })
     }

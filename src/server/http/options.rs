@@ -131,8 +131,12 @@ impl Asked {
             let must = |must| wrong(&*field.name, format!("is {text:?}; it must be {must}"));
             options.set(&field.name, &text).map_err(must)?;
         }
-        let arrays =
-            JobArrays { edge_lengths: self.list("sizes")?, creases: self.list("creases")?, ..JobArrays::default() };
+        let arrays = JobArrays {
+            edge_lengths: self.list("sizes")?,
+            metric: self.list("metric")?,
+            creases: self.list("creases")?,
+            ..JobArrays::default()
+        };
         let attributes = self.take("attributes", "true or false", |text| text.parse().ok())?;
         let file = MeshFile { digest: blob.to_string(), format: format.number(), attributes };
         let named = |text: &str| BackendChoice::from_str_name(&format!("BACKEND_CHOICE_{}", text.to_ascii_uppercase()));
@@ -175,6 +179,12 @@ pub(super) fn all() -> Map<String, Value> {
         ("format", format("Format of the mesh. `/v1/remesh` without it: by Content-Type, else by the first bytes.")),
         ("to", format("Format of the result. Not given: by Accept, else that of the mesh.")),
         ("sizes", list("Digest of a blob of text with the target edge length of each vertex, one a line.")),
+        (
+            "metric",
+            list(
+                "Digest of a blob of text with the metric tensor of each vertex, a line each: m11 m12 m22 m13 m23 m33.",
+            ),
+        ),
         (
             "creases",
             list("Digest of a blob of text with edges that are creases whatever their angle: two vertices a line."),
@@ -256,7 +266,7 @@ mod tests {
             ("points=1&points=2", "points is there twice"),
             (
                 "density=blue",
-                "density is \"blue\"; it must be uniform, weights, edge_lengths, curvature, lfs, error or error_max",
+                "density is \"blue\"; it must be uniform, weights, edge_lengths, curvature, lfs, error, error_max or metric",
             ),
             ("edge_length=nan", "edge_length"),
             ("label=a", "label is KEY=VALUE"),

@@ -201,6 +201,7 @@ fn of_remesh(error: &RemeshError) -> Fault {
         RemeshError::EdgeTooLong { .. } => "header.options.density.edge_length".to_owned(),
         RemeshError::Density(error) => return of_density(error),
         RemeshError::BadLift { .. } => "header.options.anisotropy".to_owned(),
+        RemeshError::MetricBeside { .. } => "header.options.density".to_owned(),
         RemeshError::RefineUnfitted => "header.options.max_deviation".to_owned(),
         RemeshError::RefineLimit { .. } => "header.options.max_points".to_owned(),
         // What an upload carries is checked when it is collected, where its index is known.
@@ -225,6 +226,10 @@ fn of_density(error: &DensityError) -> Fault {
     let path = match error {
         DensityError::SizeCount { .. } => "mesh.edge_lengths".to_owned(),
         DensityError::BadSize { vertex, .. } => format!("mesh.edge_lengths[{vertex}]"),
+        DensityError::MetricCount { .. } => "mesh.metric".to_owned(),
+        DensityError::MetricNotFinite { vertex } | DensityError::MetricNotPositive { vertex, .. } => {
+            format!("mesh.metric[{vertex}]")
+        }
         DensityError::BadOption { name, .. } => format!("header.options.density.{}", name.replace(' ', "_")),
         DensityError::NoCount | DensityError::PointLimit { .. } => "header.options.points".to_owned(),
         DensityError::TooManyPoints { .. } => "header.options.density".to_owned(),

@@ -220,8 +220,8 @@ pub(super) fn replay(recording: &mut &[u8], limits: &Limits) -> Result<Input, Re
 fn input(received: Received, options: &mut dyn Start, token: &Token) -> Result<(Input, Share), RequestError> {
     token.enter("read");
     let Received { arrays, share } = received;
-    let Uploaded { positions, facets, weights, seeds, edge_lengths, creases, attributes } = arrays;
-    fill(options, seeds, edge_lengths, weights);
+    let Uploaded { positions, facets, by_vertex, seeds, creases, attributes } = arrays;
+    fill(options, seeds, by_vertex);
     let mesh = TriMesh::new(positions, facets).map_err(JobError::from)?;
     token.check().map_err(JobError::from)?;
     let attributes = match attributes.is_empty() {

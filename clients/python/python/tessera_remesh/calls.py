@@ -47,6 +47,17 @@ def _edges(given: ArrayLike | None) -> Any:
     return None if given is None or np.size(given) == 0 else np.asarray(given)
 
 
+def _tensors(given: ArrayLike | None) -> Any:
+    """Symmetric matrices as six numbers each."""
+    tensors = meshes._floats(given)
+    if tensors is None or tensors.shape[1:] != (3, 3):
+        return tensors
+    if not np.allclose(tensors, tensors.transpose(0, 2, 1), rtol=1e-5, atol=0, equal_nan=True):
+        raise _engine.InputError("metric has a matrix that is not symmetric")
+    rows, columns = [0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]
+    return np.ascontiguousarray(tensors[:, rows, columns])
+
+
 #: What a count may end with.
 _UNITS = {"": 1, "k": 1_000, "m": 1_000_000}
 
@@ -87,11 +98,12 @@ def _counted(surface: Surface, given: dict[str, Any]) -> dict[str, Any]:
 def remesh_options(surface: Surface, given: dict[str, Any]) -> tuple[dict[str, Any], Attributes | None]:
     """What the engine and the service take, and what the surface carries. `given` are the arguments of `remesh`."""
     given = _counted(surface, given)
-    _one_size(given["edge_length"], **{name: given[name] for name in ("points", "facets", "sizes")})
+    _one_size(given["edge_length"], **{name: given[name] for name in ("points", "facets", "sizes", "metric")})
     named = None if given["attributes"] is False else surface.creases
     attributes = _carried(given.pop("attributes"), surface)
     given.update(_density(given.pop("density")))
     given["sizes"], given["seeds"] = meshes._floats(given["sizes"]), meshes._floats(given["seeds"])
+    given["metric"] = _tensors(given["metric"])
     lists = [edges for edges in (named, _edges(given["creases"])) if edges is not None]
     given["creases"] = np.concatenate(lists) if len(lists) > 1 else next(iter(lists), None)
     return given, attributes
@@ -106,6 +118,7 @@ def remesh(
     edge_length: float | None = None,
     density: Density | ArrayLike = "uniform",
     sizes: ArrayLike | None = None,
+    metric: ArrayLike | None = None,
     gradation: float | None = None,
     adaptivity: float | None = None,
     max_deviation: float | None = None,
@@ -148,12 +161,14 @@ def remesh(
         mesh: vertices, (n, 3) float; the name of a file; or an object of trimesh, pyvista or meshio.
         faces: (m, 3) integer indices from 0, with vertices only.
         points: number of seeds, about the number of vertices of the result: 10000, 1e4, "10k", or "50%" of the vertices. This,
-            `facets`, `edge_length`, `sizes` or `seeds` is needed.
+            `facets`, `edge_length`, `sizes`, `metric` or `seeds` is needed.
         facets: about how many faces the result has, instead of `points`.
         edge_length: length of the edges in the mesh's units, instead of `points`.
         density: where short edges go: "uniform", "curvature" (where the surface bends), "lfs" (where it is thin, hollow or
             sharp); or (n,) float, a weight for each vertex, at least 0: an edge length h needs a weight proportional to h**-4.
         sizes: (n,) float above 0: length of the edges at each vertex. With `points` only the ratios are kept.
+        metric: (n, 6) float, a metric tensor for each vertex: m11 m12 m22 m13 m23 m33; or (n, 3, 3). An edge e gets about length
+            1, the root of e @ M @ e. With `points` the metric is scaled for their number.
         gradation: the most that edge lengths grow per distance, above 0.
         adaptivity: 0 for edges of one length, 1 for lengths as `density` or `sizes` says.
         max_deviation: adds points where the result is farther than this from the mesh, percent of the diagonal of its box.

@@ -3,7 +3,11 @@
 //! Invariant: the defaults are those of the command and the service. An error names what the caller gave, and what it may be.
 //! Must not know: surfaces.
 
+use crate::mesh::tensor::Tensor;
 use crate::token::Stopped;
+
+/// The largest ratio of two lengths: weights, their fourth power, have to be within single precision.
+pub(super) const MOST_RATIO: f64 = 1e4;
 
 /// Where the density comes from.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -29,10 +33,14 @@ pub enum DensitySource {
     Error,
     /// The same for the least largest distance: h ∝ |K|^(-1/4).
     ErrorMax,
+    /// A metric per mesh vertex, caller's units: an edge e has the length √(eᵀ M e), and is to have length 1. Points are as dense
+    /// as unit triangles need them, and neither adaptivity, clamp nor gradation is read. A remesh also gives facets their shape
+    /// in the metric. With a count of points, all lengths are scaled for it.
+    Metric(Vec<Tensor>),
 }
 
 impl DensitySource {
-    /// "uniform", "weights", "sizes", "curvature", "lfs", "error" or "error_max".
+    /// "uniform", "weights", "sizes", "curvature", "lfs", "error", "error_max" or "metric".
     pub fn name(&self) -> &'static str {
         match self {
             Self::Uniform => "uniform",
@@ -42,6 +50,7 @@ impl DensitySource {
             Self::FeatureSize => "lfs",
             Self::Error => "error",
             Self::ErrorMax => "error_max",
+            Self::Metric(_) => "metric",
         }
     }
 }
@@ -117,7 +126,7 @@ impl DensityOptions {
             Self { adaptivity: a, .. } if !(0.0..=1.0).contains(&a) => bad("adaptivity", a, "from 0 to 1"),
             Self { gradation, .. } if gradation.is_nan() || gradation <= 0.0 => bad("gradation", gradation, "above 0"),
             Self { clamp, .. } if clamp.is_nan() || clamp < 1.0 => bad("clamp", clamp, "at least 1"),
-            Self { ratio, .. } if !(1.0..=1e4).contains(&ratio) => bad("ratio", ratio, "from 1 to 10000"),
+            Self { ratio, .. } if !(1.0..=MOST_RATIO).contains(&ratio) => bad("ratio", ratio, "from 1 to 10000"),
             _ => Ok(()),
         }
     }
@@ -157,6 +166,31 @@ pub enum DensityError {
         vertex: usize,
         /// What was given.
         value: f64,
+    },
+    /// The list of metric tensors is not as long as the list of vertices.
+    #[error("{given} metric tensors for {vertices} vertices; give one per vertex of the surface that is remeshed")]
+    MetricCount {
+        /// How many were given.
+        given: usize,
+        /// How many vertices there are.
+        vertices: usize,
+    },
+    /// A number of a metric tensor is NaN or infinite.
+    #[error("the metric tensor of vertex {vertex} has a number that is not finite; give six finite numbers")]
+    MetricNotFinite {
+        /// The vertex, from 0.
+        vertex: usize,
+    },
+    /// A metric tensor is not positive definite: some direction has no length.
+    #[error(
+        "the metric tensor of vertex {vertex} is not positive definite: its least eigenvalue is {least}; give a tensor whose \
+         eigenvalues 1/h² are all above 0, that across the surface too"
+    )]
+    MetricNotPositive {
+        /// The vertex, from 0.
+        vertex: usize,
+        /// Its least eigenvalue.
+        least: f64,
     },
     /// An option is outside its range.
     #[error("{name} is {value}; it must be {range}")]

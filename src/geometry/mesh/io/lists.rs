@@ -1,4 +1,4 @@
-//! Lists beside a surface, as text: points, an edge length for each vertex, edges that are creases.
+//! Lists beside a surface, as text: points, an edge length or a metric tensor for each vertex, edges that are creases.
 //!
 //! Purpose: reads one element a line; empty lines and lines that begin with `#` are left out. Numbers of the file's vertices
 //! become those of the surface. Invariant: vertices keep their numbers, except in OBJ (numbered by first use in a face,
@@ -11,6 +11,7 @@ use glam::DVec3;
 
 use super::{DataError, Format, VertexNumbers, syntax, unpack, unpacked_limit, without_mark};
 use crate::mesh::TriMesh;
+use crate::mesh::tensor::Tensor;
 use crate::token::Token;
 
 /// Lines with an element, numbered from 1. They end early once the token is stopped.
@@ -55,6 +56,15 @@ pub fn points(text: &str, most: usize, token: &Token) -> Result<Vec<DVec3>, Data
         return Err(DataError::List("there are no points".to_owned()));
     }
     Ok(points)
+}
+
+/// Metric tensors, six numbers a line: m11, m12, m22, m13, m23, m33. Reading ends early once the token is stopped.
+pub fn tensors(text: &str, token: &Token) -> Result<Vec<Tensor>, DataError> {
+    let tensor = |(number, line)| match numbers::<f64, { Tensor::NUMBERS }>(line) {
+        Some(tensor) => Ok(Tensor(tensor)),
+        None => Err(syntax(number, format!("not six numbers: {}", shown(line)))),
+    };
+    lines(text, token).map(tensor).collect()
 }
 
 /// How the vertices of a file are numbered in the surface that was read from it.
@@ -115,6 +125,19 @@ impl FileVertices {
         Ok(match &self.order {
             Some(order) => order.iter().map(|&v| lengths[v as usize]).collect(),
             None => lengths,
+        })
+    }
+
+    /// Those of the surface's vertices, of one tensor for each of the file's. Too few or too many are an error.
+    pub fn tensors(&self, tensors: Vec<Tensor>) -> Result<Vec<Tensor>, DataError> {
+        if tensors.len() != self.count {
+            let (given, count) = (tensors.len(), self.count);
+            let text = format!("{given} metric tensors, but the surface has {count} vertices; give one for each");
+            return Err(DataError::List(text));
+        }
+        Ok(match &self.order {
+            Some(order) => order.iter().map(|&v| tensors[v as usize]).collect(),
+            None => tensors,
         })
     }
 

@@ -25,7 +25,7 @@ use crate::remesh::improve::MeshEditor;
 use crate::remesh::improve::places::{improve, recover_edge};
 use crate::remesh::improve::shapes::{Mobility, MotionBounds, improve_shapes, restore, tighten};
 use crate::remesh::manifold::{LocalMesh, boundary_ears, repair};
-use crate::remesh::report::RepairFigures;
+use crate::remesh::report::{AdaptedFigures, RepairFigures};
 use crate::remesh::triangle::Shapes;
 use crate::remesh::{Placement, RemeshError};
 use crate::rvd::{Surface, dual};
@@ -263,7 +263,9 @@ impl<'a> Extraction<'a> {
         let Draft { positions, facets, vertex_seed, curve_edges, repair, seeds, .. } = draft;
         // Only one thing can be wrong with it: seeds on a line leave no facet with an area.
         let mesh = TriMesh::new(positions, facets).map_err(|_| RemeshError::too_few(seeds))?;
-        Ok(Built { mesh, vertex_seed, curve_edges, repair, missed })
+        let segments = curve_edges;
+        let curve_edges = segments.iter().flatten().copied().collect();
+        Ok(Built { mesh, vertex_seed, segments, curve_edges, repair, missed, metric: None })
     }
 
     /// Recovers edges of curves and improves the places that need it. Returns how many places are still far.
@@ -347,8 +349,12 @@ fn mobility(positions: &[DVec3], curve_edges: &[Option<[u32; 2]>], fixed: &[bool
 pub(super) struct Built {
     pub(super) mesh: TriMesh,
     pub(super) vertex_seed: Vec<u32>,
-    pub(super) curve_edges: Vec<Option<[u32; 2]>>,
+    /// For each segment of the curves its edge, if it is there; before an adaptation to a metric, if there was one.
+    pub(super) segments: Vec<Option<[u32; 2]>>,
+    pub(super) curve_edges: Vec<[u32; 2]>,
     pub(super) repair: RepairFigures,
+    /// Lengths in the metric, if there is one.
+    pub(super) metric: Option<AdaptedFigures>,
     /// Places of the input that it is still far from.
     pub(super) missed: usize,
 }

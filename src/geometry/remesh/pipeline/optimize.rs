@@ -421,7 +421,7 @@ pub(super) fn shorten(
     Ok(())
 }
 
-fn is_near(vertices: usize, asked: usize) -> bool {
+pub(super) fn is_near(vertices: usize, asked: usize) -> bool {
     vertices.abs_diff(asked) <= COUNT_SLACK.max((COUNT_LIMIT * asked as f64) as usize)
 }
 

@@ -9,8 +9,8 @@ use glam::DVec3;
 
 use crate::cvt::density::{self, DensityOptions, DensitySource, Plan};
 use crate::cvt::lifts::CurveLifts;
-use crate::mesh::closest_point::ClosestPoint;
 use crate::mesh::TriMesh;
+use crate::mesh::closest_point::ClosestPoint;
 use crate::remesh::features::KeptCurves;
 use crate::remesh::lift::{Lift, Lifting};
 use crate::remesh::triangle::{Norm, Shapes};

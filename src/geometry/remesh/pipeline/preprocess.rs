@@ -85,13 +85,17 @@ pub(super) fn preprocess(given: &TriMesh, weld: Option<f64>, token: &Token) -> R
 }
 
 /// Edge length that the options ask for; `None` where seeds are given, or where it is not known yet.
-fn target_edge(clean: &TriMesh, options: &RemeshOptions) -> Option<f64> {
+fn target_edge(clean: &TriMesh, components: usize, options: &RemeshOptions) -> Option<f64> {
     let (low, high) = clean.bounds();
     match (&options.seeds, &options.density) {
         (Seeds::Given(_), _) => None,
         (Seeds::Sample { points, .. }, _) => Some(uniform_edge(clean, *points)),
         (_, DensityOptions { source: DensitySource::Sizes(sizes), .. }) => {
             Some(sizes.iter().copied().fold(0.0, f64::max).min((high - low).length()))
+        }
+        // Edges may be long in one direction.
+        (_, DensityOptions { source: DensitySource::Metric(_), .. }) => {
+            Some(uniform_edge(clean, POINTS_PER_COMPONENT * components))
         }
         (_, density) => density.edge_length,
     }
@@ -129,7 +133,8 @@ impl Preprocessed {
         let surface = self.figures.kind != InputKind::Volume;
         let clean = self.changed.as_ref().unwrap_or(given);
         let mut separated = Separated { apart: None, options: None, topology };
-        if let Some(edge) = target_edge(clean, options).filter(|_| topology.components > 1 || touching && surface) {
+        let several = topology.components > 1 || touching && surface;
+        if let Some(edge) = target_edge(clean, topology.components, options).filter(|_| several) {
             // Smaller ones are noise, and get no vertices of their own.
             let least = POINTS_PER_COMPONENT as f64 * (3f64.sqrt() / 2.0) * edge * edge;
             let sheets = Sheets::of(clean, if touching { least } else { 0.0 }, token)?;
@@ -171,9 +176,14 @@ impl Preprocessed {
             }
         }
         if let Some(Apart { copied, .. }) = apart {
-            if let DensitySource::Sizes(values) | DensitySource::Weights(values) = &mut adapted.density.source {
-                let of_copies: Vec<f64> = copied.iter().filter_map(|&v| values.get(v as usize).copied()).collect();
+            fn extend<T: Copy>(values: &mut Vec<T>, copied: &[u32]) {
+                let of_copies: Vec<T> = copied.iter().filter_map(|&v| values.get(v as usize).copied()).collect();
                 values.extend(of_copies);
+            }
+            match &mut adapted.density.source {
+                DensitySource::Sizes(values) | DensitySource::Weights(values) => extend(values, copied),
+                DensitySource::Metric(tensors) => extend(tensors, copied),
+                _ => {}
             }
             adapted.attributes = options.attributes.as_ref().map(|attributes| attributes.with_copies(copied));
         }

@@ -13,6 +13,7 @@
 use glam::DVec3;
 
 use super::Job;
+use super::adapt;
 use super::extract::{Built, Draft, Extraction, Missed};
 use super::optimize::{Optimized, exact_dual};
 use super::prepare::{Metric, Prepared, prepare, with_source};
@@ -341,9 +342,16 @@ fn build<P: Metric>(
         *dual = exact_dual((surface, &mut **session), cvt, schedule)?;
         schedule.job.laps.end(|t| &mut t.dual);
     }
-    let (draft, seeds) = best.ok_or_else(|| RvdError::Internal("no result was built".to_owned()))?;
-    let built = rayon::scope(|_| extraction.finish(draft))?;
+    let (draft, mut seeds) = best.ok_or_else(|| RvdError::Internal("no result was built".to_owned()))?;
+    let mut built = rayon::scope(|_| extraction.finish(draft))?;
     schedule.figures.refine.out_of_tolerance = built.missed;
+    if let DensitySource::Metric(tensors) = &options.density.source {
+        let asked = options.seeds.drawn();
+        built = adapt::adapt(built, (schedule.job.separated, tensors), (surface, curves), asked, token)?;
+        // Vertices are not those of the seeds any more.
+        seeds = built.mesh.positions().to_vec();
+        schedule.figures.asked = asked.unwrap_or(seeds.len());
+    }
     schedule.job.laps.end(|t| &mut t.repair);
     Ok((built, seeds))
 }

@@ -8,7 +8,7 @@ use super::*;
 
 const KINDS: [Kind; 3] = [Kind::Remesh, Kind::Rvd, Kind::Cvt];
 const BACKENDS: [BackendKind; 3] = [BackendKind::Serial, BackendKind::Parallel, BackendKind::Gpu];
-const DENSITIES: [DensitySource; 7] = [
+const DENSITIES: [DensitySource; 8] = [
     DensitySource::Uniform,
     DensitySource::Weights,
     DensitySource::EdgeLengths,
@@ -16,6 +16,7 @@ const DENSITIES: [DensitySource; 7] = [
     DensitySource::Lfs,
     DensitySource::Error,
     DensitySource::ErrorMax,
+    DensitySource::Metric,
 ];
 
 /// From few to more than there can be.

@@ -47,7 +47,7 @@ class ConnectionLost(ServerError):
 
 # Where options and arrays lie in messages, and the fields that are called otherwise than their keyword.
 _OPTION = re.compile(
-    r"(?:spec|header)\.(?:(?:remesh|rvd|cvt\.options|arrays|options)\.|mesh\.(?=weights|edge_lengths)|(?=seeds))"
+    r"(?:spec|header)\.(?:(?:remesh|rvd|cvt\.options|arrays|options)\.|mesh\.(?=weights|edge_lengths|metric)|(?=seeds))"
     r"(?:density\.)?(\w+)(.*)",
     re.DOTALL,
 )

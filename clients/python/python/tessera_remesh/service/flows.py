@@ -327,6 +327,7 @@ BESIDE = (
     ("seeds", "seeds", _floats),
     ("edge_lengths", "sizes", _doubles),
     ("weights", "weights", _doubles),
+    ("metric", "metric", _doubles),
     ("creases", "creases", _indices),
 )
 
