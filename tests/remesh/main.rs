@@ -41,6 +41,7 @@ mod near_corners;
 mod pipeline;
 mod real_meshes;
 mod reported;
+mod sheets;
 mod stray;
 mod thin;
 mod vertex_count;

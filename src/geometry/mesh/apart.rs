@@ -10,10 +10,13 @@ use std::collections::HashMap;
 use glam::DVec3;
 
 use super::sheets::Sheets;
-use super::{MeshError, TriMesh};
+use super::{MeshError, TriMesh, coincident};
+use crate::token::{Stopped, Token};
 
 /// Most sheets that are moved: a surface with more is a list of triangles, or dust.
 const MOST: usize = 10_000;
+/// What translations may change, share of the whole's size.
+const ROUNDING: f64 = 1e-14;
 /// Largest growth of the whole: each doubling costs a binary digit of single precision.
 const LONGEST: f64 = 8.0;
 
@@ -103,9 +106,18 @@ impl Apart {
         p - parts[part].1
     }
 
-    /// A surface beside this one, where it was; no error if it is still valid there.
-    pub(crate) fn mesh_back(&self, mesh: &TriMesh) -> Result<TriMesh, MeshError> {
-        TriMesh::new(mesh.positions().iter().map(|&p| self.back(p)).collect(), mesh.facets().to_vec())
+    /// A surface beside this one, where it was; no error if it is still valid there. Where sheets touched, vertices that only
+    /// rounding tells apart are in one place again.
+    pub(crate) fn mesh_back(&self, mesh: &TriMesh, token: &Token) -> Result<Result<TriMesh, MeshError>, Stopped> {
+        let mut positions: Vec<DVec3> = mesh.positions().iter().map(|&p| self.back(p)).collect();
+        if !self.copied.is_empty() {
+            let (low, high) = self.mesh.bounds();
+            let reach = ROUNDING * (high - low).max_element();
+            for (v, u, _) in coincident::near(&positions.clone(), 0..positions.len() as u32, (low, reach), token)? {
+                positions[v as usize] = positions[u as usize];
+            }
+        }
+        Ok(TriMesh::new(positions, mesh.facets().to_vec()))
     }
 }
 
@@ -166,7 +178,6 @@ mod tests {
 
     use super::*;
     use crate::mesh::shapes::Shape;
-    use crate::token::Token;
 
     /// Shells around each other, and a plane through them.
     fn nested(shells: u32) -> TriMesh {
@@ -198,7 +209,7 @@ mod tests {
             let (then, now) = (lengths(mesh.corners(f)), lengths(apart.mesh.corners(f)));
             assert!(then.iter().zip(now).all(|(a, b)| (a - b).abs() < 1e-14));
         }
-        assert_eq!(apart.mesh_back(&apart.mesh).unwrap(), mesh);
+        assert_eq!(apart.mesh_back(&apart.mesh, &Token::default()).unwrap().unwrap(), mesh);
         // Points near a component move with it.
         let side = 0.45 * gap;
         for (k, (&now, &then)) in apart.mesh.positions().iter().zip(mesh.positions()).enumerate() {
@@ -236,7 +247,7 @@ mod tests {
         let apart = Apart::of(&mesh, &sheets, 0.5).unwrap();
         assert_eq!((&apart.copied[..], apart.mesh.positions().len()), (&[0, 0][..], mesh.positions().len() + 2));
         assert!(Apart::of(&apart.mesh, &sheets, 0.5).is_none());
-        let back = apart.mesh_back(&apart.mesh).unwrap();
+        let back = apart.mesh_back(&apart.mesh, &Token::default()).unwrap().unwrap();
         assert!((0..mesh.facets().len()).all(|f| back.corners(f) == mesh.corners(f)));
     }
 }

@@ -24,6 +24,8 @@ pub(crate) struct Sheets {
     /// The sheet of each facet.
     pub of_facet: Vec<u32>,
     pub count: usize,
+    /// Edges at which several sheets meet, by their lowest vertices; ascending.
+    pub seams: Vec<[u32; 2]>,
 }
 
 /// A facet at an edge, seen along the edge from its lower end.
@@ -85,8 +87,18 @@ impl Sheets {
         order.sort_unstable();
         let mut number = vec![0; mesh.facets().len()];
         order.iter().zip(0..).for_each(|(&(_, root), k)| number[root] = k);
-        let of_facet = (0..mesh.facets().len()).map(|f| number[sets.root(f)]).collect();
-        Ok(Self { of_facet, count: order.len() })
+        let of_facet: Vec<u32> = (0..mesh.facets().len()).map(|f| number[sets.root(f)]).collect();
+        let mut seams = Vec::new();
+        groups.for_each(|_, halves| {
+            let mut sheets = halves.iter().map(|half| of_facet[half.facet as usize]);
+            if let (true, Some(first)) = (halves.len() > 2, sheets.next())
+                && sheets.any(|sheet| sheet != first)
+            {
+                let t = welded(&mesh.facets()[halves[0].facet as usize]);
+                seams.push(undirected([t[halves[0].side], t[(halves[0].side + 1) % 3]]));
+            }
+        });
+        Ok(Self { of_facet, count: order.len(), seams })
     }
 }
 

@@ -180,6 +180,7 @@ fn run_stages(
     let mut attempt = attempt.map_err(|error| error.for_surface(&topology, input.area, edge_length))?;
 
     token.check()?;
+    let mut of_result = None;
     let result = &mut attempt.built.mesh;
     let (attributes, provenance) = match &apart {
         // Attributes are those of the facets as given, and so is the provenance.
@@ -188,7 +189,9 @@ fn run_stages(
             let broken = |e| RvdError::Internal(format!("a surface was valid where its parts were apart: {e}"));
             let given_apart = preprocessed.given_apart(given, apart).map_err(broken)?;
             let transferred = transfer(&mut job, &given_apart, options, result)?;
-            *result = apart.mesh_back(result).map_err(broken)?;
+            // Of the sheets apart: in their places, vertices of several may be in one.
+            of_result = Some(topology_unless(result, &Adjacency::unless(result, token)?, token)?);
+            *result = apart.mesh_back(result, token)?.map_err(broken)?;
             attempt.seeds.iter_mut().for_each(|p| *p = apart.back(*p));
             // It answers for the sheets apart, not for the input.
             attempt.closest = None;
@@ -198,7 +201,7 @@ fn run_stages(
     job.laps.end(|t| &mut t.attributes);
 
     job.enter("measure");
-    let measured = measure(clean, input, options, attempt, job)?;
+    let measured = measure(clean, input, options, attempt, of_result, job)?;
     Ok(Remesh { attributes, provenance, ..measured })
 }
 
@@ -236,6 +239,7 @@ fn measure(
     input: InputFigures,
     options: &RemeshOptions,
     attempt: Attempt<'_>,
+    of_result: Option<Topology>,
     Job { backend, token, mut laps, topology: wanted, .. }: Job<'_, '_>,
 ) -> Result<Remesh, RemeshError> {
     let Attempt { plan, curves, closest, built, seeds, figures, device, device_bytes } = attempt;
@@ -248,7 +252,11 @@ fn measure(
     let touches = built.repair.extra_vertices > 0 || wanted.components > 1;
     let topology = || -> Result<_, Stopped> {
         let coincident_vertices = if touches { coincident_vertices(result, token)? } else { 0 };
-        Ok((topology_unless(result, &Adjacency::unless(result, token)?, token)?, coincident_vertices))
+        let topology = match of_result {
+            Some(known) => known,
+            None => topology_unless(result, &Adjacency::unless(result, token)?, token)?,
+        };
+        Ok((topology, coincident_vertices))
     };
     let ((topology, crossings), quality) = rayon::join(|| rayon::join(topology, crossings), quality);
     let crossings = crossings?;

@@ -133,6 +133,7 @@ impl Preprocessed {
         let surface = self.figures.kind != InputKind::Volume;
         let clean = self.changed.as_ref().unwrap_or(given);
         let mut separated = Separated { apart: None, options: None, topology };
+        let mut seams = Vec::new();
         let several = topology.components > 1 || touching && surface;
         if let Some(edge) = target_edge(clean, topology.components, options).filter(|_| several) {
             // Smaller ones are noise, and get no vertices of their own.
@@ -143,12 +144,16 @@ impl Preprocessed {
             if edge <= uniform_edge(clean, POINTS_PER_COMPONENT * sheets.count) {
                 separated.apart = Apart::of(clean, &sheets, gap);
             }
-            if let Some(apart) = separated.apart.as_ref().filter(|apart| !apart.copied.is_empty()) {
+            if sheets.count > topology.components
+                && let Some(apart) = &separated.apart
+            {
                 self.figures.sheets = sheets.count;
                 separated.topology = topology_unless(&apart.mesh, &Adjacency::unless(&apart.mesh, token)?, token)?;
             }
+            seams = sheets.seams;
         }
-        separated.options = self.adapted(clean, options, separated.apart.as_ref(), token)?;
+        let apart = separated.apart.as_ref().map(|apart| (apart, &seams[..]));
+        separated.options = self.adapted(clean, options, apart, token)?;
         Ok(separated)
     }
 
@@ -157,20 +162,22 @@ impl Preprocessed {
         &self,
         clean: &TriMesh,
         options: &RemeshOptions,
-        apart: Option<&Apart>,
+        apart: Option<(&Apart, &[[u32; 2]])>,
         token: &Token,
     ) -> Result<Option<RemeshOptions>, Stopped> {
-        let apart = apart.filter(|apart| !apart.copied.is_empty());
-        let named = !options.creases.is_empty();
-        if apart.is_none() && !(named && self.divided.is_some()) {
+        let touching = apart.filter(|(apart, seams)| !(apart.copied.is_empty() && seams.is_empty()));
+        let (apart, seams) = touching.map_or((None, &[][..]), |(apart, seams)| (Some(apart), seams));
+        if apart.is_none() && (options.creases.is_empty() || self.divided.is_none()) {
             return Ok(None);
         }
         let mut adapted = options.clone();
-        if named {
+        if !(options.creases.is_empty() && seams.is_empty()) {
             let class = weld_unless(clean, token)?;
             if let Some(divided) = &self.divided {
                 adapted.creases = divided.pieces(&adapted.creases, &class);
             }
+            // Where sheets meet, each has a curve, so that all have vertices in the same places.
+            adapted.creases.extend(seams);
             if let Some(apart) = apart {
                 adapted.creases = edges_of_sheets(&adapted.creases, clean, &class, apart);
             }
