@@ -35,7 +35,7 @@ const LENGTHENING: Constant<'static> = ("LENGTHENERS", LENGTHENERS as i64);
 macro_rules! pipelines {
     ($wide:ident; $($(#[$doc:meta])* $name:ident: $stage:literal, $constants:expr;)*) => {
         /// The stages. [`compile`](Self::compile) composes and compiles them all.
-        #[derive(Debug)]
+        #[derive(Clone, Debug)]
         pub(super) struct Pipelines {
             /// By [`MEMBERS`], then without and with weights.
             pub divide: [[wgpu::ComputePipeline; 2]; MEMBERS.len()],
@@ -45,15 +45,24 @@ macro_rules! pipelines {
         impl Pipelines {
             pub(super) fn compile(device: &Device) -> Result<Self, GpuError> {
                 let $wide = i64::from(device.has_wide_atomics());
-                let divide = |members: usize, weighted| {
-                    let [row, members] = [ROW, MEMBERS[members]].map(i64::from);
-                    let of_facet = [("ROW", row), ("MEMBERS", members), ("WEIGHTED", weighted)];
-                    pipeline(device, "clip/divide", &[&of_facet[..], &[("SHARED", 0), ("WIDE", $wide)]].concat())
-                };
-                let both = |members| Ok::<_, GpuError>([divide(members, 0)?, divide(members, 1)?]);
                 Ok(Self {
-                    divide: [both(0)?, both(1)?, both(2)?, both(3)?],
+                    divide: divide(device, 0, $wide)?,
                     $($name: pipeline(device, $stage, &$constants)?,)*
+                })
+            }
+
+            /// The same for lifted surfaces: variants of the stages that have one. The others are shared, or not used.
+            pub(super) fn lifted(&self, device: &Device) -> Result<Self, GpuError> {
+                let $wide = i64::from(device.has_wide_atomics());
+                let variant = |plain: &wgpu::ComputePipeline, stage: &str, constants: &[Constant<'_>]| {
+                    if !shaders::LIFTED.contains(&stage) {
+                        return Ok(plain.clone());
+                    }
+                    pipeline(device, stage, &[constants, &[("LIFTED", 1)]].concat())
+                };
+                Ok(Self {
+                    divide: divide(device, 1, $wide)?,
+                    $($name: variant(&self.$name, $stage, &$constants)?,)*
                 })
             }
         }
@@ -93,6 +102,17 @@ pipelines! {
     partial_dots: "optimizer/partial_dots", [HISTORY];
     dots: "optimizer/dots", [("DOTS", DOTS as i64)];
     direction: "optimizer/direction", [HISTORY];
+}
+
+/// The variants of the stage `divide`.
+fn divide(device: &Device, lifted: i64, wide: i64) -> Result<[[wgpu::ComputePipeline; 2]; MEMBERS.len()], GpuError> {
+    let variant = |members: u32, weighted| {
+        let of_facet = [("ROW", ROW.into()), ("MEMBERS", members.into()), ("WEIGHTED", weighted), ("SHARED", 0)];
+        pipeline(device, "clip/divide", &[&of_facet[..], &[("WIDE", wide), ("LIFTED", lifted)]].concat())
+    };
+    let both = |members| Ok::<_, GpuError>([variant(members, 0)?, variant(members, 1)?]);
+    let [a, b, c, d] = MEMBERS;
+    Ok([both(a)?, both(b)?, both(c)?, both(d)?])
 }
 
 fn pipeline(device: &Device, stage: &str, constants: &[Constant<'_>]) -> Result<wgpu::ComputePipeline, GpuError> {

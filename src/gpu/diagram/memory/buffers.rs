@@ -61,10 +61,10 @@ pub(crate) struct WindowBuffers {
 
 impl Buffers {
     /// Allocates everything, for windows of these numbers of facets. On an error what was allocated is freed again.
-    pub(crate) fn new(device: &Device, plan: Plan, windows: &[u64]) -> Result<Self, GpuError> {
+    pub(crate) fn new(device: &Device, lifted: bool, plan: Plan, windows: &[u64]) -> Result<Self, GpuError> {
         let mut allocation = Allocation::new(device, plan.total_bytes());
         let mut window = |&facets: &u64| {
-            let (records, candidates) = plan::window_bytes(facets);
+            let (records, candidates) = plan::window_bytes(lifted, facets);
             Ok(WindowBuffers {
                 facets: allocation.make(device, "facets", records, STORAGE)?,
                 candidates: allocation.make(device, "candidates", candidates, STORAGE)?,
