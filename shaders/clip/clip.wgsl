@@ -59,8 +59,8 @@ fn piece_sums(facet: Facet) -> PieceSums {
             break;
         }
     }
-    energy += mass * height * height;
-    let m = (moment.x * facet.e1 + moment.y * facet.e2 + (mass * height) * facet.n) * params.moment_scale;
+    energy += foot_energy(mass);
+    let m = scaled(from_seed(facet, moment, mass), params.moment_scale);
     return PieceSums(
         select(0.0, mass * params.mass_scale, weighted),
         m,
@@ -69,6 +69,7 @@ fn piece_sums(facet: Facet) -> PieceSums {
     );
 }
 
+#if 1 - LIFTED
 // Whether the seed at `b` from the present one is farther from the facet's centroid than it, beyond
 // what rounding could have done. A strict order of the cells, which `verify` needs: distances to the
 // centroid in the facet's rounded frame are one fixed function of the seed.
@@ -82,6 +83,7 @@ fn is_farther(facet: Facet, b: vec3f) -> bool {
     let extent = abs(corner0.x) + abs(corner0.y) + abs(height) + facet.corner1_u + facet.corner2_v + length(b);
     return dot(c, c) + 4e-6 * (extent + abs(facet.corner2_u)) * (length(c) + length(d)) < dot(d, d);
 }
+#end
 
 // A piece's cell and sums, or nothing.
 struct Piece {
@@ -121,9 +123,11 @@ fn process(index: u32) -> Piece {
         let j = polygon_edge(k);
         if j < FACET_EDGE - 2u {
             var named = 0u;
-            if by_cell && is_farther(facet, (seeds[j].hi - seed.hi) + (seeds[j].lo - seed.lo)) {
+#if 1 - LIFTED
+            if by_cell && is_farther(facet, to_seed(seed, seeds[j])) {
                 named = NAMED;
             }
+#end
             let outcome = insert_cell(facet.slot_begin, facet.slot_mask & ~BY_CELL, j, named);
             if outcome == INSERTED {
                 append_pair(f, j);

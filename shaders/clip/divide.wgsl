@@ -24,6 +24,7 @@
 #end
 @group(0) @binding(8) var<storage, read_write> state: State;
 
+#import shared/plane
 #import shared/fixed
 #import shared/accumulate
 #import shared/append_pair
@@ -180,6 +181,17 @@ fn main(@builtin(global_invocation_id) id: vec3u, @builtin(num_workgroups) group
     atomicAdd(&state.paired, 1u);
 }
 
+// A seed at b from the first one, so that its distance from a corner is less by twice the product of this and the corner: in
+// R^3 b in the facet's frame, LIFTED along the frame, and what of it is along the height.
+fn foot_of(facet: Facet, b: Point) -> vec3f {
+#if 1 - LIFTED
+    return vec3f(dot(facet.e1, b), dot(facet.e2, b), dot(facet.n, b));
+#end
+#if LIFTED
+    return vec3f(along_e1(facet, b), along_e2(facet, b), inner(height, b));
+#end
+}
+
 // The row of the seed nearest to the centroid. `reach` is how far it is known; every seed nearer was considered.
 fn gather(nearest: u32, own: Seed, facet: Facet, corners: mat3x3f, radius2: f32, reach_of_row: ptr<function, f32>) {
     members = 1u;
@@ -202,12 +214,12 @@ fn gather(nearest: u32, own: Seed, facet: Facet, corners: mat3x3f, radius2: f32,
     // is left at its end.
     loop {
         let j = table[min(at, end - 1u)];
-        let b = (seeds[j].hi - own.hi) + (seeds[j].lo - own.lo);
-        let b2 = dot(b, b);
+        let b = to_seed(own, seeds[j]);
+        let b2 = inner(b, b);
         // The security radius of the whole facet ([LB12]), widened by what rounding can do to either side.
         let closed = at < end && b2 > 4.00004 * radius2;
         let open = at < end && !closed;
-        let foot = vec3f(dot(facet.e1, b), dot(facet.e2, b), dot(facet.n, b));
+        let foot = foot_of(facet, b);
         let far = vec3f(b2) - 2.0 * (foot * corners);
         if open && min(min(far.x, far.y), far.z) <= 0.0 {
             consider(j, far, foot);
@@ -242,10 +254,15 @@ fn value_at(p: vec2f, values: vec3f) -> f32 {
 }
 
 // The integrals of a piece about its own seed, in units.
-fn piece_sums(m: Moments, foot: vec3f, facet: Facet, corner: vec3f) -> PieceSums {
+fn piece_sums(m: Moments, seed: u32, foot: vec3f, facet: Facet, corner: vec3f) -> PieceSums {
     let one = m.one * (1.0 / 2.0);
+#if 1 - LIFTED
     let origin = corner.xy - foot.xy;
-    let height = corner.z - foot.z;
+    height = corner.z - foot.z;
+#end
+#if LIFTED
+    let origin = set_plane(facet, to_corner(seeds[seed], facet));
+#end
 #if 1 - WEIGHTED
     let mass = one;
     let linear = m.first * (1.0 / 6.0);
@@ -257,10 +274,10 @@ fn piece_sums(m: Moments, foot: vec3f, facet: Facet, corner: vec3f) -> PieceSums
     let squared = m.second * (1.0 / 60.0);
 #end
     let moment = mass * origin + linear;
-    let energy = mass * (dot(origin, origin) + height * height) + 2.0 * dot(origin, linear) + squared;
+    let energy = mass * (dot(origin, origin) + squared_height()) + 2.0 * dot(origin, linear) + squared;
     return PieceSums(
         $(WEIGHTED).0 * (mass * params.mass_scale),
-        (moment.x * facet.e1 + moment.y * facet.e2 + (mass * height) * facet.n) * params.moment_scale,
+        scaled(from_seed(facet, moment, mass), params.moment_scale),
         energy * params.energy_scale,
         one * params.area_scale,
     );
@@ -270,8 +287,14 @@ fn piece_sums(m: Moments, foot: vec3f, facet: Facet, corner: vec3f) -> PieceSums
 fn divide(facet: Facet, nearest: u32) -> bool {
     // The facet from the seed nearest to its centroid: corners in the facet's frame.
     let own = seeds[nearest];
-    let w = (facet.hi - own.hi) + (facet.lo - own.lo);
-    let q = vec3f(dot(facet.e1, w), dot(facet.e2, w), dot(facet.n, w));
+    let first = set_plane(facet, to_corner(own, facet));
+#if 1 - LIFTED
+    let q = vec3f(first, height);
+#end
+#if LIFTED
+    // What is along the height is a product with all of it.
+    let q = vec3f(first, 1.0);
+#end
     let side1 = vec2f(facet.corner1_u, 0.0);
     let side2 = vec2f(facet.corner2_u, facet.corner2_v);
     let corners = mat3x3f(q, vec3f(q.xy + side1, q.z), vec3f(q.xy + side2, q.z));
@@ -279,7 +302,16 @@ fn divide(facet: Facet, nearest: u32) -> bool {
     weight = facet.weight;
     growth = vec2f(facet.weight_u, facet.weight_v);
 #end
+#if 1 - LIFTED
     let squares = vec3f(dot(corners[0], corners[0]), dot(corners[1], corners[1]), dot(corners[2], corners[2]));
+#end
+#if LIFTED
+    let squares = squared_height() + vec3f(
+        dot(corners[0].xy, corners[0].xy),
+        dot(corners[1].xy, corners[1].xy),
+        dot(corners[2].xy, corners[2].xy),
+    );
+#end
     let radius2 = max(max(squares.x, squares.y), squares.z);
     // Written so that NaN fails too.
     if !(radius2 <= RANGE2) {
@@ -292,7 +324,7 @@ fn divide(facet: Facet, nearest: u32) -> bool {
     if full || longest2 > LONGEST2 * spacing2 {
         return false;
     }
-    let height2 = q.z * q.z;
+    let height2 = squared_height();
     var nearest2 = far_0;
 #repeat K in 1..MEMBERS
     nearest2 = min(nearest2, far_$K);
@@ -310,7 +342,12 @@ fn divide(facet: Facet, nearest: u32) -> bool {
 #repeat I in 0..MEMBERS - 1
 #repeat J in I + 1..MEMBERS
     if $(J)u < members {
+#if 1 - LIFTED
         let between = foot_$J - foot_$I;
+#end
+#if LIFTED
+        let between = foot_$(J).xy - foot_$(I).xy;
+#end
         apart = apart && dot(between, between) >= APART2 * radius2;
         // Which corners are in the first cell, and where the bisector crosses each edge, if it does.
         let d = far_$J - far_$I;
@@ -394,7 +431,7 @@ fn divide(facet: Facet, nearest: u32) -> bool {
         m = either(m, m_$K, k == $(K)u);
 #end
         if m.one != 0.0 {
-            add_direct(seed, piece_sums(m, foot, facet, q));
+            add_direct(seed, piece_sums(m, seed, foot, facet, q));
         }
         k += 1u;
         if k >= members {

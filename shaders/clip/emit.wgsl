@@ -9,7 +9,7 @@
 @group(0) @binding(4) var<storage, read> list: array<vec2u>;
 // Per pair: facet, seed, number of vertices, status.
 @group(0) @binding(5) var<storage, read_write> heads: array<vec4u>;
-// Per pair $SLOTS vertices: position relative to the seed and weight, and edge labels.
+// Per pair $SLOTS vertices: place relative to the seed's and weight, and edge labels.
 @group(0) @binding(6) var<storage, read_write> vertices: array<vec4f>;
 @group(0) @binding(7) var<storage, read_write> labels: array<u32>;
 
@@ -30,7 +30,7 @@ fn main(@builtin(global_invocation_id) id: vec3u) {
     let weighted = params.uniform_weights == 0u;
     for (var k = 0u; k < size; k += 1u) {
         let p = polygon_vertex(k);
-        let q = p.x * facet.e1 + p.y * facet.e2 + height * facet.n;
+        let q = place_in(from_seed(facet, p, 1.0));
         let at = id.x * $(SLOTS)u + k;
         vertices[at] = vec4f(q, select(1.0, weight_at(facet, p), weighted));
         labels[at] = polygon_edge(k);

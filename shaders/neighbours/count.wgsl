@@ -39,8 +39,13 @@ fn main(@builtin(global_invocation_id) id: vec3u, @builtin(num_workgroups) group
     }
     let p = seeds[i].hi + seeds[i].lo;
     let a = abs(p);
-    let reach = max(max(a.x, a.y), a.z);
-    let finite = is_finite(p.x) && is_finite(p.y) && is_finite(p.z);
+    var reach = max(max(a.x, a.y), a.z);
+    var finite = is_finite(p.x) && is_finite(p.y) && is_finite(p.z);
+#if LIFTED
+    let lift = seeds[i].lift_hi + seeds[i].lift_lo;
+    reach = max(reach, max(max(abs(lift.x), abs(lift.y)), abs(lift.z)));
+    finite = finite && is_finite(lift.x) && is_finite(lift.y) && is_finite(lift.z);
+#end
     if !finite || reach > ACCEPTED {
         atomicMax(&state.bad, 0xffffffffu - i);
         atomicOr(&state.halt, BAD);
@@ -49,7 +54,14 @@ fn main(@builtin(global_invocation_id) id: vec3u, @builtin(num_workgroups) group
     if reach > FARTHEST {
         atomicOr(&state.halt, FAR);
     }
-    if length(a + 0.5) <= NEAR && atomicLoad(&state.near) == 0u {
+#if 1 - LIFTED
+    let is_near = length(a + 0.5) <= NEAR;
+#end
+#if LIFTED
+    // No lift of the surface is longer.
+    let is_near = length(a + 0.5) <= NEAR && length(lift) <= params.longest_lift;
+#end
+    if is_near && atomicLoad(&state.near) == 0u {
         atomicStore(&state.near, 1u);
     }
     let cell = cell_at(place_of(p));

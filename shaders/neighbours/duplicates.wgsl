@@ -16,14 +16,12 @@ fn main(@builtin(global_invocation_id) id: vec3u, @builtin(num_workgroups) group
     if own >= params.seeds || atomicLoad(&state.halt) != 0u {
         return;
     }
-    let hi = sorted[own].hi;
-    let lo = sorted[own].lo;
-    let seed = sorted[own].seed;
-    let cell = sorted[own].first;
+    let here = sorted[own];
+    let seed = here.seed;
+    let cell = here.first;
     var first = seed;
     for (var at = cells[cell]; at < cells[cell + 1u]; at += 1u) {
-        let b = (sorted[at].hi - hi) + (sorted[at].lo - lo);
-        if all(b == vec3f(0.0)) {
+        if is_zero(to_sorted(here, sorted[at])) {
             first = min(first, sorted[at].seed);
         }
     }

@@ -21,17 +21,13 @@
 const STEPS: u32 = 64u;
 const RINGS: i32 = 8;
 
-var<private> q_hi: vec3f;
-var<private> q_lo: vec3f;
-
-fn to_q(hi: vec3f, lo: vec3f) -> f32 {
-    return squared((hi - q_hi) + (lo - q_lo));
-}
+// The centroid, in two parts as a seed.
+var<private> q: Seed;
 
 // From seed `guess` to nearer and nearer ones.
 fn walk(guess: u32) -> u32 {
     var i = guess;
-    var best = to_q(seeds[i].hi, seeds[i].lo);
+    var best = squared(to_seed(q, seeds[i]));
     var step = 0u;
     // Loops are left at their ends, as in `search`.
     loop {
@@ -46,11 +42,11 @@ fn walk(guess: u32) -> u32 {
         loop {
             let j = table[at];
             let other = seeds[j];
-            if squared((other.hi - seed.hi) + (other.lo - seed.lo)) > 4.0004 * best {
+            if squared(to_seed(seed, other)) > 4.0004 * best {
                 proved = true;
                 break;
             }
-            let key = to_q(other.hi, other.lo);
+            let key = squared(to_seed(q, other));
             if before(key, j, best, i) {
                 next = j;
                 best = key;
@@ -75,7 +71,7 @@ fn walk(guess: u32) -> u32 {
 
 // Through the grid.
 fn search_grid() -> u32 {
-    let p = q_hi + q_lo;
+    let p = q.hi + q.lo;
     let place = place_of(p);
     let last = i32(params.side) - 1;
     var best = NOWHERE_NEAR;
@@ -87,7 +83,7 @@ fn search_grid() -> u32 {
                 let first = range.y - range.x;
                 for (var k = 0u; k < first + range.w - range.z; k += 1u) {
                     let at = select(range.z + k - first, range.x + k, k < first);
-                    let key = to_q(sorted[at].hi, sorted[at].lo);
+                    let key = squared(seed_to_sorted(q, sorted[at]));
                     if before(key, sorted[at].seed, best, found) {
                         best = key;
                         found = sorted[at].seed;
@@ -114,8 +110,14 @@ fn main(@builtin(global_invocation_id) id: vec3u, @builtin(num_workgroups) group
     let v = facets[f].corner2_v * (1.0 / 3.0);
     let s = facets[f].lo + (u * facets[f].e1 + v * facets[f].e2);
     let whole = round(s * 4096.0) / 4096.0;
-    q_hi = facets[f].hi + whole;
-    q_lo = s - whole;
+    q.hi = facets[f].hi + whole;
+    q.lo = s - whole;
+#if LIFTED
+    let lift = facets[f].lift_lo + (u * facets[f].lift_e1 + v * facets[f].lift_e2);
+    let whole_lift = round(lift * 4096.0) / 4096.0;
+    q.lift_hi = facets[f].lift_hi + whole_lift;
+    q.lift_lo = lift - whole_lift;
+#end
     var found = NONE;
     let guess = candidates[index].y;
     if guess < params.seeds {

@@ -80,7 +80,7 @@ fn nearer(lane: u32, ring: i32, limit: f32, wanted: bool) -> u32 {
         let range = row_around(place, ring, place.y - ring + line % width, place.z - ring + line / width);
         for (var at = range.x + lane % LINE_LANES; at < range.y; at += LINE_LANES) {
             let other = sorted[at].seed;
-            let key = squared((sorted[at].hi - own.hi) + (sorted[at].lo - own.lo));
+            let key = squared(seed_to_sorted(own, sorted[at]));
             // Later duplicates are nobody's neighbours.
             if key < limit && other != name && sorted[at].first == other {
                 count += 1u;
@@ -120,8 +120,7 @@ fn make_row(lane: u32) -> bool {
         everything = false;
         var few = 0.0;
         if known != 0u {
-            let last = seeds[table[own.row_begin + known - 1u]];
-            few = squared((last.hi - own.hi) + (last.lo - own.lo));
+            few = squared(to_seed(own, seeds[table[own.row_begin + known - 1u]]));
         }
         for (var k = 0u; k < HALVINGS && (count > LONGER || count < ENOUGH); k += 1u) {
             let middle = bitcast<f32>((bitcast<u32>(few) + bitcast<u32>(limit)) / 2u);

@@ -20,5 +20,5 @@ fn main(@builtin(global_invocation_id) id: vec3u, @builtin(num_workgroups) group
         return;
     }
     let seed = seeds[i];
-    sorted[cells[seed.row_length] + seed.row_begin] = Sorted(seed.hi, i, seed.lo, seed.row_length);
+    sorted[cells[seed.row_length] + seed.row_begin] = sorted_of(seed, i, seed.row_length);
 }

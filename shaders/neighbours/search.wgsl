@@ -103,7 +103,7 @@ fn main(@builtin(global_invocation_id) id: vec3u) {
             loop {
                 let at = select(range.z + k - first, range.x + k, k < first);
                 if k < count && at != index {
-                    let key = squared((sorted[at].hi - own.hi) + (sorted[at].lo - own.lo));
+                    let key = squared(to_sorted(own, sorted[at]));
                     let other = sorted[at].seed;
                     if sorted[at].first == other {
                         others += 1u;

@@ -17,12 +17,12 @@ fn main(@builtin(global_invocation_id) id: vec3u, @builtin(num_workgroups) group
     if i >= params.seeds {
         return;
     }
-    let s = (seeds[i].hi - points[i].hi) + (seeds[i].lo - points[i].lo);
-    let first = 3u * params.seeds * params.slot + 3u * i;
-    for (var k = 0u; k < 3u; k += 1u) {
-        let g = ahead[3u * i + k];
-        steps[first + k] = s[k];
-        changes[first + k] = g - gradient[3u * i + k];
-        gradient[3u * i + k] = g;
+    let s = to_seed(points[i], seeds[i]);
+    let first = COORDINATES * params.seeds * params.slot + COORDINATES * i;
+    for (var k = 0u; k < COORDINATES; k += 1u) {
+        let g = ahead[COORDINATES * i + k];
+        steps[first + k] = coordinate(s, k);
+        changes[first + k] = g - gradient[COORDINATES * i + k];
+        gradient[COORDINATES * i + k] = g;
     }
 }

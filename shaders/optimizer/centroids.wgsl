@@ -21,8 +21,8 @@ fn main(@builtin(global_invocation_id) id: vec3u, @builtin(num_workgroups) group
         return;
     }
     // With uniform weights mass is area.
-    let mass = from_fixed(limbs(i, select(0u, 5u, params.uniform_weights != 0u)));
+    let mass = from_fixed(limbs(i, select(0u, AREA, params.uniform_weights != 0u)));
     if mass > 0.0 {
-        points[i] = moved(points[i], moment_of(i) / (mass * params.moment_per_mass));
+        points[i] = moved(points[i], over(moment_of(i), mass * params.moment_per_mass));
     }
 }

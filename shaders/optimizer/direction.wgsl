@@ -20,7 +20,7 @@ fn main(
     @builtin(workgroup_id) group: vec3u,
     @builtin(local_invocation_index) lane: u32,
 ) {
-    let length = 3u * params.seeds;
+    let length = COORDINATES * params.seeds;
 #repeat K in 0..PAIRS
     let step_$K = params.coefficients[$(K)u / 4u][$(K)u % 4u];
     let change_$K = params.coefficients[2u + $(K)u / 4u][$(K)u % 4u];
@@ -28,7 +28,7 @@ fn main(
     var own = 0.0;
     for (var i = id.x; i < params.seeds; i += params.groups * 64u) {
         let light = preconditioner(i);
-        for (var e = 3u * i; e < 3u * i + 3u; e += 1u) {
+        for (var e = COORDINATES * i; e < COORDINATES * (i + 1u); e += 1u) {
             let g = gradient[e];
             var d = params.coefficients[4].x * g;
             var steps_part = 0.0;

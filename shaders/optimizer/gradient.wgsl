@@ -10,6 +10,7 @@
 @group(0) @binding(4) var<storage, read_write> gradient: array<f32>;
 @group(0) @binding(5) var<storage, read_write> partial_totals: array<Totals>;
 
+#import shared/direction_of
 #import shared/from_fixed
 #import shared/reduce
 
@@ -21,22 +22,22 @@ fn main(
 ) {
     var own = Totals();
     for (var i = id.x; i < params.seeds; i += params.groups * 64u) {
-        var g = params.gradient_unit * moment_of(i);
-        if held[i] != 0u {
-            g = vec3f(0.0);
+        var g: Point;
+        if held[i] == 0u {
+            g = scaled(moment_of(i), params.gradient_unit);
         }
-        gradient[3u * i] = g.x;
-        gradient[3u * i + 1u] = g.y;
-        gradient[3u * i + 2u] = g.z;
+#repeat C in 0..3 + 3 * LIFTED
+        gradient[COORDINATES * i + $(C)u] = coordinate(g, $(C)u);
+#end
         var slope = 0.0;
         if params.directed != 0u {
-            slope = dot(g, vec3f(direction[3u * i], direction[3u * i + 1u], direction[3u * i + 2u]));
+            slope = inner(g, direction_of(i));
         }
-        let energy = limbs(i, 4u);
-        let area = limbs(i, 5u);
+        let energy = limbs(i, ENERGY);
+        let area = limbs(i, AREA);
         // Nothing, or less by a rounding.
         let empty = (area.y & 0x80000000u) != 0u || (area.x | area.y) == 0u;
-        own = add_totals(own, Totals(energy.x, energy.y, area.x, area.y, select(0u, 1u, empty), dot(g, g), slope, 0u));
+        own = add_totals(own, Totals(energy.x, energy.y, area.x, area.y, select(0u, 1u, empty), inner(g, g), slope, 0u));
     }
     reduce(lane, own);
     if lane == 0u {

@@ -38,7 +38,7 @@ fn main(
     @builtin(workgroup_id) group: vec3u,
     @builtin(local_invocation_index) lane: u32,
 ) {
-    let length = 3u * params.seeds;
+    let length = COORDINATES * params.seeds;
     let newest = length * params.slot;
     var gradients = vec3f(0.0);
 #repeat K in 0..PAIRS
@@ -52,7 +52,7 @@ fn main(
 #end
     for (var i = id.x; i < params.seeds; i += params.groups * 64u) {
         let light = preconditioner(i);
-        for (var e = 3u * i; e < 3u * i + 3u; e += 1u) {
+        for (var e = COORDINATES * i; e < COORDINATES * (i + 1u); e += 1u) {
             let g = gradient[e];
             let last = vec3f(steps[newest + e], changes[newest + e], g);
             gradients += g * last;

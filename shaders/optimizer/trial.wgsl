@@ -8,6 +8,7 @@
 @group(0) @binding(2) var<storage, read> direction: array<f32>;
 @group(0) @binding(3) var<storage, read_write> seeds: array<Seed>;
 
+#import shared/direction_of
 #import shared/moved
 
 @compute @workgroup_size(64)
@@ -16,6 +17,5 @@ fn main(@builtin(global_invocation_id) id: vec3u, @builtin(num_workgroups) group
     if i >= params.seeds {
         return;
     }
-    let d = vec3f(direction[3u * i], direction[3u * i + 1u], direction[3u * i + 2u]);
-    seeds[i] = moved(points[i], params.step * d);
+    seeds[i] = moved(points[i], scaled(direction_of(i), params.step));
 }

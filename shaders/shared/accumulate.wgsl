@@ -2,14 +2,14 @@
 // the memory of a workgroup, merged in a second phase). Integers, so both give the same bits. SHARED
 // decides at compile time: the barriers alone, not taken, cost a software adapter a tenth of the clip.
 
-// Words per seed: mass, moment x y z, energy, area; two each.
-const SUM_WORDS: u32 = 12u;
+// Words per seed: mass, moment coordinate by coordinate, energy, area; two each.
+const SUM_WORDS: u32 = $(12 + 6 * LIFTED)u;
 const LANES: u32 = 64u;
 
 // In units. Mass is 0 with uniform weights, where the host takes the area for it.
 struct PieceSums {
     mass: f32,
-    moment: vec3f,
+    moment: Point,
     energy: f32,
     area: f32,
 }
@@ -19,17 +19,23 @@ fn add_direct(i: u32, s: PieceSums) {
     if s.mass != 0.0 {
         add_fixed(at, s.mass);
     }
-    add_fixed(at + 2u, s.moment.x);
-    add_fixed(at + 4u, s.moment.y);
-    add_fixed(at + 6u, s.moment.z);
-    add_fixed(at + 8u, s.energy);
-    add_fixed(at + 10u, s.area);
+    let place = place_in(s.moment);
+    add_fixed(at + 2u, place.x);
+    add_fixed(at + 4u, place.y);
+    add_fixed(at + 6u, place.z);
+#if LIFTED
+    add_fixed(at + 8u, s.moment.lift.x);
+    add_fixed(at + 10u, s.moment.lift.y);
+    add_fixed(at + 12u, s.moment.lift.z);
+#end
+    add_fixed(at + SUM_WORDS - 4u, s.energy);
+    add_fixed(at + SUM_WORDS - 2u, s.area);
 }
 
 #if SHARED
 // The workgroup's seeds, plus 1; as many slots as pieces, so that each finds one.
 var<workgroup> part_seeds: array<atomic<u32>, 64>;
-var<workgroup> part_sums: array<atomic<u32>, 768>;
+var<workgroup> part_sums: array<atomic<u32>, $(64 * (12 + 6 * LIFTED))>;
 
 // As add_fixed, to partial sums.
 fn add_part(at: u32, v: f32) {
@@ -64,11 +70,17 @@ fn add_shared(lane: u32, piece: bool, i: u32, s: PieceSums) {
         if s.mass != 0.0 {
             add_part(at, s.mass);
         }
-        add_part(at + 2u, s.moment.x);
-        add_part(at + 4u, s.moment.y);
-        add_part(at + 6u, s.moment.z);
-        add_part(at + 8u, s.energy);
-        add_part(at + 10u, s.area);
+        let place = place_in(s.moment);
+        add_part(at + 2u, place.x);
+        add_part(at + 4u, place.y);
+        add_part(at + 6u, place.z);
+#if LIFTED
+        add_part(at + 8u, s.moment.lift.x);
+        add_part(at + 10u, s.moment.lift.y);
+        add_part(at + 12u, s.moment.lift.z);
+#end
+        add_part(at + SUM_WORDS - 4u, s.energy);
+        add_part(at + SUM_WORDS - 2u, s.area);
     }
     workgroupBarrier();
     let seed = atomicLoad(&part_seeds[lane]);

@@ -1,7 +1,7 @@
 // Clipping one facet to one Voronoi cell ([HYWZ17], Algorithm 2), in the facet's plane and the
-// seed's frame: a point is foot + u e1 + v e2, where foot is the seed's projection to the plane
-// and h the signed height of the plane over the seed. Nothing here is larger than the polygon,
-// so nothing cancels.
+// seed's frame (shared/plane). Nothing here is larger than the polygon, so nothing cancels.
+
+#import shared/plane
 
 const UNCUT: u32 = 0u;
 const CUT: u32 = 1u;
@@ -27,8 +27,7 @@ fn cut_point(i: vec3f, o: vec3f) -> vec2f {
 #import shared/polygon_registers
 #end
 
-// Height of the facet's plane over the seed, and the first corner in the seed's frame.
-var<private> height: f32;
+// The first corner in the seed's frame.
 var<private> corner0: vec2f;
 
 // A polygon that shrank by more than this in radius has its vertices computed anew.
@@ -37,10 +36,9 @@ const SHRUNK2: f32 = 256.0;
 // The line of an edge as (g, c): g.p = c.
 fn edge_line(facet: Facet, seed: Seed, label: u32) -> vec3f {
     if label < FACET_EDGE - 2u {
-        let other = seeds[label];
-        let b = (other.hi - seed.hi) + (other.lo - seed.lo);
-        let c = 0.5 * dot(b, b) - height * dot(facet.n, b);
-        return vec3f(dot(facet.e1, b), dot(facet.e2, b), c);
+        let b = to_seed(seed, seeds[label]);
+        let c = 0.5 * inner(b, b) - height_times(facet, b);
+        return vec3f(along_e1(facet, b), along_e2(facet, b), c);
     }
     let corner1 = vec2f(facet.corner1_u, 0.0);
     let corner2 = vec2f(facet.corner2_u, facet.corner2_v);
@@ -91,15 +89,13 @@ fn clip_to_row(
     first_radius2: ptr<function, f32>,
     last_radius2: ptr<function, f32>,
 ) -> u32 {
-    let w = (facet.hi - seed.hi) + (facet.lo - seed.lo);
-    height = dot(facet.n, w);
-    corner0 = vec2f(dot(facet.e1, w), dot(facet.e2, w));
+    corner0 = set_plane(facet, to_corner(seed, facet));
     polygon_start(
         corner0,
         vec2f(corner0.x + facet.corner1_u, corner0.y),
         vec2f(corner0.x + facet.corner2_u, corner0.y + facet.corner2_v),
     );
-    let height2 = height * height;
+    let height2 = squared_height();
     var radius2 = polygon_radius2() + height2;
     *first_radius2 = radius2;
     *last_radius2 = radius2;
@@ -116,15 +112,14 @@ fn clip_to_row(
     // Left at its end: a driver on a CPU runs a body once more after the last lane has left at the head.
     loop {
         let j = table[at];
-        let other = seeds[j];
-        let b = (other.hi - seed.hi) + (other.lo - seed.lo);
-        let b2 = dot(b, b);
+        let b = to_seed(seed, seeds[j]);
+        let b2 = inner(b, b);
         // The security radius ([LB12]), widened by what rounding can do to either side.
         if b2 > 4.00004 * radius2 {
             return DONE;
         }
-        let c = 0.5 * b2 - height * dot(facet.n, b);
-        let outcome = polygon_cut(c, vec2f(dot(facet.e1, b), dot(facet.e2, b)), j, i < j);
+        let c = 0.5 * b2 - height_times(facet, b);
+        let outcome = polygon_cut(c, vec2f(along_e1(facet, b), along_e2(facet, b)), j, i < j);
         if outcome == CUT {
             radius2 = polygon_radius2() + height2;
             *last_radius2 = radius2;

@@ -5,8 +5,17 @@ fn rounded(x: f32) -> f32 {
     return bitcast<f32>(bitcast<u32>(x) ^ params.zero);
 }
 
-fn squared(b: vec3f) -> f32 {
+fn squared_part(b: vec3f) -> f32 {
     return (rounded(b.x * b.x) + rounded(b.y * b.y)) + rounded(b.z * b.z);
+}
+
+fn squared(b: Point) -> f32 {
+#if 1 - LIFTED
+    return squared_part(b);
+#end
+#if LIFTED
+    return squared_part(b.place) + squared_part(b.lift);
+#end
 }
 
 // The order of neighbours, a strict one: distance, then index.

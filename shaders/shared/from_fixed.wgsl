@@ -1,7 +1,12 @@
 // Fixed-point sums as floats, rounded.
 
-// Words per seed: mass, moment x y z, energy, area; two each, as in shared/accumulate.
-const SUM_WORDS: u32 = 12u;
+#import shared/point
+
+// Words per seed: mass, moment coordinate by coordinate, energy, area; two each, as in shared/accumulate.
+const SUM_WORDS: u32 = $(12 + 6 * LIFTED)u;
+// Which of the sums these are.
+const ENERGY: u32 = $(4 + 3 * LIFTED)u;
+const AREA: u32 = $(5 + 3 * LIFTED)u;
 
 fn limbs(seed: u32, which: u32) -> vec2u {
     let at = seed * SUM_WORDS + 2u * which;
@@ -17,6 +22,19 @@ fn from_fixed(x: vec2u) -> f32 {
     return f32(x.y) * 4294967296.0 + f32(x.x);
 }
 
-fn moment_of(seed: u32) -> vec3f {
-    return vec3f(from_fixed(limbs(seed, 1u)), from_fixed(limbs(seed, 2u)), from_fixed(limbs(seed, 3u)));
+fn three_of(seed: u32, first: u32) -> vec3f {
+    return vec3f(
+        from_fixed(limbs(seed, first)),
+        from_fixed(limbs(seed, first + 1u)),
+        from_fixed(limbs(seed, first + 2u)),
+    );
+}
+
+fn moment_of(seed: u32) -> Point {
+#if 1 - LIFTED
+    return three_of(seed, 1u);
+#end
+#if LIFTED
+    return Point(three_of(seed, 1u), three_of(seed, 4u));
+#end
 }

@@ -1,4 +1,4 @@
-// What the stages of the optimizer share. A vector has three floats a seed, seed by seed.
+// What the stages of the optimizer share. A vector has a float for each coordinate of each seed, seed by seed.
 
 struct OptimizerParams {
     seeds: u32,

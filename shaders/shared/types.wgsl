@@ -1,4 +1,7 @@
-// Records that the host writes and reads. In Rust: src/rvd/gpu/layout.rs (a test compares them).
+// Records that the host writes and reads. In Rust: src/gpu/diagram/layout.rs (a test compares them). LIFTED, a point has three
+// more coordinates, which have hi and lo of their own.
+
+#import shared/point
 
 // A seed as hi + lo, so that differences of nearby points keep their detail, and its row of the
 // neighbour table. The highest bit of row_length says that no other seed can matter.
@@ -7,11 +10,28 @@ struct Seed {
     row_begin: u32,
     lo: vec3f,
     row_length: u32,
+#if LIFTED
+    lift_hi: vec3f,
+    lift_lo: vec3f,
+#end
+}
+
+// From a seed to another one.
+fn to_seed(start: Seed, to: Seed) -> Point {
+#if 1 - LIFTED
+    return (to.hi - start.hi) + (to.lo - start.lo);
+#end
+#if LIFTED
+    return Point(
+        (to.hi - start.hi) + (to.lo - start.lo),
+        (to.lift_hi - start.lift_hi) + (to.lift_lo - start.lift_lo),
+    );
+#end
 }
 
 // A facet: its first corner as hi + lo, an orthonormal frame (e1 along the first edge, n its
-// normal), the other corners in that frame, the weight as a linear function, and its slots in
-// the hash sets of cells. The highest bit of slot_mask is BY_CELL.
+// normal, which there is in R^3 alone), the other corners in that frame, the weight as a linear
+// function, and its slots in the hash sets of cells. The highest bit of slot_mask is BY_CELL.
 struct Facet {
     hi: vec3f,
     slot_begin: u32,
@@ -21,12 +41,35 @@ struct Facet {
     corner1_u: f32,
     e2: vec3f,
     corner2_u: f32,
+#if 1 - LIFTED
     n: vec3f,
+#end
+#if LIFTED
+    lift_hi: vec3f,
+#end
     corner2_v: f32,
     weight: f32,
     weight_u: f32,
     weight_v: f32,
     weight_top: f32,
+#if LIFTED
+    lift_lo: vec3f,
+    lift_e1: vec3f,
+    lift_e2: vec3f,
+#end
+}
+
+// From a seed to the first corner of a facet.
+fn to_corner(start: Seed, to: Facet) -> Point {
+#if 1 - LIFTED
+    return (to.hi - start.hi) + (to.lo - start.lo);
+#end
+#if LIFTED
+    return Point(
+        (to.hi - start.hi) + (to.lo - start.lo),
+        (to.lift_hi - start.lift_hi) + (to.lift_lo - start.lift_lo),
+    );
+#end
 }
 
 // What is the same for all invocations of one dispatch.
@@ -68,6 +111,8 @@ struct Params {
     part_first: u32,
     // 1 if there is room for Verlet lists.
     has_lists: u32,
+    // Of a lifted surface.
+    longest_lift: f32,
 }
 
 const COMPLETE: u32 = 0x80000000u;

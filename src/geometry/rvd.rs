@@ -112,6 +112,15 @@ pub trait Backend: Send + Sync {
         let parallel = self.pool().map_or_else(|| Parallel::new(None), |pool| Ok(Parallel::on(pool)))?;
         parallel.lifted_session(surface, options)
     }
+
+    /// As [`Self::exact_session`], for a lifted surface.
+    fn exact_lifted_session(
+        &self,
+        surface: Arc<Surface<Lifted>>,
+        options: SessionOptions,
+    ) -> Result<Box<dyn Session<Lifted>>, RvdError> {
+        self.lifted_session(surface, options)
+    }
 }
 
 /// The spaces in which there are diagrams: the points of a surface, or of one that is lifted.
@@ -163,7 +172,7 @@ impl Space for Lifted {
         surface: Arc<Surface<Self>>,
         options: SessionOptions,
     ) -> Result<Box<dyn Session<Self>>, RvdError> {
-        backend.lifted_session(surface, options)
+        backend.exact_lifted_session(surface, options)
     }
 }
 

@@ -25,8 +25,9 @@ pub mod plan;
 mod session;
 pub mod shaders;
 mod shared;
+mod space;
 
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Instant;
 
 use glam::{DVec3, dvec3};
@@ -36,8 +37,8 @@ use crate::{Device, GpuError};
 use geometry::mesh::TriMesh;
 use geometry::rvd::parallel::Parallel;
 use geometry::rvd::{
-    Backend, BackendKind, Capacities, CellSums, DeviceFacts, PhasesMs, PieceBatch, RvdError, Session, SessionOptions,
-    Surface, elapsed_ms,
+    Backend, BackendKind, Capacities, CellSums, DeviceFacts, Lifted, PhasesMs, PieceBatch, RvdError, Session,
+    SessionOptions, Surface, elapsed_ms,
 };
 use geometry::token::Token;
 use layout::accumulate::{DIRECT, NOWHERE, TWO_PHASE};
@@ -45,6 +46,7 @@ pub use neighbours::Found;
 use pipelines::Pipelines;
 use session::GpuSession;
 pub use shared::SharedGpu;
+use space::DeviceSpace;
 
 type Result<T, E = RvdError> = std::result::Result<T, E>;
 
@@ -66,6 +68,8 @@ pub struct Gpu {
     device: Arc<Device>,
     pool: Arc<rayon::ThreadPool>,
     pipelines: Arc<Pipelines>,
+    /// Those of lifted surfaces, once there was one.
+    lifted: Mutex<Option<Arc<Pipelines>>>,
 }
 
 impl Gpu {
@@ -84,11 +88,22 @@ impl Gpu {
         let pipelines = Arc::new(pool.install(|| Pipelines::compile(&device))?);
         let compile_ms = elapsed_ms(begin);
         let begin = Instant::now();
-        let gpu = Self { device, pool: Arc::new(pool), pipelines };
+        let gpu = Self { device, pool: Arc::new(pool), pipelines, lifted: Mutex::default() };
         gpu.warm_up()?;
         let warm_up_ms = elapsed_ms(begin);
         tracing::debug!(compile_ms, warm_up_ms, "stages compiled");
         Ok(gpu)
+    }
+
+    /// The stages of lifted surfaces. Most runs need none, so they are compiled for the first session.
+    fn lifted_pipelines(&self) -> Result<Arc<Pipelines>> {
+        let mut lifted = self.lifted.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(pipelines) = &*lifted {
+            return Ok(Arc::clone(pipelines));
+        }
+        let pipelines = Arc::new(self.pipelines.lifted(&self.device)?);
+        *lifted = Some(Arc::clone(&pipelines));
+        Ok(pipelines)
     }
 
     /// The device, for shaders of a caller's own.
@@ -194,24 +209,43 @@ impl Backend for Gpu {
     }
 
     fn session(&self, surface: Arc<Surface>, options: SessionOptions) -> Result<Box<dyn Session>> {
-        let mut session = self.pool.install(|| GpuSession::new(self, surface, options));
+        let mut session = self.pool.install(|| GpuSession::new(self, surface, options))?;
         session.ensure_memory()?;
+        Ok(Box::new(session))
+    }
+
+    fn exact_lifted_session(
+        &self,
+        surface: Arc<Surface<Lifted>>,
+        options: SessionOptions,
+    ) -> Result<Box<dyn Session<Lifted>>> {
+        Parallel::on(Arc::clone(&self.pool)).lifted_session(surface, options)
+    }
+
+    fn lifted_session(
+        &self,
+        surface: Arc<Surface<Lifted>>,
+        options: SessionOptions,
+    ) -> Result<Box<dyn Session<Lifted>>> {
+        let session = self.pool.install(|| GpuSession::new(self, surface, options))?;
         Ok(Box::new(session))
     }
 }
 
-struct Context {
+struct Context<P: DeviceSpace> {
     device: Arc<Device>,
     pool: Arc<rayon::ThreadPool>,
     pipelines: Arc<Pipelines>,
-    surface: Arc<Surface>,
+    surface: Arc<Surface<P>>,
     mass: f64,
+    /// The longest lift of the surface.
+    longest_lift: f64,
     max_seeds: usize,
     /// First capacities.
     capacities: Capacities,
 }
 
-impl Context {
+impl<P: DeviceSpace> Context<P> {
     pub(super) fn limits(&self) -> Limits {
         Limits::of(&self.device.limits())
     }
@@ -240,7 +274,7 @@ impl Gpu {
         token: &Token,
     ) -> Result<AccumulationMs> {
         self.pool.install(|| {
-            let mut session = GpuSession::new(self, surface, options);
+            let mut session = GpuSession::new(self, surface, options)?;
             session.set_seeds(seeds)?;
             // Facets that are done as a whole are added directly only.
             session.clip.divides = false;

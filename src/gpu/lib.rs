@@ -92,6 +92,8 @@ pub struct SessionForecast {
     pub graded: bool,
     /// Whether seeds are moved.
     pub moved: bool,
+    /// Whether the surface is lifted.
+    pub lifted: bool,
 }
 
 impl SessionForecast {

@@ -4,7 +4,9 @@
 use std::sync::Arc;
 
 use glam::DVec3;
-use tessera::rvd::{Backend, CellSums, Evaluation, PassStats, PieceBatch, Resident, Session, SessionOptions, Surface};
+use tessera::rvd::{
+    Backend, CellSums, Evaluation, PassStats, PieceBatch, Point, Resident, Session, SessionOptions, Surface,
+};
 use tessera::token::Token;
 
 /// A session with these seeds.
@@ -57,23 +59,23 @@ pub fn same_bits(name: &str, a: &CellSums, b: &CellSums) {
 }
 
 /// Where the seeds of a session are.
-pub fn read(seeds: &mut dyn Resident) -> Vec<DVec3> {
+pub fn read<P: Point>(seeds: &mut dyn Resident<P>) -> Vec<P> {
     let mut out = Vec::new();
     seeds.read(&mut out).unwrap();
     out
 }
 
-pub fn evaluate(seeds: &mut dyn Resident) -> Evaluation {
+pub fn evaluate<P: Point>(seeds: &mut dyn Resident<P>) -> Evaluation {
     seeds.evaluate(&Token::default()).unwrap()
 }
 
-pub fn probe(seeds: &mut dyn Resident, step: f64) -> Evaluation {
+pub fn probe<P: Point>(seeds: &mut dyn Resident<P>, step: f64) -> Evaluation {
     seeds.probe(step, &Token::default()).unwrap()
 }
 
 /// Lloyd steps, then quasi-Newton steps with a backtracking search. The energies of all points, and what the quasi-Newton
 /// steps took.
-pub fn minimise(seeds: &mut dyn Resident, lloyd: usize, newton: usize) -> (Vec<f64>, PassStats) {
+pub fn minimise<P: Point>(seeds: &mut dyn Resident<P>, lloyd: usize, newton: usize) -> (Vec<f64>, PassStats) {
     let mut here = evaluate(seeds);
     let mut energies = vec![here.energy];
     let mut stats = PassStats::default();

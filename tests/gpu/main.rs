@@ -12,6 +12,8 @@ use ::gpu::diagram::Gpu;
 mod gpu;
 #[path = "../common/hang.rs"]
 mod hang;
+#[path = "../common/lifts.rs"]
+mod lifts;
 #[path = "../common/points.rs"]
 mod points;
 #[path = "../common/sessions.rs"]
@@ -34,6 +36,7 @@ macro_rules! require_gpu {
 
 mod hangs;
 mod helpers;
+mod lifted;
 mod resident;
 mod shaders;
 mod shares;

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use ::gpu::diagram::shaders::{SOURCES, compose};
+use ::gpu::diagram::shaders::{LIFTED, SOURCES, compose};
 use ::gpu::diagram::{layout, plan};
 use naga::valid::{Capabilities, ValidationFlags, Validator};
 
@@ -16,6 +16,10 @@ fn members(slots: i64) -> i64 {
 }
 
 fn parse_with(stage: &str, slots: i64, array: i64, shared: i64) -> naga::Module {
+    parse_in(stage, slots, array, shared, 0)
+}
+
+fn parse_in(stage: &str, slots: i64, array: i64, shared: i64, lifted: i64) -> naga::Module {
     let constants = [
         ("SLOTS", slots),
         ("ARRAY", array),
@@ -32,6 +36,7 @@ fn parse_with(stage: &str, slots: i64, array: i64, shared: i64) -> naga::Module 
         ("LENGTHENERS", i64::from(layout::LENGTHENERS)),
         ("DOTS", layout::DOTS as i64),
         ("WIDE", 0),
+        ("LIFTED", lifted),
     ];
     let source = compose(stage, &constants).unwrap();
     let module = naga::front::wgsl::parse_str(&source)
@@ -101,9 +106,12 @@ fn reflected(module: &naga::Module, name: &str) -> (Vec<(String, u32)>, u32) {
 }
 
 macro_rules! same_layout {
-    ($module:expr, $name:ident { $($field:ident),* $(,)? }) => {{
-        let twin = vec![$((stringify!($field).to_owned(), std::mem::offset_of!(layout::$name, $field) as u32)),*];
-        assert_eq!(reflected($module, stringify!($name)), (twin, size_of::<layout::$name>() as u32));
+    ($module:expr, $name:ident $fields:tt) => {
+        same_layout!($module, $name = $name $fields)
+    };
+    ($module:expr, $name:ident = $twin:ident { $($field:ident),* $(,)? }) => {{
+        let twin = vec![$((stringify!($field).to_owned(), std::mem::offset_of!(layout::$twin, $field) as u32)),*];
+        assert_eq!(reflected($module, stringify!($name)), (twin, size_of::<layout::$twin>() as u32));
     }};
 }
 
@@ -156,7 +164,8 @@ fn records_have_one_layout() {
             divided,
             facet_first,
             part_first,
-            has_lists
+            has_lists,
+            longest_lift
         }
     );
     same_layout!(
@@ -223,6 +232,46 @@ fn records_have_one_layout() {
         &gradient,
         Totals { energy_low, energy_high, area_low, area_high, empty, gradient_squared, slope, padding }
     );
+}
+
+#[test]
+fn stages_of_lifted_surfaces_are_valid_and_their_records_have_one_layout() {
+    for stage in LIFTED {
+        for slots in 4..=16 {
+            parse_in(stage, slots, 0, 0, 1);
+            parse_in(stage, slots, 0, 1, 1);
+        }
+        parse_in(stage, 64, 1, 0, 1);
+    }
+    let clip = parse_in("clip/clip", 10, 0, 0, 1);
+    same_layout!(&clip, Seed = LiftedSeed { hi, row_begin, lo, row_length, lift_hi, lift_lo });
+    same_layout!(
+        &clip,
+        Facet = LiftedFacet {
+            hi,
+            slot_begin,
+            lo,
+            slot_mask,
+            e1,
+            corner1_u,
+            e2,
+            corner2_u,
+            lift_hi,
+            corner2_v,
+            weight,
+            weight_u,
+            weight_v,
+            weight_top,
+            lift_lo,
+            lift_e1,
+            lift_e2
+        }
+    );
+    let search = parse_in("neighbours/search", 10, 0, 0, 1);
+    same_layout!(&search, Sorted = LiftedSorted { hi, seed, lo, first, lift_hi, lift_lo });
+    let constants = [("SLOTS", 10), ("ARRAY", 0), ("SHARED", 0), ("WIDE", 0), ("LIFTED", 1)];
+    let words = format!("const SUM_WORDS: u32 = {}u;", layout::LIFTED_SUM_WORDS);
+    assert!(compose("clip/clip", &constants).unwrap().contains(&words));
 }
 
 #[test]

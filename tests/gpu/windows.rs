@@ -21,7 +21,7 @@ fn limited(most_buffer_bytes: Option<u64>) -> Gpu {
 }
 
 /// One that sees a mebibyte at once, and one that sees all.
-fn backends() -> Option<&'static [Gpu; 2]> {
+pub fn backends() -> Option<&'static [Gpu; 2]> {
     static BOTH: OnceLock<Option<[Gpu; 2]>> = OnceLock::new();
     BOTH.get_or_init(|| crate::gpu::device().map(|_| [limited(Some(1 << 20)), limited(None)])).as_ref()
 }

@@ -1,12 +1,14 @@
 //! Promise: cells are as long for their width as the lift says, along the direction in which the surface bends least; with as many
 //! vertices the result is nearer to the surface; it is a manifold of the same topology, with no facet turned over.
 
+use ::gpu::diagram::Gpu;
 use geometry::mesh::crossings::crossings;
 use glam::{DMat2, DVec2, DVec3};
 use needs::needs;
 use tessera::mesh::closest_point::ClosestPoint;
 use tessera::mesh::measure::topology;
 use tessera::mesh::shapes::Shape;
+use tessera::remesh::report::Report;
 use tessera::remesh::{Anisotropy, Placement, Refine, Remesh, RemeshError, RemeshOptions, Seeds, Tolerance, remesh};
 use tessera::rvd::{Backend, Parallel};
 use tessera::{DensityOptions, DensitySource, Token, TriMesh};
@@ -248,6 +250,28 @@ fn no_lift_is_none_and_a_wrong_one_is_refused() {
         let wrong = of(Anisotropy::Share(share));
         let error = remesh(&mesh, &wrong, &Parallel::new(Some(1)).unwrap(), &mut (), &Token::default()).err();
         assert!(matches!(error, Some(RemeshError::BadLift { .. })), "{share}: {error:?}");
+    }
+}
+
+/// The iterations on the device, the dual in double precision.
+#[needs(gpu)]
+#[test]
+fn the_gpu_gives_sound_results_too() {
+    let Some(device) = crate::gpu::device() else { return };
+    let gpu = Gpu::new(device, None).unwrap();
+    for (shape, points) in [(Shape::Hills, 300), (Shape::Block, 400)] {
+        let mesh = shape.build(3000);
+        let wanted = options(points, Anisotropy::Auto, DensitySource::Error);
+        let result = remesh(&mesh, &wanted, &gpu, &mut (), &Token::default()).unwrap();
+        assert_sound(&format!("{shape} on the GPU"), &mesh, &result.mesh);
+        let report = &result.report;
+        assert_eq!(report.backend, "gpu");
+        assert!(report.memory.device_bytes > 0, "{:?}", report.memory);
+        let host = run(&mesh, &wanted).report;
+        let rms = |report: &Report| report.result.quality.as_ref().unwrap().rms_percent;
+        println!("{shape}: RMS {} on the GPU, {} on the host", rms(report), rms(&host));
+        // Another order of rounding is another path of the steps, as another random seed is.
+        assert!(rms(report) < 1.25 * rms(&host) + 1e-9, "{shape}: {} and {}", rms(report), rms(&host));
     }
 }
 

@@ -42,7 +42,8 @@ fn as_many_vertices_as_asked_for_on_parts_and_sheets() {
         let off = 100.0 * (vertices as f64 / points as f64 - 1.0);
         println!("{name}: {vertices} of {points} ({off:.1} %), {count:?}, {} rounds", out.report.refine.count_rounds);
         assert_eq!((count.asked, count.seeds), (points, out.seeds.len()), "{name}");
-        assert_eq!(topology(&out.mesh).non_manifold_edges, 0, "{name}");
+        // Sheets that meet have vertices in the same places, each its own.
+        assert_eq!(out.report.result.topology.non_manifold_edges, 0, "{name}");
         if off.abs() > 2.0 {
             exceptions.push((name, count.reason.unwrap()));
         }

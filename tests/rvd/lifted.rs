@@ -1,44 +1,21 @@
 //! Promise: the diagram of a surface lifted to R^6 by its normals is the one that brute force finds in the planes of its facets,
 //! on every backend, with the same bits on any number of threads.
 
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
 
 use glam::DVec3;
-use rand::RngExt;
-use tessera::mesh::TriMesh;
+use needs::needs;
+use rayon::prelude::*;
 use tessera::mesh::shapes::Shape;
-use tessera::rvd::{Backend, CellSums, Lifted, Parallel, PieceBatch, Point, Serial, SessionOptions, Surface};
+use tessera::rvd::{
+    Backend, Capacities, CellSums, Lifted, Parallel, PassStats, PieceBatch, Point, Serial, Session, SessionOptions,
+    Surface,
+};
 use tessera::token::Token;
 
-use crate::points::rng;
+use crate::backends::on_device;
+use crate::lifts::{lifted, seeds_on};
 use crate::surfaces;
-
-/// The surface lifted by `share` of its diagonal times the normals of its vertices.
-fn lifted(mesh: &TriMesh, weights: Option<&[f64]>, share: f64) -> Arc<Surface<Lifted>> {
-    let mut normals = vec![DVec3::ZERO; mesh.positions().len()];
-    for (f, facet) in mesh.facets().iter().enumerate() {
-        let [a, b, c] = mesh.corners(f);
-        facet.iter().for_each(|&v| normals[v as usize] += (b - a).cross(c - a));
-    }
-    let (low, high) = mesh.bounds();
-    let length = share * (high - low).length();
-    let lift: Vec<DVec3> = normals.iter().map(|n| length * n.normalize_or_zero()).collect();
-    Arc::new(Surface::lifted(mesh, weights, &lift, &Token::default()).unwrap())
-}
-
-/// Random points of the lifted surface, some of which are moved away from it.
-fn seeds_on(surface: &Surface<Lifted>, n: usize, seed: u64) -> Vec<Lifted> {
-    let mut rng = rng(seed);
-    let facets: Vec<u32> = (0..surface.facets().len() as u32).filter(|&f| !surface.skips(f as usize)).collect();
-    let mut point = || {
-        let [a, b, c] = surface.corners(facets[rng.random_range(0..facets.len())]);
-        let (s, t) = (rng.random::<f64>().sqrt(), rng.random::<f64>());
-        let away = if rng.random_bool(0.2) { 0.03 } else { 0.0 };
-        let mut any = || away * DVec3::new(rng.random(), rng.random(), rng.random());
-        a * (1.0 - s) + b * (s * (1.0 - t)) + c * (s * t) + Lifted { place: any(), lift: any() }
-    };
-    (0..n).map(|_| point()).collect()
-}
 
 /// Sums over all cells by clipping every facet, in a frame of its plane, by all bisectors: a lifted facet meets the cells in a
 /// power diagram in two dimensions.
@@ -113,52 +90,91 @@ fn brute_force(surface: &Surface<Lifted>, seeds: &[Lifted]) -> CellSums<Lifted> 
     sums
 }
 
+/// A surface with seeds on it and near it, and what brute force says of their cells.
+struct Case {
+    what: String,
+    surface: Arc<Surface<Lifted>>,
+    seeds: Vec<Lifted>,
+    want: CellSums<Lifted>,
+}
+
+/// Found once for all backends.
+fn cases() -> &'static [Case] {
+    static CASES: OnceLock<Vec<Case>> = OnceLock::new();
+    CASES.get_or_init(|| {
+        let mut cases = Vec::new();
+        for (k, shape) in [Shape::Torus, Shape::Hills, Shape::Block, Shape::Sheets].into_iter().enumerate() {
+            let mesh = shape.build(250);
+            let uneven: Vec<f64> = (0..mesh.positions().len()).map(|v| 0.2 + (v % 5) as f64).collect();
+            for (share, weights) in [(0.02, None), (0.1, Some(&uneven[..])), (0.3, None), (1.0, Some(&uneven[..]))] {
+                let surface = lifted(&mesh, weights, share);
+                for n in [1, 7, 60, 400] {
+                    let mut seeds = seeds_on(&surface, n, (k * 10 + n) as u64);
+                    if n == 60 {
+                        // Later duplicates have no cell; one in the same place with another normal has.
+                        seeds[40] = seeds[3];
+                        seeds[41] = Lifted { lift: -seeds[3].lift, ..seeds[3] };
+                    }
+                    let (what, surface) = (format!("{shape}, s {share}, {n} seeds"), Arc::clone(&surface));
+                    cases.push((what, surface, seeds));
+                }
+            }
+        }
+        let of = |(what, surface, seeds): (String, Arc<Surface<Lifted>>, Vec<Lifted>)| {
+            let want = brute_force(&surface, &seeds);
+            Case { what, surface, seeds, want }
+        };
+        cases.into_par_iter().map(of).collect()
+    })
+}
+
+/// Sums and pieces of a backend are those of brute force, within so much of the mean cell.
+fn compare(
+    what: &str,
+    session: &mut dyn Session<Lifted>,
+    (surface, seeds): (&Surface<Lifted>, &[Lifted]),
+    want: &CellSums<Lifted>,
+    tolerance: f64,
+) -> (CellSums<Lifted>, PassStats) {
+    let n = seeds.len();
+    let spacing = (surface.area() / n as f64).sqrt();
+    let cell = spacing * spacing;
+    let (mut sums, token) = (CellSums::default(), Token::default());
+    session.set_seeds(seeds).unwrap();
+    let stats = session.sums(&mut sums, &token).unwrap();
+    let mut worst = 0f64;
+    for i in 0..n {
+        // Energies and moments about a seed that is far from its cell are larger than the cell's own.
+        let far = spacing.max((want.energy[i] / want.mass[i].max(1e-30)).sqrt());
+        let off = [
+            (sums.area[i] - want.area[i]).abs() / cell,
+            (sums.mass[i] - want.mass[i]).abs() / cell,
+            (sums.energy[i] - want.energy[i]).abs() / (cell * far * far),
+            (sums.moment[i] - want.moment[i]).length() / (cell * far),
+        ];
+        assert!(off.iter().all(|&off| off <= tolerance), "{what}: cell {i} is off by {off:?}");
+        worst = off.into_iter().fold(worst, f64::max);
+    }
+    println!("{what}: {worst:.1e} of {tolerance:.0e}, {stats:?}");
+    // Pieces are those of the surface in space.
+    let mut pieces = PieceBatch::default();
+    let facets = 0..surface.facets().len() as u32;
+    session.pieces(facets.clone(), &mut pieces, &token).unwrap();
+    let area: f64 = (0..pieces.len()).map(|p| pieces.area(p)).sum();
+    let whole: f64 = facets.map(|f| area_in_space(surface, f)).sum();
+    assert!((area - whole).abs() <= tolerance * whole, "{what}: {area} of {whole}");
+    (sums, stats)
+}
+
 #[test]
 fn cells_are_those_of_brute_force() {
     let parallel = Parallel::new(Some(2)).unwrap();
-    for (k, shape) in [Shape::Torus, Shape::Hills, Shape::Block, Shape::Sheets].into_iter().enumerate() {
-        let mesh = shape.build(250);
-        let uneven: Vec<f64> = (0..mesh.positions().len()).map(|v| 0.2 + (v % 5) as f64).collect();
-        for (share, weights) in [(0.02, None), (0.1, Some(&uneven[..])), (0.3, None), (1.0, Some(&uneven[..]))] {
-            let surface = lifted(&mesh, weights, share);
-            for n in [1, 7, 60, 400] {
-                let mut seeds = seeds_on(&surface, n, (k * 10 + n) as u64);
-                if n == 60 {
-                    // Later duplicates have no cell; one in the same place with another normal has.
-                    seeds[40] = seeds[3];
-                    seeds[41] = Lifted { lift: -seeds[3].lift, ..seeds[3] };
-                }
-                let want = brute_force(&surface, &seeds);
-                let spacing = (surface.area() / n as f64).sqrt();
-                let cell = spacing * spacing;
-                for backend in [&Serial as &dyn Backend, &parallel] {
-                    let mut session = backend.lifted_session(Arc::clone(&surface), SessionOptions::new(n)).unwrap();
-                    let (mut sums, token) = (CellSums::default(), Token::default());
-                    session.set_seeds(&seeds).unwrap();
-                    session.sums(&mut sums, &token).unwrap();
-                    let what = format!("{shape}, s {share}, {n} seeds, {}", backend.kind().name());
-                    for i in 0..n {
-                        let near = |a: f64, b: f64, of: f64| (a - b).abs() <= 1e-10 * of;
-                        assert!(
-                            near(sums.area[i], want.area[i], cell),
-                            "{what}: cell {i} has {} for {}",
-                            sums.area[i],
-                            want.area[i]
-                        );
-                        assert!(near(sums.mass[i], want.mass[i], cell), "{what}: {i}");
-                        // Energies and moments about a seed that is far from its cell are larger than the cell's own.
-                        let far = spacing.max((want.energy[i] / want.mass[i].max(1e-30)).sqrt());
-                        assert!(near(sums.energy[i], want.energy[i], cell * far * far), "{what}: {i}");
-                        assert!((sums.moment[i] - want.moment[i]).length() <= 1e-10 * cell * far, "{what}: {i}");
-                    }
-                    // Pieces are those of the surface in space.
-                    let mut pieces = PieceBatch::default();
-                    session.pieces(0..surface.facets().len() as u32, &mut pieces, &token).unwrap();
-                    let area: f64 = (0..pieces.len()).map(|p| pieces.area(p)).sum();
-                    let whole: f64 = (0..mesh.facets().len()).map(|f| area_in_space(&surface, f as u32)).sum();
-                    assert!((area - whole).abs() <= 1e-10 * whole, "{what}: {area} of {whole}");
-                }
-            }
+    for Case { what, surface, seeds, want } in cases() {
+        for backend in [&Serial as &dyn Backend, &parallel] {
+            let options = SessionOptions::new(seeds.len());
+            let mut session = backend.lifted_session(Arc::clone(surface), options).unwrap();
+            let what = format!("{what}, {}", backend.kind().name());
+            compare(&what, &mut *session, (surface, seeds), want, 1e-10);
         }
     }
 }
@@ -166,6 +182,43 @@ fn cells_are_those_of_brute_force() {
 fn area_in_space(surface: &Surface<Lifted>, f: u32) -> f64 {
     let [a, b, c] = surface.corners(f).map(|p| p.place);
     if surface.skips(f as usize) { 0.0 } else { 0.5 * (b - a).cross(c - a).length() }
+}
+
+/// In single precision relative to the seed, of cells some spacings wide.
+const SINGLE: f64 = 1e-5;
+
+#[needs(gpu)]
+#[test]
+fn cells_of_the_device_are_those_of_brute_force() {
+    let Some(gpu) = on_device() else { return };
+    let (mut pairs, mut in_double) = (0, 0);
+    for Case { what, surface, seeds, want } in cases() {
+        let open = |options| gpu.lifted_session(Arc::clone(surface), options).unwrap();
+        let n = seeds.len();
+        let mut session = open(SessionOptions::new(n));
+        let (sums, stats) = compare(what, &mut *session, (surface, seeds), want, SINGLE);
+        assert!(session.device_bytes() > 0, "{what}: on the device");
+        pairs += stats.pairs;
+        in_double += stats.f64_finished;
+        if n < 60 {
+            continue;
+        }
+        // A second run has the same bits, and so has one whose pairs run out of everything.
+        let tiny = Capacities::new().with_neighbours(4).with_polygon(5).with_cells(2).with_pairs_percent(10);
+        for (how, options) in
+            [("again", SessionOptions::new(n)), ("tiny", SessionOptions::new(n).with_capacities(tiny))]
+        {
+            let (mut other, mut session) = (CellSums::default(), open(options));
+            session.set_seeds(seeds).unwrap();
+            let stats = session.sums(&mut other, &Token::default()).unwrap();
+            assert!(other == sums, "{what}: {how}");
+            if how == "tiny" && n == 400 {
+                assert!(stats.relaunched_neighbours > 0 && stats.relaunched_cells > 0, "{what}: {stats:?}");
+            }
+        }
+    }
+    // Double precision is for what single precision cannot tell.
+    assert!(in_double * 100 < pairs, "{in_double} of {pairs} pairs were finished in double precision");
 }
 
 /// Lloyd's steps, so that lists of neighbours are kept from pass to pass, with a jump and a seed that goes astray.

@@ -12,6 +12,8 @@ mod cases;
 mod conformance;
 #[path = "../common/gpu.rs"]
 mod gpu;
+#[path = "../common/lifts.rs"]
+mod lifts;
 #[path = "../common/points.rs"]
 mod points;
 #[path = "../common/sessions.rs"]

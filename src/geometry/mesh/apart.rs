@@ -29,6 +29,8 @@ pub(crate) struct Apart {
     margin: f64,
     /// Where vertices were, by where they are.
     places: HashMap<[u64; 3], DVec3>,
+    /// Whether sheets touched.
+    touched: bool,
     /// For each copy of a vertex, the vertex.
     pub copied: Vec<u32>,
 }
@@ -92,7 +94,7 @@ impl Apart {
             row.parts.iter_mut().for_each(|part| part.0 += low.x);
         }
         let mesh = TriMesh::new(moved, facets).ok()?;
-        Some(Self { mesh, rows, margin: 0.5 * gap, places, copied })
+        Some(Self { mesh, rows, margin: 0.5 * gap, places, touched: sheets.touch, copied })
     }
 
     /// Where a place beside the surface was.
@@ -110,7 +112,7 @@ impl Apart {
     /// rounding tells apart are in one place again.
     pub(crate) fn mesh_back(&self, mesh: &TriMesh, token: &Token) -> Result<Result<TriMesh, MeshError>, Stopped> {
         let mut positions: Vec<DVec3> = mesh.positions().iter().map(|&p| self.back(p)).collect();
-        if !self.copied.is_empty() {
+        if self.touched {
             let (low, high) = self.mesh.bounds();
             let reach = ROUNDING * (high - low).max_element();
             for (v, u, _) in coincident::near(&positions.clone(), 0..positions.len() as u32, (low, reach), token)? {

@@ -26,6 +26,8 @@ pub(crate) struct Sheets {
     pub count: usize,
     /// Edges at which several sheets meet, by their lowest vertices; ascending.
     pub seams: Vec<[u32; 2]>,
+    /// Whether any two sheets have a place in common that is a vertex of both.
+    pub touch: bool,
 }
 
 /// A facet at an edge, seen along the edge from its lower end.
@@ -98,7 +100,11 @@ impl Sheets {
                 seams.push(undirected([t[halves[0].side], t[(halves[0].side + 1) % 3]]));
             }
         });
-        Ok(Self { of_facet, count: order.len(), seams })
+        let touches = |(f, corners): (usize, &[u32; 3])| {
+            welded(corners).iter().any(|&v| first[v as usize].is_some_and(|first| of_facet[first] != of_facet[f]))
+        };
+        let touch = mesh.facets().iter().enumerate().any(touches);
+        Ok(Self { of_facet, count: order.len(), seams, touch })
     }
 }
 

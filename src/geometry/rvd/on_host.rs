@@ -13,7 +13,7 @@ use std::ops::Range;
 use std::sync::Arc;
 
 use super::resident::HISTORY;
-use super::{CellSums, Evaluation, PassStats, PieceBatch, Resident, RvdError, Session, refill};
+use super::{CellSums, DeviceWork, Evaluation, PassStats, PhasesMs, PieceBatch, Resident, RvdError, Session, refill};
 use crate::knn::{Point, Threads};
 use crate::token::Token;
 
@@ -87,6 +87,18 @@ impl<P: Point, S: Session<P>> Session<P> for OnHost<S, P> {
 
     fn pieces(&mut self, facets: Range<u32>, out: &mut PieceBatch, token: &Token) -> Result<PassStats, RvdError> {
         self.session.pieces(facets, out, token)
+    }
+
+    fn device_bytes(&self) -> u64 {
+        self.session.device_bytes()
+    }
+
+    fn device_work(&self) -> DeviceWork {
+        self.session.device_work()
+    }
+
+    fn device_phases(&self) -> Option<PhasesMs> {
+        self.session.device_phases()
     }
 
     fn resident(&mut self) -> Option<&mut dyn Resident<P>> {

@@ -15,11 +15,12 @@ use std::ops::Range;
 use std::sync::Arc;
 
 use super::lane;
-use super::layout::{self, MEMBERS, NONE, Params, ROOT, ROW, SUM_WORDS, State, accumulate};
+use super::layout::{self, MEMBERS, NONE, Params, ROOT, ROW, State, accumulate};
 use super::memory::{Memory, OnDevice, records};
 use super::neighbours::{Neighbours, Rows};
 use super::pipelines::SLOTS;
 use super::plan::{BATCH, size};
+use super::space::{DeviceSpace, FacetRecord};
 use super::{Context, Result};
 use crate::dispatch::{ARGUMENTS_BYTES, Stage, run_groups, run_indirect};
 use geometry::rvd::incident::FacetWalker;
@@ -28,10 +29,9 @@ use geometry::token::Token;
 pub(super) use retry::Pair;
 
 /// What a pass leaves beside the sums on the device.
-#[derive(Default)]
-pub(super) struct PassResult {
+pub(super) struct PassResult<P: DeviceSpace> {
     /// Pieces that the host clipped: seed and sums.
-    pub finished: Vec<(u32, fixed::Units)>,
+    pub finished: Vec<(u32, fixed::Units<P>)>,
     /// Facets that the host walked as a whole.
     pub walked: HashSet<u32>,
     /// Parts of the list that repeat earlier pairs.
@@ -47,6 +47,22 @@ pub(super) struct PassResult {
     pub by_cell: bool,
     /// What the device gives pairs that lack it, without the host.
     pub device_retries: Shortages,
+}
+
+impl<P: DeviceSpace> Default for PassResult<P> {
+    fn default() -> Self {
+        Self {
+            finished: Vec::new(),
+            walked: HashSet::new(),
+            repeats: Vec::new(),
+            length: 0,
+            pairs: 0,
+            polygon: 0,
+            divided: false,
+            by_cell: false,
+            device_retries: Shortages::default(),
+        }
+    }
 }
 
 #[derive(Clone, Copy, Debug, Default)]
@@ -91,8 +107,8 @@ pub(super) fn count_requeued(state: &State, stats: &mut PassStats) {
 }
 
 /// How a session clips, and what its passes leave.
-pub(super) struct Clip {
-    cx: Arc<Context>,
+pub(super) struct Clip<P: DeviceSpace> {
+    cx: Arc<Context<P>>,
     /// Polygon vertices that a pass begins with.
     first_polygon: u32,
     /// Mean area and perimeter of a facet.
@@ -105,8 +121,8 @@ pub(super) struct Clip {
     /// Code in [`layout::accumulate`].
     pub accumulate: u32,
     pub scales: fixed::Scales,
-    walker: FacetWalker,
-    pub pass: PassResult,
+    walker: FacetWalker<P>,
+    pub pass: PassResult<P>,
     /// What pairs lacked so far.
     pub shortages: Shortages,
     /// Clip dispatches of a pass's first submission: some more than the last pass needed.
@@ -115,8 +131,8 @@ pub(super) struct Clip {
     pub work: DeviceWork,
 }
 
-impl Clip {
-    pub(super) fn new(cx: Arc<Context>, near: by_cell::Grid, how: Accumulate) -> Self {
+impl<P: DeviceSpace> Clip<P> {
+    pub(super) fn new(cx: Arc<Context<P>>, near: by_cell::Grid, how: Accumulate) -> Self {
         Self {
             first_polygon: cx.capacities.polygon.clamp(4, SLOTS) as u32,
             lengths: records::mean_facet(&cx.surface),
@@ -139,7 +155,7 @@ impl Clip {
 
     /// The seeds are others, all near the surface's box.
     pub(super) fn seeds_changed(&mut self) {
-        self.set_radius(fixed::COVERING_RADIUS);
+        self.set_radius(fixed::covering_radius_of_near(self.cx.longest_lift));
         self.walker.reset(&Token::default());
     }
 
@@ -153,7 +169,7 @@ impl Clip {
         self.pass = PassResult { polygon: self.first_polygon, by_cell, ..PassResult::default() };
     }
 
-    pub(super) fn params(&self, memory: &Memory, neighbours: &Neighbours) -> Params {
+    pub(super) fn params(&self, memory: &Memory<P>, neighbours: &Neighbours<P>) -> Params {
         let window = memory.windows.facets();
         Params {
             mass_scale: self.scales.mass as f32,
@@ -173,12 +189,13 @@ impl Clip {
             divided: NONE,
             facet_first: window.start,
             has_lists: u32::from(memory.counts.listed > 0),
+            longest_lift: self.cx.longest_lift as f32 * 1.000_001,
             ..Params::default()
         }
     }
 
     /// Parameters of a pass over `facets` of the window at work.
-    pub(super) fn roots_params(&self, memory: &Memory, neighbours: &Neighbours, facets: &Range<u32>) -> Params {
+    pub(super) fn roots_params(&self, memory: &Memory<P>, neighbours: &Neighbours<P>, facets: &Range<u32>) -> Params {
         let present = neighbours.roots_of(facets);
         let first = present.start - neighbours.roots_of(&memory.windows.facets()).start;
         let by_both = self.pass.divided && self.pass.by_cell;
@@ -193,7 +210,7 @@ impl Clip {
     }
 
     /// The slot where it begins to say which facets are divided.
-    fn first_flag(&self, memory: &Memory) -> u64 {
+    fn first_flag(&self, memory: &Memory<P>) -> u64 {
         memory.counts.slots - if self.near.side > 0 { memory.counts.window } else { 0 }
     }
 
@@ -210,22 +227,23 @@ impl Clip {
     /// Clears what a pass over `facets` uses; the sums of `sums` seeds too.
     pub(super) fn encode_clears(
         &self,
-        memory: &Memory,
+        memory: &Memory<P>,
         encoder: &mut wgpu::CommandEncoder,
         facets: &Range<u32>,
         sums: Option<usize>,
     ) -> Result<()> {
         let buffers = &memory.there()?.buffers;
         if let (Some(first), Some(last)) = (facets.clone().next(), facets.clone().next_back()) {
-            let begin = u64::from(memory.facets[first as usize].slot_begin);
-            let end = u64::from(memory.facets[last as usize].slot_begin) + (1 << memory.slots_log2[last as usize]);
+            let slot = |f: u32| u64::from(memory.facets[f as usize].slots().0);
+            let begin = slot(first);
+            let end = slot(last) + (1 << memory.slots_log2[last as usize]);
             encoder.clear_buffer(&buffers.slots, begin * 4, Some((end - begin) * 4));
         }
         if self.pass.divided && self.pass.by_cell {
             encoder.clear_buffer(&buffers.slots, self.first_flag(memory) * 4, Some(memory.counts.window * 4));
         }
         if let Some(seeds) = sums {
-            encoder.clear_buffer(&buffers.sums, 0, Some((seeds * SUM_WORDS * 4) as u64));
+            encoder.clear_buffer(&buffers.sums, 0, Some((seeds * P::SUM_WORDS * 4) as u64));
         }
         Ok(())
     }
@@ -233,7 +251,7 @@ impl Clip {
     /// Encodes the candidates' arrival, by facet and by cell, then `steps` times indirect arguments and clip.
     pub(super) fn encode_clip(
         &self,
-        memory: &Memory,
+        memory: &Memory<P>,
         seeds: usize,
         encoder: &mut wgpu::CommandEncoder,
         launch: &Launch,
@@ -253,7 +271,12 @@ impl Clip {
         Ok(())
     }
 
-    fn entries<'a>(&'a self, memory: &'a Memory, seeds: usize, candidates: Option<&Params>) -> Result<Vec<Stage<'a>>> {
+    fn entries<'a>(
+        &'a self,
+        memory: &'a Memory<P>,
+        seeds: usize,
+        candidates: Option<&Params>,
+    ) -> Result<Vec<Stage<'a>>> {
         let (pipelines, windows) = (&self.cx.pipelines, &memory.there()?.bindings.windows);
         let window = &windows[memory.windows.present];
         let mut entries = Vec::with_capacity(2);
@@ -276,7 +299,7 @@ impl Clip {
         Ok(entries)
     }
 
-    fn run_steps(&self, memory: &Memory, there: &OnDevice, compute: &mut wgpu::ComputePass<'_>, launch: &Launch) {
+    fn run_steps(&self, memory: &Memory<P>, there: &OnDevice, compute: &mut wgpu::ComputePass<'_>, launch: &Launch) {
         let (pipelines, window) = (&self.cx.pipelines, &there.bindings.windows[memory.windows.present]);
         let shared = self.accumulate == accumulate::TWO_PHASE;
         let (clip, bindings) = match launch.variant {
@@ -330,10 +353,10 @@ impl Clip {
     }
 
     /// The sums of the last pass, with what the host finished, in units.
-    pub(super) fn sum_words(&self, memory: &Memory, seeds: usize) -> Result<Vec<u32>> {
-        let mut words: Vec<u32> = memory.read(|b| &b.sums, 0..seeds * SUM_WORDS)?;
+    pub(super) fn sum_words(&self, memory: &Memory<P>, seeds: usize) -> Result<Vec<u32>> {
+        let mut words: Vec<u32> = memory.read(|b| &b.sums, 0..seeds * P::SUM_WORDS)?;
         for (seed, units) in &self.pass.finished {
-            fixed::add(&mut words[*seed as usize * SUM_WORDS..][..SUM_WORDS], units);
+            fixed::add(&mut words[*seed as usize * P::SUM_WORDS..][..P::SUM_WORDS], units);
         }
         Ok(words)
     }
@@ -342,12 +365,30 @@ impl Clip {
     pub(super) fn covers(&self, area: f64, facets: Range<u32>) -> bool {
         let surface = &self.cx.surface;
         let whole = facets.len() == surface.facets().len();
-        let expected = if whole {
-            surface.area()
-        } else {
-            facets.filter(|&f| !surface.skips(f as usize)).map(|f| surface.facet_area(f)).sum()
-        };
+        let of = |f: u32| surface.facet_area(f);
+        let expected = if whole { surface.area() } else { self.live(facets).map(of).sum() };
         (area - expected).abs() <= COVER * expected
+    }
+
+    /// Whether `area`, that of pieces in R³, is that of the facets in `facets` there.
+    pub(super) fn covers_places(&self, area: f64, facets: Range<u32>) -> bool {
+        if P::IS_PLACE {
+            return self.covers(area, facets);
+        }
+        let surface = &self.cx.surface;
+        let of = |f: u32| {
+            let [a, b, c] = surface.corners(f).map(P::place);
+            0.5 * (b - a).cross(c - a).length()
+        };
+        // A piece's vertices are off by a share of how far they are in R⁶.
+        let expected: f64 = self.live(facets.clone()).map(of).sum();
+        let lifted: f64 = self.live(facets).map(|f| surface.facet_area(f)).sum();
+        (area - expected).abs() <= COVER * lifted
+    }
+
+    /// Those of `facets` that have an area.
+    fn live(&self, facets: Range<u32>) -> impl Iterator<Item = u32> {
+        facets.filter(|&f| !self.cx.surface.skips(f as usize))
     }
 
     /// Units of area, as limbs, between which the pieces of all facets cover the surface; within what

@@ -9,7 +9,7 @@
 use super::layout::{LONGER, MOST_REQUEUED, STRIDE};
 use super::neighbours::grid;
 use super::pipelines::SLOTS;
-use super::plan::{Counts, OptimizerPlan, Plan, grid_cells, grid_side};
+use super::plan::{Counts, Moved, OptimizerPlan, Plan, grid_cells, grid_side};
 use crate::SessionForecast;
 use geometry::rvd::Capacities;
 
@@ -21,15 +21,18 @@ const EMITTED: u64 = 1 << 16;
 const AREA: f64 = 1.0;
 
 pub(crate) fn session_bytes(forecast: &SessionForecast) -> u64 {
-    let &SessionForecast { facets, seeds, graded, moved } = forecast;
+    let &SessionForecast { facets, seeds, graded, moved, lifted } = forecast;
+    // Sessions of lifted surfaces leave room for some more seeds.
+    let seeds = if lifted { seeds.saturating_add(seeds / 8) } else { seeds };
     let capacities = Capacities::default();
     let row = (capacities.neighbours as u64).max(STRIDE.into());
-    let side = if graded { grid::finest_side(seeds) } else { grid_side(AREA, seeds) };
+    let side = if graded || lifted { grid::finest_side(seeds) } else { grid_side(AREA, seeds) };
     let pairs = expected_pairs(facets, seeds);
     // A set of cells has room for twice the cells that are expected, made a power of two.
     let slots = pairs.saturating_mul(3).max(facets.saturating_mul(capacities.cells as u64));
     let pairs = pairs.saturating_add(pairs / 2).saturating_add(SPARE_PAIRS);
     let counts = Counts {
+        lifted,
         facets,
         held: facets,
         window: facets,
@@ -45,9 +48,9 @@ pub(crate) fn session_bytes(forecast: &SessionForecast) -> u64 {
         polygon: SLOTS as u64,
         near: 0,
         cells: grid_cells(side),
-        listed: seeds,
+        listed: if lifted { 0 } else { seeds },
     };
-    let optimizer_bytes = if moved { OptimizerPlan::of(seeds).total_bytes() } else { 0 };
+    let optimizer_bytes = if moved { OptimizerPlan::of(Moved { lifted, seeds }).total_bytes() } else { 0 };
     Plan::of(counts).total_bytes().saturating_add(optimizer_bytes)
 }
 

@@ -13,8 +13,10 @@ pub const ROOT: u32 = 1 << 31;
 pub const BY_CELL: u32 = 1 << 31;
 /// The other 31 bits.
 pub const INDEX: u32 = ROOT - 1;
-/// Words of sums per seed: mass, moment x y z, energy, area; two limbs each.
+/// Words of sums per seed in R³: mass, moment x y z, energy, area; two limbs each.
 pub const SUM_WORDS: usize = 12;
+/// The same where the moment has six coordinates.
+pub const LIFTED_SUM_WORDS: usize = 18;
 
 /// Codes in the list of failures, as in WGSL. [`failure`] unpacks them.
 pub mod code {
@@ -60,6 +62,28 @@ pub struct Seed {
     pub row_length: u32,
 }
 
+/// A seed of a lifted surface.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
+#[repr(C)]
+pub struct LiftedSeed {
+    /// Upper part of the place.
+    pub hi: [f32; 3],
+    /// As [`Seed::row_begin`].
+    pub row_begin: u32,
+    /// Place less upper part.
+    pub lo: [f32; 3],
+    /// As [`Seed::row_length`].
+    pub row_length: u32,
+    /// Upper part of the lift.
+    pub lift_hi: [f32; 3],
+    /// Zero.
+    pub after_hi: u32,
+    /// Lift less upper part.
+    pub lift_lo: [f32; 3],
+    /// Zero.
+    pub after_lo: u32,
+}
+
 /// A facet: first corner, frame, other corners in it, weight, slots.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
 #[repr(C)]
@@ -92,6 +116,52 @@ pub struct Facet {
     pub weight_v: f32,
     /// Largest weight of the three corners.
     pub weight_top: f32,
+}
+
+/// A facet of a lifted surface. Its plane has no normal.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
+#[repr(C)]
+pub struct LiftedFacet {
+    /// Upper part of the first corner's place.
+    pub hi: [f32; 3],
+    /// As [`Facet::slot_begin`].
+    pub slot_begin: u32,
+    /// The place less upper part.
+    pub lo: [f32; 3],
+    /// As [`Facet::slot_mask`].
+    pub slot_mask: u32,
+    /// Unit vector along the first edge: its place.
+    pub e1: [f32; 3],
+    /// As [`Facet::corner1_u`].
+    pub corner1_u: f32,
+    /// Unit vector in the plane, across e1: its place.
+    pub e2: [f32; 3],
+    /// As [`Facet::corner2_u`].
+    pub corner2_u: f32,
+    /// Upper part of the first corner's lift.
+    pub lift_hi: [f32; 3],
+    /// As [`Facet::corner2_v`].
+    pub corner2_v: f32,
+    /// Weight at the first corner.
+    pub weight: f32,
+    /// Its slope along e1.
+    pub weight_u: f32,
+    /// Its slope along e2.
+    pub weight_v: f32,
+    /// Largest weight of the three corners.
+    pub weight_top: f32,
+    /// The lift less upper part.
+    pub lift_lo: [f32; 3],
+    /// Zero.
+    pub after_lo: u32,
+    /// The lift of e1.
+    pub lift_e1: [f32; 3],
+    /// Zero.
+    pub after_e1: u32,
+    /// The lift of e2.
+    pub lift_e2: [f32; 3],
+    /// Zero.
+    pub after_e2: u32,
 }
 
 /// Parameters of a dispatch. A uniform.
@@ -146,6 +216,8 @@ pub struct Params {
     pub part_first: u32,
     /// 1 if there is room for Verlet lists.
     pub has_lists: u32,
+    /// The longest lift of the surface, or more by a rounding.
+    pub longest_lift: f32,
 }
 
 /// What the host reads between submissions.
@@ -204,6 +276,28 @@ pub struct Sorted {
     pub lo: [f32; 3],
     /// The earliest seed at the same place.
     pub first: u32,
+}
+
+/// The same for a lifted surface.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
+#[repr(C)]
+pub struct LiftedSorted {
+    /// Upper part of the place.
+    pub hi: [f32; 3],
+    /// Which seed.
+    pub seed: u32,
+    /// Place less upper part.
+    pub lo: [f32; 3],
+    /// The earliest seed at the same point.
+    pub first: u32,
+    /// Upper part of the lift.
+    pub lift_hi: [f32; 3],
+    /// Zero.
+    pub after_hi: u32,
+    /// Lift less upper part.
+    pub lift_lo: [f32; 3],
+    /// Zero.
+    pub after_lo: u32,
 }
 
 /// State of the Verlet lists. Behind it are the arguments of the dispatches that depend on it, and the seeds whose lists do
@@ -352,6 +446,23 @@ impl Seed {
     pub fn key(&self, other: &Self) -> f32 {
         let [x, y, z] = [0, 1, 2].map(|k| (other.hi[k] - self.hi[k]) + (other.lo[k] - self.lo[k])).map(|b| b * b);
         (x + y) + z
+    }
+}
+
+impl LiftedSeed {
+    /// Place and lift as they are for the device.
+    pub fn position(&self) -> [[f64; 3]; 2] {
+        let of = |hi: [f32; 3], lo: [f32; 3]| [0, 1, 2].map(|k| f64::from(hi[k]) + f64::from(lo[k]));
+        [of(self.hi, self.lo), of(self.lift_hi, self.lift_lo)]
+    }
+
+    /// As [`Seed::key`], in R⁶.
+    pub fn key(&self, other: &Self) -> f32 {
+        let part = |hi: [f32; 3], lo: [f32; 3], other_hi: [f32; 3], other_lo: [f32; 3]| {
+            let [x, y, z] = [0, 1, 2].map(|k| (other_hi[k] - hi[k]) + (other_lo[k] - lo[k])).map(|b| b * b);
+            (x + y) + z
+        };
+        part(self.hi, self.lo, other.hi, other.lo) + part(self.lift_hi, self.lift_lo, other.lift_hi, other.lift_lo)
     }
 }
 

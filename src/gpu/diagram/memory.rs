@@ -18,9 +18,10 @@ use std::sync::Arc;
 
 use bytemuck::Pod;
 
-use super::layout::{self, Params, State};
+use super::layout::{Params, State};
 use super::pipelines::SLOTS;
 use super::plan::{self, Counts, Need, Plan, Window};
+use super::space::DeviceSpace;
 use super::{Context, Result};
 use crate::buffers::write;
 use crate::dispatch::{self, Limits, Stage};
@@ -33,14 +34,14 @@ pub(super) struct OnDevice {
     pub bindings: Bindings,
 }
 
-pub(super) struct Memory {
-    pub cx: Arc<Context>,
+pub(super) struct Memory<P: DeviceSpace> {
+    pub cx: Arc<Context<P>>,
     pub counts: Counts,
     pub windows: Windows,
     /// Log2 of the slots of each facet's set of cells.
     pub slots_log2: Vec<u8>,
     /// The records as they are to be on the device.
-    pub facets: Vec<layout::Facet>,
+    pub facets: Vec<P::Facet>,
     /// `None` before the first use and while capacities grow.
     pub on_device: Option<OnDevice>,
     /// Windows whose records are on the device.
@@ -51,7 +52,7 @@ fn places(facets: &Range<u32>) -> Range<usize> {
     facets.start as usize..facets.end as usize
 }
 
-impl Memory {
+impl<P: DeviceSpace> Memory<P> {
     pub(super) fn there(&self) -> Result<&OnDevice> {
         self.on_device.as_ref().ok_or_else(|| RvdError::Internal("no buffers".to_owned()))
     }
@@ -74,7 +75,7 @@ impl Memory {
 
     /// Cuts the facets into windows, for the present capacities. Whether they are more than one.
     pub(super) fn cut(&mut self) -> bool {
-        self.windows.cut(&self.slots_log2, self.cx.limits());
+        self.windows.cut(self.counts.lifted, &self.slots_log2, self.cx.limits());
         self.windows.all.len() > 1
     }
 
@@ -100,7 +101,7 @@ impl Memory {
     pub(super) fn allocate(&mut self) -> Result<()> {
         let plan = Plan::new(self.counts, self.cx.limits())?;
         let facets: Vec<u64> = self.windows.all.iter().map(|w| w.facets.len() as u64).collect();
-        let buffers = Buffers::new(&self.cx.device, plan, &facets, self.resident.buffers())?;
+        let buffers = Buffers::new(&self.cx.device, self.counts.lifted, plan, &facets, self.resident.buffers())?;
         let bindings = Bindings::new(&self.cx.device, &self.cx.pipelines, &buffers)?;
         self.on_device = Some(OnDevice { buffers, bindings });
         Ok(())
@@ -214,12 +215,12 @@ impl Windows {
     }
 
     /// Cuts the facets anew, for sets of cells of these sizes.
-    pub(crate) fn cut(&mut self, slots_log2: &[u8], limits: Limits) {
+    pub(crate) fn cut(&mut self, lifted: bool, slots_log2: &[u8], limits: Limits) {
         let (expected, per_cell) = (&self.expected, self.pairs_per_cell * self.grown);
         let need = |(&e, &log2): (&f32, &u8)| Need { slots: 1 << log2, pairs: per_cell * f64::from(e) };
         let share = places(&self.share);
         let needs = expected[share.clone()].iter().zip(&slots_log2[share]).map(need);
-        self.all = plan::windows(needs, self.spare(), self.most, limits);
+        self.all = plan::windows(lifted, needs, self.spare(), self.most, limits);
         let first = self.share.start;
         self.all.iter_mut().for_each(|w| w.facets = w.facets.start + first..w.facets.end + first);
         self.present = 0;

@@ -16,17 +16,15 @@ use std::mem::offset_of;
 use std::ops::Range;
 use std::sync::Arc;
 
-use glam::DVec3;
-
 use super::lane;
 use super::layout::{self, COMPLETE, INDEX, ListState, Params, State, halt};
-use super::memory::{Memory, records};
+use super::memory::Memory;
 use super::plan::{grid_cells, search_arguments, size};
+use super::space::{DeviceSpace, SeedRecord};
 use super::{Context, Result};
 use crate::buffers::write;
 use crate::dispatch::Stage;
 use geometry::knn::NeighbourRow;
-use geometry::mesh::coincident;
 use geometry::rvd::{RvdError, check_seed, take_seeds};
 use geometry::token::Token;
 pub(super) use host::{HostCopy, LONGEST_ROW};
@@ -89,12 +87,12 @@ pub struct Found {
 }
 
 /// The seeds of a session, and what is known of them.
-pub(super) struct Neighbours {
-    cx: Arc<Context>,
+pub(super) struct Neighbours<P: DeviceSpace> {
+    cx: Arc<Context<P>>,
     /// The seeds as they were set, and how many there are.
-    pub seeds: Vec<DVec3>,
+    pub seeds: Vec<P>,
     /// Their records, if another device has made them.
-    given: Vec<layout::Seed>,
+    given: Vec<P::Seed>,
     pub count: usize,
     pub place: Place,
     /// Cells along a side of the grid in which seeds are searched: of these, and at most.
@@ -109,13 +107,13 @@ pub(super) struct Neighbours {
     pub merged: bool,
     /// (facet, first cell) of every facet that is not degenerate, by facet; cells as far as the host knows them.
     pub roots: Vec<[u32; 2]>,
-    pub host: HostCopy,
+    pub host: HostCopy<P>,
     pub host_searches: u64,
 }
 
-impl Neighbours {
+impl<P: DeviceSpace> Neighbours<P> {
     /// No seeds yet, in a grid of at most `finest` cells a side, and first cells of `roots` to be found.
-    pub(super) fn new(cx: Arc<Context>, finest: u32, roots: Vec<[u32; 2]>) -> Self {
+    pub(super) fn new(cx: Arc<Context<P>>, finest: u32, roots: Vec<[u32; 2]>) -> Self {
         Self {
             cx,
             seeds: Vec::new(),
@@ -136,7 +134,7 @@ impl Neighbours {
     }
 
     /// Takes new seeds. [`Self::seeds_changed`] comes after it.
-    pub(super) fn set_seeds(&mut self, seeds: &[DVec3]) -> Result<()> {
+    pub(super) fn set_seeds(&mut self, seeds: &[P]) -> Result<()> {
         take_seeds(seeds, self.cx.max_seeds, &mut self.seeds)?;
         self.given.clear();
         self.count_changed();
@@ -144,11 +142,12 @@ impl Neighbours {
     }
 
     /// Takes seeds as another device has them. [`Self::seeds_changed`] comes after it.
-    pub(super) fn set_records(&mut self, records: &[layout::Seed]) {
+    pub(super) fn set_records(&mut self, records: &[P::Seed]) {
         self.seeds.clear();
-        self.seeds.extend(records.iter().map(|r| DVec3::from_array(r.position())));
+        self.seeds.extend(records.iter().map(P::of_record));
         self.given.clear();
-        self.given.extend(records.iter().map(|&r| layout::Seed { row_begin: 0, row_length: 0, ..r }));
+        self.given.extend_from_slice(records);
+        self.given.iter_mut().for_each(|record| record.set_row(0, 0));
         self.count_changed();
     }
 
@@ -174,7 +173,7 @@ impl Neighbours {
     }
 
     /// The device's memory is new. Rows of the host are uploaded again.
-    pub(super) fn memory_changed(&mut self, memory: &Memory) -> Result<()> {
+    pub(super) fn memory_changed(&mut self, memory: &Memory<P>) -> Result<()> {
         if self.rows.are_of_host() {
             self.upload_rows(memory)?;
         }
@@ -187,14 +186,14 @@ impl Neighbours {
         self.listed_for = 0;
     }
 
-    pub(super) fn records(&self) -> Vec<layout::Seed> {
+    pub(super) fn records(&self) -> Vec<P::Seed> {
         match self.given.is_empty() {
-            true => self.seeds.iter().map(|&p| records::record(p)).collect(),
+            true => self.seeds.iter().map(|p| p.record()).collect(),
             false => self.given.clone(),
         }
     }
 
-    pub(super) fn upload_seeds(&mut self, memory: &Memory) -> Result<()> {
+    pub(super) fn upload_seeds(&mut self, memory: &Memory<P>) -> Result<()> {
         self.host.records = self.records();
         Ok(write(&self.cx.device, &memory.there()?.buffers.seeds, 0, &self.host.records)?)
     }
@@ -205,14 +204,14 @@ impl Neighbours {
         at(facets.start)..at(facets.end)
     }
 
-    pub(super) fn upload_roots(&self, memory: &Memory) -> Result<()> {
+    pub(super) fn upload_roots(&self, memory: &Memory<P>) -> Result<()> {
         for (window, to) in memory.by_window() {
             write(&self.cx.device, &to.candidates, 0, &self.roots[self.roots_of(&window.facets)])?;
         }
         Ok(())
     }
 
-    fn download_roots(&mut self, memory: &Memory) -> Result<()> {
+    fn download_roots(&mut self, memory: &Memory<P>) -> Result<()> {
         let staging = &memory.there()?.buffers.staging;
         let mut roots = Vec::with_capacity(self.roots.len());
         for (window, from) in memory.by_window() {
@@ -225,14 +224,15 @@ impl Neighbours {
 
     pub(super) fn encode_search(
         &mut self,
-        memory: &Memory,
+        memory: &Memory<P>,
         params: &Params,
         encoder: &mut wgpu::CommandEncoder,
         token: &Token,
     ) -> Result<()> {
         let (n, pipelines, there) = (self.count as u64, &self.cx.pipelines, memory.there()?);
         let (b, bindings) = (&there.buffers, &there.bindings);
-        for of_cells in [&b.cells, &b.drifts] {
+        let drifts = (memory.counts.listed > 0).then_some(&b.drifts);
+        for of_cells in [Some(&b.cells), drifts].into_iter().flatten() {
             encoder.clear_buffer(of_cells, 0, Some(grid_cells(params.side) * 4));
         }
         // Lists of other seeds, or of a search that did not come to its end, are none.
@@ -262,7 +262,7 @@ impl Neighbours {
     /// Encodes the search for the first cells of the window at work.
     pub(super) fn encode_first_cells(
         &self,
-        memory: &Memory,
+        memory: &Memory<P>,
         encoder: &mut wgpu::CommandEncoder,
         token: &Token,
     ) -> Result<()> {
@@ -273,14 +273,15 @@ impl Neighbours {
         memory.encode(encoder, lane::START, &[stage], token)
     }
 
-    pub(super) fn take_search_result(&mut self, memory: &Memory, state: &State) -> Result<Searched> {
+    pub(super) fn take_search_result(&mut self, memory: &Memory<P>, state: &State) -> Result<Searched> {
         if state.halt & halt::BAD != 0 {
             let i = (u32::MAX - state.bad) as usize;
-            let record: Vec<layout::Seed> = memory.read(|b| &b.seeds, i..i + 1)?;
-            let place = record.first().map_or(DVec3::NAN, |r| DVec3::from_array(r.position()));
-            check_seed(i, place)?;
+            let record: Vec<P::Seed> = memory.read(|b| &b.seeds, i..i + 1)?;
+            let point = record.first().map_or(P::ZERO, P::of_record);
+            check_seed(i, point)?;
             // Beyond the range by a rounding.
-            return Err(RvdError::SeedTooFar { seed: i, boxes: place.abs().max_element() });
+            let boxes = point.coordinates().as_ref().iter().fold(0.0, |most: f64, x| most.max(x.abs()));
+            return Err(RvdError::SeedTooFar { seed: i, boxes });
         }
         let far = state.halt & halt::FAR != 0 || state.near == 0;
         if far || state.halt != 0 {
@@ -291,12 +292,12 @@ impl Neighbours {
         // Seeds that the device cannot tell apart and the host can are for the host.
         self.merged = self.duplicates > 0
             && self.place == Place::Set
-            && coincident::find(&self.seeds).len() as u64 != self.duplicates;
+            && P::coincident(&self.seeds).len() as u64 != self.duplicates;
         Ok(Searched::Rows)
     }
 
     /// Takes what came of the facets' first cells. `false` if the host found some of them.
-    pub(super) fn take_first_cells(&mut self, memory: &Memory, state: &State) -> Result<bool> {
+    pub(super) fn take_first_cells(&mut self, memory: &Memory<P>, state: &State) -> Result<bool> {
         self.first_cells = FirstCells { known: true, guessed: true };
         if state.unproved == 0 {
             return Ok(true);
@@ -306,7 +307,7 @@ impl Neighbours {
     }
 
     /// Rows and first cells as they are on the device.
-    pub(super) fn found(&mut self, memory: &Memory) -> Result<Found> {
+    pub(super) fn found(&mut self, memory: &Memory<P>) -> Result<Found> {
         self.host.fresh = false;
         self.view(memory)?;
         // As long as the buffer is: the counts may be those of the next one already.
@@ -315,10 +316,11 @@ impl Neighbours {
         let list_state: Vec<ListState> = memory.read(|b| &b.list_state, 0..1)?;
         let from_lists =
             list_state.first().filter(|s| s.mode == layout::search::FROM_LISTS && self.rows == Rows::Device);
-        let row = |r: &layout::Seed| {
-            let begin = r.row_begin as usize;
-            let seeds = table[begin..begin + (r.row_length & INDEX) as usize].to_vec();
-            NeighbourRow { seeds, complete: r.row_length & COMPLETE != 0 }
+        let row = |r: &P::Seed| {
+            let (begin, length) = r.row();
+            let begin = begin as usize;
+            let seeds = table[begin..begin + (length & INDEX) as usize].to_vec();
+            NeighbourRow { seeds, complete: length & COMPLETE != 0 }
         };
         Ok(Found {
             rows: self.host.records.iter().map(row).collect(),

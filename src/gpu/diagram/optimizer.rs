@@ -14,6 +14,7 @@ use super::lane;
 use super::layout::{self, DOTS, OptimizerParams, PAIRS};
 use super::memory::{Memory, OnDevice, OptimizerBindings};
 use super::neighbours::{Neighbours, Place};
+use super::space::DeviceSpace;
 use super::{Context, Result};
 use crate::buffers::write;
 use crate::dispatch::{reduction, run, run_groups};
@@ -22,13 +23,20 @@ use geometry::rvd::{PassStats, RvdError, Together};
 pub(super) use moving::Step;
 use moving::{Gradient, Moving};
 
-#[derive(Clone, Copy)]
-pub(super) struct Rooms<'a> {
-    pub cx: &'a Context,
-    pub memory: &'a Memory,
-    pub neighbours: &'a Neighbours,
-    pub clip: &'a Clip,
+pub(super) struct Rooms<'a, P: DeviceSpace> {
+    pub cx: &'a Context<P>,
+    pub memory: &'a Memory<P>,
+    pub neighbours: &'a Neighbours<P>,
+    pub clip: &'a Clip<P>,
 }
+
+impl<P: DeviceSpace> Clone for Rooms<'_, P> {
+    fn clone(&self) -> Self {
+        *self
+    }
+}
+
+impl<P: DeviceSpace> Copy for Rooms<'_, P> {}
 
 fn missing() -> RvdError {
     RvdError::Internal("seeds that are moved have no buffers".to_owned())
@@ -53,15 +61,16 @@ impl Optimizer {
         self.moving.as_mut().ok_or_else(missing)
     }
 
-    pub(super) fn open(&mut self, cx: &Context) -> Result<()> {
+    /// For as many seeds as there is room for.
+    pub(super) fn open<P: DeviceSpace>(&mut self, cx: &Context<P>, memory: &Memory<P>) -> Result<()> {
         if self.moving.is_none() {
-            self.moving = Some(Moving::new(cx, self.together)?);
+            self.moving = Some(Moving::new(cx, memory.counts.seeds, self.together)?);
         }
         Ok(())
     }
 
     /// The seeds as set become the present point.
-    pub(super) fn take_seeds(&mut self, cx: &Context, neighbours: &Neighbours) -> Result<()> {
+    pub(super) fn take_seeds<P: DeviceSpace>(&mut self, cx: &Context<P>, neighbours: &Neighbours<P>) -> Result<()> {
         let moving = self.there()?;
         let points = neighbours.records();
         write(&cx.device, &moving.buffers.points, 0, &points)?;
@@ -107,7 +116,7 @@ impl Optimizer {
         self.moving.as_ref().map_or(0, |moving| moving.buffers.plan.total_bytes())
     }
 
-    pub(super) fn params(&self, rooms: Rooms<'_>) -> OptimizerParams {
+    pub(super) fn params<P: DeviceSpace>(&self, rooms: Rooms<'_, P>) -> OptimizerParams {
         let (surface, s) = (&rooms.cx.surface, &rooms.clip.scales);
         let count = rooms.neighbours.count;
         let mass = if surface.is_uniform() { s.area } else { s.mass };
@@ -128,7 +137,7 @@ impl Optimizer {
     }
 
     /// Tells the stages `params`, and binds them if they are not bound.
-    pub(super) fn prepare(&mut self, rooms: Rooms<'_>, params: OptimizerParams) -> Result<()> {
+    pub(super) fn prepare<P: DeviceSpace>(&mut self, rooms: Rooms<'_, P>, params: OptimizerParams) -> Result<()> {
         let moving = self.moving.as_mut().ok_or_else(missing)?;
         write(&rooms.cx.device, &moving.buffers.params, 0, &[params])?;
         if moving.bindings.is_none() {
@@ -140,22 +149,33 @@ impl Optimizer {
     }
 
     /// What a stage is bound to. After [`Self::prepare`].
-    fn bound<'a>(&'a self, memory: &'a Memory) -> Result<(&'a Moving, &'a OptimizerBindings, &'a OnDevice)> {
+    fn bound<'a, P: DeviceSpace>(
+        &'a self,
+        memory: &'a Memory<P>,
+    ) -> Result<(&'a Moving, &'a OptimizerBindings, &'a OnDevice)> {
         let moving = self.moving.as_ref().ok_or_else(missing)?;
         let bindings = moving.bindings.as_ref().ok_or_else(missing)?;
         Ok((moving, bindings, memory.there()?))
     }
 
-    pub(super) fn encode_point(&self, rooms: Rooms<'_>, encoder: &mut wgpu::CommandEncoder) -> Result<()> {
+    pub(super) fn encode_point<P: DeviceSpace>(
+        &self,
+        rooms: Rooms<'_, P>,
+        encoder: &mut wgpu::CommandEncoder,
+    ) -> Result<()> {
         if let Some(moving) = &self.moving {
-            let bytes = (rooms.neighbours.count * size_of::<layout::Seed>()) as u64;
+            let bytes = (rooms.neighbours.count * size_of::<P::Seed>()) as u64;
             let seeds = &rooms.memory.there()?.buffers.seeds;
             encoder.copy_buffer_to_buffer(&moving.buffers.points, 0, seeds, 0, bytes);
         }
         Ok(())
     }
 
-    pub(super) fn encode_trial(&mut self, rooms: Rooms<'_>, encoder: &mut wgpu::CommandEncoder) -> Result<()> {
+    pub(super) fn encode_trial<P: DeviceSpace>(
+        &mut self,
+        rooms: Rooms<'_, P>,
+        encoder: &mut wgpu::CommandEncoder,
+    ) -> Result<()> {
         self.prepare(rooms, self.params(rooms))?;
         let (cx, (_, bindings, _)) = (rooms.cx, self.bound(rooms.memory)?);
         let mut compute = cx.device.pass(encoder, lane::NEIGHBOURS);
@@ -164,7 +184,11 @@ impl Optimizer {
     }
 
     /// Encodes gradient and totals of the pass, if it is one of a point.
-    pub(super) fn encode_totals(&mut self, rooms: Rooms<'_>, encoder: &mut wgpu::CommandEncoder) -> Result<()> {
+    pub(super) fn encode_totals<P: DeviceSpace>(
+        &mut self,
+        rooms: Rooms<'_, P>,
+        encoder: &mut wgpu::CommandEncoder,
+    ) -> Result<()> {
         let Some(place) = self.moving.as_ref().and_then(|m| m.totals_of) else { return Ok(()) };
         self.prepare(rooms, self.params(rooms))?;
         // Later submissions of a pass may lack what the host has done of it.
@@ -177,9 +201,9 @@ impl Optimizer {
     }
 
     /// Encodes gradient and totals, and a step if `steps` says so and the pass is complete.
-    pub(super) fn encode_gradient(
+    pub(super) fn encode_gradient<P: DeviceSpace>(
         &self,
-        rooms: Rooms<'_>,
+        rooms: Rooms<'_, P>,
         encoder: &mut wgpu::CommandEncoder,
         place: Place,
         steps: bool,
@@ -197,7 +221,7 @@ impl Optimizer {
         Ok(())
     }
 
-    pub(super) fn step_to_centroids(&mut self, rooms: Rooms<'_>) -> Result<()> {
+    pub(super) fn step_to_centroids<P: DeviceSpace>(&mut self, rooms: Rooms<'_, P>) -> Result<()> {
         self.prepare(rooms, self.params(rooms))?;
         // The pass is complete, whatever its first submissions came to.
         rooms.memory.write_state(layout::State::default())?;
@@ -210,13 +234,13 @@ impl Optimizer {
         Ok(cx.device.run(encoder)?)
     }
 
-    pub(super) fn area(&self, rooms: Rooms<'_>) -> f64 {
+    pub(super) fn area<P: DeviceSpace>(&self, rooms: Rooms<'_, P>) -> f64 {
         let totals = self.moving.as_ref().map(|m| m.totals).unwrap_or_default();
         limbs(totals.area_low, totals.area_high) as f64 / rooms.clip.scales.area
     }
 
     /// What the totals say of the point at `place`.
-    pub(super) fn describe(&self, rooms: Rooms<'_>, place: Place, stats: PassStats) -> Evaluation {
+    pub(super) fn describe<P: DeviceSpace>(&self, rooms: Rooms<'_, P>, place: Place, stats: PassStats) -> Evaluation {
         let totals = self.moving.as_ref().map(|m| m.totals).unwrap_or_default();
         let grain = grain(rooms);
         Evaluation {
@@ -230,7 +254,12 @@ impl Optimizer {
     }
 
     /// Submits what `encoder` has and the dot products, and takes them in as those of the pair in `params.slot`.
-    fn learn(&mut self, rooms: Rooms<'_>, encoder: wgpu::CommandEncoder, params: OptimizerParams) -> Result<()> {
+    fn learn<P: DeviceSpace>(
+        &mut self,
+        rooms: Rooms<'_, P>,
+        encoder: wgpu::CommandEncoder,
+        params: OptimizerParams,
+    ) -> Result<()> {
         let (pipelines, (_, bindings, _)) = (&rooms.cx.pipelines, self.bound(rooms.memory)?);
         let dots = self.dots(rooms, encoder, (&pipelines.partial_dots, &bindings.partial_dots), params.groups)?;
         let moving = self.there()?;
@@ -240,9 +269,9 @@ impl Optimizer {
     }
 
     /// Submits what `encoder` has, a stage that leaves parts of dot products in `groups` workgroups, and reads the sums.
-    fn dots(
+    fn dots<P: DeviceSpace>(
         &self,
-        rooms: Rooms<'_>,
+        rooms: Rooms<'_, P>,
         mut encoder: wgpu::CommandEncoder,
         (partial, bound): (&wgpu::ComputePipeline, &wgpu::BindGroup),
         groups: u32,
@@ -259,7 +288,7 @@ impl Optimizer {
     }
 
     /// Parameters with the slot of the history's next pair. The stages are told them.
-    fn prepare_pair(&mut self, rooms: Rooms<'_>) -> Result<OptimizerParams> {
+    fn prepare_pair<P: DeviceSpace>(&mut self, rooms: Rooms<'_, P>) -> Result<OptimizerParams> {
         let history = &self.there()?.history;
         let slot = history.free_slot();
         let params = OptimizerParams { slot: slot as u32, used: history.used(slot), ..self.params(rooms) };
@@ -268,7 +297,7 @@ impl Optimizer {
     }
 
     /// The search direction and its slope. The device has gradient and sums of the present point.
-    pub(super) fn find_direction(&mut self, rooms: Rooms<'_>) -> Result<f64> {
+    pub(super) fn find_direction<P: DeviceSpace>(&mut self, rooms: Rooms<'_, P>) -> Result<f64> {
         let (cx, count) = (rooms.cx, rooms.neighbours.count as f64);
         let moving = self.there()?;
         if moving.gradient != Gradient::WithProducts && !moving.history.is_empty() {
@@ -301,7 +330,7 @@ impl Optimizer {
     }
 
     /// The trial point becomes the present one. Its rows and sums stay.
-    pub(super) fn accept(&mut self, rooms: Rooms<'_>) -> Result<()> {
+    pub(super) fn accept<P: DeviceSpace>(&mut self, rooms: Rooms<'_, P>) -> Result<()> {
         let (cx, count) = (rooms.cx, rooms.neighbours.count);
         let params = self.prepare_pair(rooms)?;
         let (moving, bindings, there) = self.bound(rooms.memory)?;
@@ -309,7 +338,7 @@ impl Optimizer {
         let mut compute = cx.device.pass(&mut encoder, lane::UPDATE);
         run(&mut compute, &cx.pipelines.accept, &bindings.accept, count as u64, cx.limits());
         drop(compute);
-        let bytes = (count * size_of::<layout::Seed>()) as u64;
+        let bytes = (count * size_of::<P::Seed>()) as u64;
         encoder.copy_buffer_to_buffer(&there.buffers.seeds, 0, &moving.buffers.points, 0, bytes);
         self.learn(rooms, encoder, params)?;
         let moving = self.there()?;
@@ -319,7 +348,7 @@ impl Optimizer {
         Ok(())
     }
 
-    pub(super) fn read_points(&self, rooms: Rooms<'_>) -> Result<Vec<layout::Seed>> {
+    pub(super) fn read_points<P: DeviceSpace>(&self, rooms: Rooms<'_, P>) -> Result<Vec<P::Seed>> {
         let moving = self.moving.as_ref().ok_or_else(missing)?;
         let staging = &rooms.memory.there()?.buffers.staging;
         Ok(staging.read(&rooms.cx.device, &moving.buffers.points, 0..rooms.neighbours.count)?)
@@ -327,7 +356,7 @@ impl Optimizer {
 }
 
 /// What gradients are multiplied by: a power of two near n / (m h), which a gradient of a mean cell is not much larger than.
-fn grain(rooms: Rooms<'_>) -> f64 {
+fn grain<P: DeviceSpace>(rooms: Rooms<'_, P>) -> f64 {
     let n = rooms.neighbours.count as f64;
     let spacing = (rooms.cx.surface.area() / n).sqrt();
     (n / (rooms.cx.mass * spacing)).log2().round().clamp(-90.0, 90.0).exp2()

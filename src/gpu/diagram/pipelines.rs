@@ -38,7 +38,7 @@ const LENGTHENING: Constant<'static> = ("LENGTHENERS", LENGTHENERS as i64);
 macro_rules! pipelines {
     ($wide:ident; $($(#[$doc:meta])* $name:ident: $stage:literal, $constants:expr;)*) => {
         /// The stages.
-        #[derive(Debug)]
+        #[derive(Clone, Debug)]
         pub(super) struct Pipelines {
             /// By [`MEMBERS`], then without and with weights.
             pub divide: [[wgpu::ComputePipeline; 2]; MEMBERS.len()],
@@ -48,13 +48,29 @@ macro_rules! pipelines {
         impl Pipelines {
             /// Composes and compiles all stages, on the threads of the present pool.
             pub(super) fn compile(device: &Device) -> Result<Self, GpuError> {
+                Self::make(device, None)
+            }
+
+            /// The same for lifted surfaces: variants of the stages that have one. The others are shared, or not used.
+            pub(super) fn lifted(&self, device: &Device) -> Result<Self, GpuError> {
+                Self::make(device, Some(self))
+            }
+
+            fn make(device: &Device, plain: Option<&Self>) -> Result<Self, GpuError> {
                 let $wide = i64::from(device.has_wide_atomics());
+                let lifted = i64::from(plain.is_some());
                 let variants = (0..MEMBERS.len()).flat_map(|members| [(members, 0), (members, 1)]);
-                let mut wanted: Vec<(&str, Vec<Constant<'static>>)> =
-                    variants.map(|(members, weighted)| ("clip/divide", divide(members, weighted, $wide))).collect();
-                wanted.extend([$(($stage, $constants.to_vec())),*]);
-                let made: Result<Vec<_>, GpuError> =
-                    wanted.par_iter().map(|(stage, constants)| pipeline(device, stage, constants)).collect();
+                // Each with the pipeline that is shared, if there is one.
+                let mut wanted: Vec<(&str, Vec<Constant<'static>>, Option<&wgpu::ComputePipeline>)> =
+                    variants.map(|(members, weighted)| ("clip/divide", divide(members, weighted, $wide), None)).collect();
+                wanted.extend([$(($stage, $constants.to_vec(), plain.map(|plain| &plain.$name))),*]);
+                let make = |(stage, constants, plain): &(&str, Vec<Constant<'static>>, Option<&wgpu::ComputePipeline>)| {
+                    match plain.filter(|_| !shaders::LIFTED.contains(stage)) {
+                        Some(shared) => Ok(shared.clone()),
+                        None => pipeline(device, stage, &[&constants[..], &[("LIFTED", lifted)]].concat()),
+                    }
+                };
+                let made: Result<Vec<_>, GpuError> = wanted.par_iter().map(make).collect();
                 // In the order in which they were wanted.
                 let mut made = made?.into_iter();
                 let mut next = || made.next().ok_or_else(|| GpuError::Failed("a stage is missing".to_owned()));

@@ -7,8 +7,8 @@
 use std::ops::Range;
 
 use super::layout::{
-    DOTS, ENTRY_BYTES, Facet, LIST, LIST_STATE_WORDS, OptimizerParams, PAIRS, Params, SUM_WORDS, Seed, Sorted, State,
-    Totals,
+    DOTS, ENTRY_BYTES, Facet, LIFTED_SUM_WORDS, LIST, LIST_STATE_WORDS, LiftedFacet, LiftedSeed, LiftedSorted,
+    OptimizerParams, PAIRS, Params, SUM_WORDS, Seed, Sorted, State, Totals,
 };
 use crate::GpuError;
 use crate::dispatch::{ARGUMENTS_BYTES, Limits, PART, REDUCTION_GROUPS, STAGING_BYTES, fits, part_count};
@@ -16,6 +16,8 @@ use crate::dispatch::{ARGUMENTS_BYTES, Limits, PART, REDUCTION_GROUPS, STAGING_B
 /// Numbers of things that a session holds room for.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) struct Counts {
+    /// Whether the surface is lifted, so that records are longer.
+    pub lifted: bool,
     /// Facets of all windows.
     pub facets: u64,
     /// Facets whose records are on the device at once.
@@ -42,6 +44,13 @@ pub(crate) struct Counts {
     pub listed: u64,
 }
 
+/// Seeds that are moved on the device, at most.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Moved {
+    pub lifted: bool,
+    pub seeds: u64,
+}
+
 /// What a facet needs of the buffers that the facets of a window share.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Need {
@@ -61,9 +70,15 @@ pub(crate) struct Window {
 /// The longest windows of which every buffer can be seen whole: records and first cells of their facets, sets of
 /// cells with a word more a facet, and `spare` pairs beside those that are expected; of at most `facets`. One facet at
 /// least is in each; if that is too much, [`Plan::new`] says so.
-pub(crate) fn windows(needs: impl IntoIterator<Item = Need>, spare: u64, facets: u64, limits: Limits) -> Vec<Window> {
+pub(crate) fn windows(
+    lifted: bool,
+    needs: impl IntoIterator<Item = Need>,
+    spare: u64,
+    facets: u64,
+    limits: Limits,
+) -> Vec<Window> {
     let most = limits.seen_bytes();
-    let records = (most / size_of::<Facet>() as u64).min((most / 8).saturating_sub(EXTRA_CANDIDATES)).min(facets);
+    let records = (most / facet_bytes(lifted, 1)).min((most / 8).saturating_sub(EXTRA_CANDIDATES)).min(facets);
     let (slots, pairs) = (most / 4, (most / 8).saturating_sub(spare) as f64);
     let mut windows = Vec::new();
     let (mut first, mut end, mut have) = (0, 0, Need { slots: 0, pairs: 0.0 });
@@ -107,24 +122,45 @@ fn bytes<T>(count: u64) -> u64 {
     count.saturating_mul(size_of::<T>() as u64)
 }
 
+fn facet_bytes(lifted: bool, count: u64) -> u64 {
+    if lifted { bytes::<LiftedFacet>(count) } else { bytes::<Facet>(count) }
+}
+
+fn seed_bytes(lifted: bool, count: u64) -> u64 {
+    if lifted { bytes::<LiftedSeed>(count) } else { bytes::<Seed>(count) }
+}
+
+/// Of a vector with the coordinates of all seeds.
+fn vector_bytes(c: Moved) -> u64 {
+    bytes::<f32>(c.seeds.saturating_mul(if c.lifted { 6 } else { 3 }))
+}
+
+fn sorted_bytes(lifted: bool, count: u64) -> u64 {
+    if lifted { bytes::<LiftedSorted>(count) } else { bytes::<Sorted>(count) }
+}
+
+fn sum_bytes(lifted: bool, count: u64) -> u64 {
+    if lifted { bytes::<[u32; LIFTED_SUM_WORDS]>(count) } else { bytes::<[u32; SUM_WORDS]>(count) }
+}
+
 /// The buffers of a session: what each is, its name, which is that of the shaders' bindings, its usage, and its bytes for `c`.
 /// Those of windows and the readback are made apart.
 macro_rules! session_buffers {
     ($with:ident $($own:ident: $type:ty),*) => {
         $with! {
             Plan {
-                facets = bytes::<Facet>(c.held),
+                facets = facet_bytes(c.lifted, c.held),
                 candidates = bytes::<[u32; 2]>(EXTRA_CANDIDATES.saturating_mul(c.windows).saturating_add(c.facets)),
-                staging = bytes::<[u32; SUM_WORDS]>(c.seeds)
+                staging = sum_bytes(c.lifted, c.seeds)
                     .max(bytes::<[f32; 4]>(c.emitted.saturating_mul(c.polygon)))
                     .clamp(1 << 16, STAGING_BYTES),
             }
             Buffers(c: Counts) {
-                seeds: STORAGE = bytes::<Seed>(c.seeds),
+                seeds: STORAGE = seed_bytes(c.lifted, c.seeds),
                 table: STORAGE = bytes::<u32>(c.table),
                 slots: STORAGE = bytes::<u32>(c.slots),
                 list: STORAGE = bytes::<[u32; 2]>(c.pairs),
-                sums: STORAGE = bytes::<[u32; SUM_WORDS]>(c.seeds),
+                sums: STORAGE = sum_bytes(c.lifted, c.seeds),
                 failures: STORAGE = bytes::<[u32; 2]>(c.pairs),
                 state: STORAGE = bytes::<State>(1),
                 arguments: ARGUMENTS = search_bytes(c.seeds).max(2 * ARGUMENTS_BYTES),
@@ -135,9 +171,9 @@ macro_rules! session_buffers {
                 near: STORAGE = bytes::<u32>(c.near),
                 cells: STORAGE = bytes::<u32>(c.cells),
                 /// How far the seeds of each of its cells have moved.
-                drifts: STORAGE = bytes::<u32>(c.cells),
+                drifts: STORAGE = bytes::<u32>(if c.listed > 0 { c.cells } else { 1 }),
                 /// Seeds in its order.
-                sorted: STORAGE = bytes::<Sorted>(c.seeds),
+                sorted: STORAGE = sorted_bytes(c.lifted, c.seeds),
                 /// Where the parts of a dispatch begin.
                 origins: COPIED = bytes::<u32>(part_count(c.window.max(c.seeds))),
                 /// Where seeds were when lists were made, and how far these reach.
@@ -153,21 +189,21 @@ macro_rules! session_buffers {
 }
 pub(super) use session_buffers;
 
-/// The buffers with which seeds are moved where they are, for at most `seeds` seeds. A session has them once it moves seeds.
+/// The buffers with which seeds are moved where they are, for seeds that are moved. A session has them once it moves seeds.
 macro_rules! optimizer_buffers {
     ($with:ident) => {
         $with! {
             OptimizerPlan {}
-            OptimizerBuffers(seeds: u64) {
+            OptimizerBuffers(c: Moved) {
                 /// The present point.
-                points: STORAGE = bytes::<Seed>(seeds),
-                held: STORAGE = bytes::<u32>(seeds),
-                gradient: STORAGE = bytes::<[f32; 3]>(seeds),
+                points: STORAGE = seed_bytes(c.lifted, c.seeds),
+                held: STORAGE = bytes::<u32>(c.seeds),
+                gradient: STORAGE = vector_bytes(c),
                 /// The gradient at the trial point.
-                ahead: STORAGE = bytes::<[f32; 3]>(seeds),
-                direction: STORAGE = bytes::<[f32; 3]>(seeds),
-                steps: STORAGE = bytes::<[f32; 3 * PAIRS]>(seeds),
-                changes: STORAGE = bytes::<[f32; 3 * PAIRS]>(seeds),
+                ahead: STORAGE = vector_bytes(c),
+                direction: STORAGE = vector_bytes(c),
+                steps: STORAGE = vector_bytes(c).saturating_mul(PAIRS as u64),
+                changes: STORAGE = vector_bytes(c).saturating_mul(PAIRS as u64),
                 partial_totals: STORAGE = bytes::<Totals>(REDUCTION_GROUPS.into()),
                 totals: STORAGE = bytes::<Totals>(1),
                 partials: STORAGE = bytes::<[f32; DOTS]>(REDUCTION_GROUPS.into()),
@@ -219,11 +255,12 @@ impl Plan {
     pub(crate) fn new(counts: Counts, limits: Limits) -> Result<Self, GpuError> {
         let plan = Self::of(counts);
         // Of the facets' buffers there is one a window.
-        let (records, candidates) = window_bytes(counts.window);
+        let (records, candidates) = window_bytes(counts.lifted, counts.window);
         fits(&[("facets", records), ("candidates", candidates)], limits)?;
         fits(&Self { facets: 0, candidates: 0, ..plan }.buffers(), limits)?;
         if counts.facets > MOST_FACETS {
-            let (needed_bytes, limit_bytes) = (bytes::<Facet>(counts.facets), bytes::<Facet>(MOST_FACETS));
+            let [needed_bytes, limit_bytes] =
+                [counts.facets, MOST_FACETS].map(|facets| facet_bytes(counts.lifted, facets));
             return Err(GpuError::NeverFits { what: "facets".to_owned(), needed_bytes, limit_bytes });
         }
         Ok(plan)
@@ -231,8 +268,8 @@ impl Plan {
 }
 
 impl OptimizerPlan {
-    pub(crate) fn new(seeds: u64, limits: Limits) -> Result<Self, GpuError> {
-        let plan = Self::of(seeds);
+    pub(crate) fn new(moved: Moved, limits: Limits) -> Result<Self, GpuError> {
+        let plan = Self::of(moved);
         fits(&plan.buffers(), limits)?;
         Ok(plan)
     }
@@ -259,8 +296,8 @@ pub(crate) fn listed(seeds: u64, limits: Limits) -> u64 {
 }
 
 /// Bytes of the records and of the candidates of a window of `facets`.
-pub(crate) fn window_bytes(facets: u64) -> (u64, u64) {
-    (bytes::<Facet>(facets), bytes::<[u32; 2]>(facets.saturating_add(EXTRA_CANDIDATES)))
+pub(crate) fn window_bytes(lifted: bool, facets: u64) -> (u64, u64) {
+    (facet_bytes(lifted, facets), bytes::<[u32; 2]>(facets.saturating_add(EXTRA_CANDIDATES)))
 }
 
 /// Passes of one submission at most.
@@ -290,6 +327,7 @@ mod tests {
 
     fn counts(n: u64) -> Counts {
         Counts {
+            lifted: false,
             facets: n,
             held: n,
             window: n,
@@ -330,22 +368,23 @@ mod tests {
     #[test]
     fn windows_are_as_long_as_fits_and_leave_nothing_out() {
         let needs = |n: u64, slots: u64, pairs: f64| (0..n).map(move |_| Need { slots, pairs });
-        let one = windows(needs(1_000_000, 16, 3.0), 1024, u64::MAX, LIMITS);
+        let one = windows(false, needs(1_000_000, 16, 3.0), 1024, u64::MAX, LIMITS);
         assert_eq!(one, [Window { facets: 0..1_000_000, slots: 16_000_000, pairs: 3_000_000 }]);
-        assert_eq!(windows(needs(0, 0, 0.0), 1024, u64::MAX, LIMITS).len(), 1);
+        assert_eq!(windows(false, needs(0, 0, 0.0), 1024, u64::MAX, LIMITS).len(), 1);
         // By records, by slots, by pairs.
         for (slots, pairs, most) in [(16, 3.0, 1_398_101), (64, 3.0, 516_222), (16, 100.0, 167_761)] {
-            let many = windows(needs(5_000_000, slots, pairs), 1024, u64::MAX, LIMITS);
+            let many = windows(false, needs(5_000_000, slots, pairs), 1024, u64::MAX, LIMITS);
             assert_eq!(many[0].facets, 0..most);
             assert!(many.windows(2).all(|w| w[0].facets.end == w[1].facets.start));
             assert_eq!(many.last().unwrap().facets.end, 5_000_000);
-            let (records, candidates) = window_bytes(most.into());
+            let (records, candidates) = window_bytes(false, most.into());
             let most = u64::from(most);
             let all = [records, candidates, 4 * (slots + 1) * most, 8 * (pairs as u64 * most + 1024)];
             assert!(all.iter().all(|bytes| *bytes <= 128 << 20), "{all:?}");
         }
         // What fits nowhere is alone, and refused by the plan.
         let huge = windows(
+            false,
             [needs(3, 16, 1.0), needs(1, 1 << 30, 1.0), needs(3, 16, 1.0)].into_iter().flatten(),
             0,
             u64::MAX,
@@ -361,9 +400,9 @@ mod tests {
 
     #[test]
     fn a_million_seeds_can_be_moved_within_128_mib_bindings() {
-        let plan = OptimizerPlan::new(1_000_000, LIMITS).unwrap();
+        let plan = OptimizerPlan::new(Moved { lifted: false, seeds: 1_000_000 }, LIMITS).unwrap();
         assert_eq!(plan.steps, 96_000_000);
-        assert!(OptimizerPlan::new(u64::MAX / 8, LIMITS).is_err());
+        assert!(OptimizerPlan::new(Moved { lifted: true, seeds: u64::MAX / 8 }, LIMITS).is_err());
     }
 
     #[test]

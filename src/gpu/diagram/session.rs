@@ -17,37 +17,37 @@ use std::ops::Range;
 use std::sync::Arc;
 use std::time::Instant;
 
-use glam::DVec3;
-
 use super::clip::{Clip, by_cell, fixed};
-use super::layout::{BY_CELL, LONGER, MOST_REQUEUED, NONE, Params, STRIDE};
+use super::layout::{LONGER, MOST_REQUEUED, NONE, Params, STRIDE};
 use super::memory::{Memory, Windows, records};
 use super::neighbours::{Neighbours, Place, grid};
 use super::optimizer::Optimizer;
 use super::pipelines::SLOTS;
 use super::plan::{self, Counts};
+use super::space::DeviceSpace;
 use super::{Context, Result};
 use super::{Gpu, phases};
 use crate::Traffic;
 use geometry::rvd::parallel::Parallel;
 use geometry::rvd::{
-    Backend, Capacities, CellSums, DeviceWork, PassStats, PhasesMs, PieceBatch, Resident, RvdError, Session,
-    SessionOptions, Surface, elapsed_ms,
+    Capacities, CellSums, DeviceWork, PassStats, PhasesMs, PieceBatch, Resident, RvdError, Session, SessionOptions,
+    Surface, elapsed_ms,
 };
 use geometry::token::Token;
 
 pub(super) use shares::SharedSession;
 
-pub(super) struct GpuSession {
-    cx: Arc<Context>,
-    memory: Memory,
-    neighbours: Neighbours,
-    pub(super) clip: Clip,
+pub(super) struct GpuSession<P: DeviceSpace> {
+    cx: Arc<Context<P>>,
+    memory: Memory<P>,
+    neighbours: Neighbours<P>,
+    pub(super) clip: Clip<P>,
     optimizer: Optimizer,
     /// Sessions on other devices, which do the facets that this one does not.
     others: Vec<Self>,
     /// What the device had done before the session was opened.
     opened: Traffic,
+    options: SessionOptions,
 }
 
 /// The rooms below the optimizer, while that is borrowed.
@@ -63,42 +63,53 @@ macro_rules! rooms {
 }
 use rooms;
 
-impl GpuSession {
-    /// Plans a session for at most `options.max_seeds` seeds on `surface`.
-    pub(super) fn new(gpu: &Gpu, surface: Arc<Surface>, options: SessionOptions) -> Self {
-        let SessionOptions { max_seeds, capacities, tuning, flat_pieces: _ } = options;
+impl<P: DeviceSpace> GpuSession<P> {
+    /// A session for at most `options.max_seeds` seeds on `surface`. It is planned for as many, or, if the surface is lifted, for
+    /// those that are set: a seed may have many sides there, and most have one.
+    pub(super) fn new(gpu: &Gpu, surface: Arc<Surface<P>>, options: SessionOptions) -> Result<Self> {
         let cx = Arc::new(Context {
             device: Arc::clone(&gpu.device),
             pool: Arc::clone(&gpu.pool),
-            pipelines: Arc::clone(&gpu.pipelines),
+            pipelines: P::pipelines(gpu)?,
             mass: fixed::total_mass(&surface),
+            longest_lift: P::longest_lift(&surface),
             surface,
-            max_seeds,
-            capacities,
+            max_seeds: options.max_seeds,
+            capacities: options.capacities,
         });
+        let seeds = if P::IS_PLACE { options.max_seeds } else { 0 };
+        Ok(Self::planned(cx, options, seeds))
+    }
+
+    /// With room for `seeds` seeds.
+    fn planned(cx: Arc<Context<P>>, options: SessionOptions, seeds: usize) -> Self {
+        let SessionOptions { capacities, tuning, .. } = options;
         let (surface, limits) = (&cx.surface, cx.limits());
-        let expected = records::expected_cells(surface, max_seeds);
+        let expected = records::expected_cells(surface, seeds);
         let slots_log2 = records::first_slots(&expected, capacities.cells, Capacities::default().cells);
         let mut facets = records::facets(surface, &slots_log2);
-        let found = by_cell::choose(&expected, tuning.strategy);
+        // In R³ alone cells look for facets.
+        let found = if P::IS_PLACE { by_cell::choose(&expected, tuning.strategy) } else { Vec::new() };
         for &f in &found {
-            facets[f as usize].slot_mask |= BY_CELL;
+            by_cell::mark(&mut facets[f as usize], true);
         }
-        let near = by_cell::Grid::new(surface, &found, max_seeds);
-        let k = capacities.neighbours.clamp(1, max_seeds.max(1)) as u64;
+        let near = by_cell::Grid::new(surface, &found, seeds);
+        let k = capacities.neighbours.clamp(1, seeds.max(1)) as u64;
         // Rows by the device or by the host, and a quarter for longer ones where there is room for it; of these as many
         // as the device makes in a pass.
-        let rows = max_seeds as u64 * k.max(u64::from(STRIDE));
+        let rows = seeds as u64 * k.max(u64::from(STRIDE));
         let most = limits.seen_bytes() / 4;
-        let side = grid::grid_side_for(surface, max_seeds);
+        let side = grid::grid_side_for(surface, seeds);
         let counts = Counts {
+            lifted: !P::IS_PLACE,
             facets: facets.len() as u64,
-            seeds: max_seeds as u64,
-            table: (rows + max_seeds as u64 * k / 4 + u64::from(MOST_REQUEUED * LONGER)).min(most.max(rows)),
+            seeds: seeds as u64,
+            table: (rows + seeds as u64 * k / 4 + u64::from(MOST_REQUEUED * LONGER)).min(most.max(rows)),
             polygon: SLOTS as u64,
             near: near.near.len() as u64,
             cells: plan::grid_cells(side),
-            listed: plan::listed(max_seeds as u64, limits),
+            // Lists note places alone.
+            listed: if P::IS_PLACE { plan::listed(seeds as u64, limits) } else { 0 },
             ..Counts::default()
         };
         // Half as many again for pairs that turn out empty and for pairs done again.
@@ -120,8 +131,24 @@ impl GpuSession {
             optimizer: Optimizer::new(tuning.together),
             others: Vec::new(),
             opened: cx.device.traffic(),
+            options,
             cx,
         }
+    }
+
+    /// Plans anew if there is no room for `seeds` seeds, with some to spare.
+    fn make_room(&mut self, seeds: usize) -> Result<()> {
+        if seeds as u64 <= self.memory.counts.seeds || seeds > self.cx.max_seeds {
+            return Ok(());
+        }
+        self.release()?;
+        let room = (seeds + seeds / 8).min(self.cx.max_seeds);
+        let larger = Self::planned(Arc::clone(&self.cx), self.options, room);
+        let before = std::mem::replace(self, larger);
+        self.opened = before.opened;
+        self.clip.work = before.clip.work;
+        self.neighbours.host_searches = before.neighbours.host_searches;
+        Ok(())
     }
 
     fn on_pool<R: Send>(&mut self, work: impl FnOnce(&mut Self) -> R + Send) -> R {
@@ -209,7 +236,7 @@ impl GpuSession {
         }
     }
 
-    fn compute_sums(&mut self, out: &mut CellSums, token: &Token) -> Result<PassStats> {
+    fn compute_sums(&mut self, out: &mut CellSums<P>, token: &Token) -> Result<PassStats> {
         let before = self.work();
         let mut stats = self.begin_pass(token)?;
         let begin = Instant::now();
@@ -227,7 +254,7 @@ impl GpuSession {
     }
 
     /// The sums of the last pass, with what the host finished.
-    fn download_sums(&mut self, out: &mut CellSums) -> Result<()> {
+    fn download_sums(&mut self, out: &mut CellSums<P>) -> Result<()> {
         self.ensure_memory()?;
         let words = self.clip.sum_words(&self.memory, self.neighbours.count)?;
         out.reset(self.neighbours.count);
@@ -256,7 +283,7 @@ impl GpuSession {
         stats.pairs = out.len() as u64;
         stats.update_ms += elapsed_ms(begin);
         let area = (0..out.len()).map(|i| out.area(i)).sum();
-        if self.neighbours.merged || !self.clip.covers(area, facets.clone()) {
+        if self.neighbours.merged || !self.clip.covers_places(area, facets.clone()) {
             stats = finished(stats, self.in_f64()?.pieces(facets, out, token)?);
         }
         stats.device += self.work().since(&before);
@@ -264,10 +291,11 @@ impl GpuSession {
     }
 
     /// A session for the pass again, in f64.
-    fn in_f64(&mut self) -> Result<Box<dyn Session>> {
+    fn in_f64(&mut self) -> Result<Box<dyn Session<P>>> {
         // With capacities of its own: these may show in the last bits.
         let options = SessionOptions::new(self.cx.max_seeds);
-        let mut session = Parallel::on(Arc::clone(&self.cx.pool)).session(Arc::clone(&self.cx.surface), options)?;
+        let parallel = Parallel::on(Arc::clone(&self.cx.pool));
+        let mut session = P::session(&parallel, Arc::clone(&self.cx.surface), options)?;
         if self.neighbours.place == Place::Set {
             session.set_seeds(&self.neighbours.seeds)?;
         } else {
@@ -278,14 +306,15 @@ impl GpuSession {
     }
 }
 
-impl Session for GpuSession {
-    fn set_seeds(&mut self, seeds: &[DVec3]) -> Result<()> {
+impl<P: DeviceSpace> Session<P> for GpuSession<P> {
+    fn set_seeds(&mut self, seeds: &[P]) -> Result<()> {
+        self.on_pool(|session| session.make_room(seeds.len()))?;
         self.neighbours.set_seeds(seeds)?;
         self.seeds_changed();
         Ok(())
     }
 
-    fn sums(&mut self, out: &mut CellSums, token: &Token) -> Result<PassStats> {
+    fn sums(&mut self, out: &mut CellSums<P>, token: &Token) -> Result<PassStats> {
         self.on_pool(|session| session.compute_sums(out, token))
     }
 
@@ -305,7 +334,7 @@ impl Session for GpuSession {
         self.cx.device.stage_ms().map(phases)
     }
 
-    fn resident(&mut self) -> Option<&mut dyn Resident> {
+    fn resident(&mut self) -> Option<&mut dyn Resident<P>> {
         (self.neighbours.count > 0).then_some(self)
     }
 }

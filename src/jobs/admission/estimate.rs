@@ -143,8 +143,9 @@ fn device_bytes(counts: &Counts) -> u64 {
         return 0;
     }
     let graded = counts.density != DensitySource::Uniform;
+    let lifted = counts.kind == Kind::Remesh && counts.anisotropy != Anisotropy::None;
     let moved = counts.kind != Kind::Rvd && counts.steps > 0;
-    SessionForecast { facets: counts.facets, seeds: counts.points, graded, moved }.device_bytes()
+    SessionForecast { facets: counts.facets, seeds: counts.points, graded, moved, lifted }.device_bytes()
 }
 
 const MIB: u64 = 1 << 20;

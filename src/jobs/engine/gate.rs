@@ -104,6 +104,21 @@ pub(crate) struct Gated {
 }
 
 impl Gated {
+    fn open<P: Point>(
+        &self,
+        session: impl FnOnce(&dyn Backend) -> Result<Box<dyn Session<P>>, RvdError>,
+    ) -> Result<Box<dyn Session<P>>, RvdError> {
+        let Some((gate, _)) = &self.shared else {
+            return Ok(self.session_of(session(&*self.backend)?));
+        };
+        // Planning and allocating are the device's too: two at once could both find that they fit.
+        let _pass = gate.enter(None)?;
+        let opening = self.activity.pass("open", self.backend.kind());
+        let session = session(&*self.backend)?;
+        drop(opening);
+        Ok(self.session_of(session))
+    }
+
     fn session_of<P: Point>(&self, session: Box<dyn Session<P>>) -> Box<dyn Session<P>> {
         let gate = self.shared.as_ref().map(|(gate, _)| Arc::clone(gate));
         Box::new(GatedSession::new(session, gate, self.backend.kind(), Arc::clone(&self.activity)))
@@ -143,22 +158,22 @@ impl Backend for Gated {
         surface: Arc<Surface<Lifted>>,
         options: SessionOptions,
     ) -> Result<Box<dyn Session<Lifted>>, RvdError> {
+        self.open(|backend| backend.lifted_session(surface, options))
+    }
+
+    fn exact_lifted_session(
+        &self,
+        surface: Arc<Surface<Lifted>>,
+        options: SessionOptions,
+    ) -> Result<Box<dyn Session<Lifted>>, RvdError> {
         match &self.shared {
             Some((_, host)) => host.lifted_session(surface, options),
-            None => Ok(self.session_of(self.backend.lifted_session(surface, options)?)),
+            None => Ok(self.session_of(self.backend.exact_lifted_session(surface, options)?)),
         }
     }
 
     fn session(&self, surface: Arc<Surface>, options: SessionOptions) -> Result<Box<dyn Session>, RvdError> {
-        let Some((gate, _)) = &self.shared else {
-            return Ok(self.session_of(self.backend.session(surface, options)?));
-        };
-        // Planning and allocating are the device's too: two at once could both find that they fit.
-        let _pass = gate.enter(None)?;
-        let opening = self.activity.pass("open", self.backend.kind());
-        let session = self.backend.session(surface, options)?;
-        drop(opening);
-        Ok(self.session_of(session))
+        self.open(|backend| backend.session(surface, options))
     }
 }
 

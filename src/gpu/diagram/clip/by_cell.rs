@@ -18,8 +18,9 @@ use crate::diagram::layout::{BY_CELL, Params, State, failure};
 use crate::diagram::memory::Memory;
 use crate::diagram::neighbours::Neighbours;
 use crate::diagram::plan::size;
+use crate::diagram::space::{DeviceSpace, FacetRecord};
 use crate::dispatch::Stage;
-use geometry::rvd::{CELLS_PER_FACET, PassStats, Strategy, Surface};
+use geometry::rvd::{CELLS_PER_FACET, PassStats, Point, Strategy, Surface};
 use geometry::token::Token;
 
 /// Grid cells along a side at most.
@@ -47,7 +48,7 @@ pub(crate) struct Grid {
 impl Grid {
     /// Of `facets`, each made larger by two spacings of `seeds` seeds: few of its cells have their
     /// seed farther away, and those are found from their neighbours.
-    pub(crate) fn new(surface: &Surface, facets: &[u32], seeds: usize) -> Self {
+    pub(crate) fn new<P: Point>(surface: &Surface<P>, facets: &[u32], seeds: usize) -> Self {
         if facets.is_empty() {
             return Self { side: 0, near: Vec::new() };
         }
@@ -57,7 +58,7 @@ impl Grid {
         let place = |x: f64| ((x + 0.5) * side as f64).clamp(0.0, side as f64 - 1.0) as usize;
         let mut boxes = vec![Vec::new(); side * side * side];
         for &f in facets {
-            let corners = surface.facets()[f as usize].map(|v| surface.positions()[v as usize]);
+            let corners = surface.corners(f).map(P::place);
             let low = (corners[0].min(corners[1]).min(corners[2]) - reach).to_array().map(place);
             let high = (corners[0].max(corners[1]).max(corners[2]) + reach).to_array().map(place);
             for z in low[2]..=high[2] {
@@ -80,11 +81,11 @@ impl Grid {
     }
 }
 
-impl Clip {
+impl<P: DeviceSpace> Clip<P> {
     /// Leaves `facets` to propagation. For these seeds only: other seeds may be proved.
     pub(crate) fn leave_to_propagation(
         &mut self,
-        memory: &mut Memory,
+        memory: &mut Memory<P>,
         mut facets: Vec<u32>,
         stats: &mut PassStats,
     ) -> Result<()> {
@@ -92,29 +93,35 @@ impl Clip {
         facets.dedup();
         stats.relaunched_facets += facets.len() as u64;
         for &f in &facets {
-            memory.facets[f as usize].slot_mask &= !BY_CELL;
+            mark(&mut memory.facets[f as usize], false);
         }
         self.demoted.extend(facets);
         memory.upload_facets()
     }
 
     /// Gives all that [`Self::leave_to_propagation`] took back to the cells.
-    pub(crate) fn promote(&mut self, memory: &mut Memory) -> Result<()> {
+    pub(crate) fn promote(&mut self, memory: &mut Memory<P>) -> Result<()> {
         if self.demoted.is_empty() {
             return Ok(());
         }
         for f in std::mem::take(&mut self.demoted) {
-            memory.facets[f as usize].slot_mask |= BY_CELL;
+            mark(&mut memory.facets[f as usize], true);
         }
         memory.upload_facets()
     }
 
-    pub(crate) fn upload_near(&self, memory: &Memory) -> Result<()> {
+    pub(crate) fn upload_near(&self, memory: &Memory<P>) -> Result<()> {
         Ok(write(&self.cx.device, &memory.there()?.buffers.near, 0, &self.near.near)?)
     }
 
     /// Facets with pieces that cells entered and that are not proved, after a pass that ended with `state`.
-    pub(crate) fn unproved(&self, memory: &Memory, rows: &Neighbours, state: State, token: &Token) -> Result<Vec<u32>> {
+    pub(crate) fn unproved(
+        &self,
+        memory: &Memory<P>,
+        rows: &Neighbours<P>,
+        state: State,
+        token: &Token,
+    ) -> Result<Vec<u32>> {
         let params = Params { emit_count: state.length, ..self.params(memory, rows) };
         let (device, there) = (&self.cx.device, memory.there()?);
         let buffers = &there.buffers;
@@ -135,9 +142,9 @@ impl Clip {
     }
 
     /// Leaves all facets to propagation, for the rest of the session.
-    pub(crate) fn leave_all_to_propagation(&mut self, memory: &mut Memory) {
+    pub(crate) fn leave_all_to_propagation(&mut self, memory: &mut Memory<P>) {
         for record in &mut memory.facets {
-            record.slot_mask &= !BY_CELL;
+            mark(record, false);
         }
         self.demoted.clear();
         self.near.side = 0;
@@ -145,8 +152,14 @@ impl Clip {
 }
 
 /// Whether `facet` is found by cell in the present pass.
-pub(crate) fn is_by_cell(memory: &Memory, facet: u32) -> bool {
-    memory.facets[facet as usize].slot_mask & BY_CELL != 0
+pub(crate) fn is_by_cell<P: DeviceSpace>(memory: &Memory<P>, facet: u32) -> bool {
+    memory.facets[facet as usize].slots().1 & BY_CELL != 0
+}
+
+/// Says whether a facet is found by cell.
+pub(crate) fn mark(facet: &mut impl FacetRecord, by_cell: bool) {
+    let (begin, mask) = facet.slots();
+    facet.set_slots(begin, if by_cell { mask | BY_CELL } else { mask & !BY_CELL });
 }
 
 #[cfg(test)]

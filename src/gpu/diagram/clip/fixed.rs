@@ -6,15 +6,18 @@
 //! two that keeps its bound below 2^60, which leaves a factor of 8 for rounding. The unit is then at most 2^-59 of the bound.
 //! Must not know: the device.
 
-use glam::DVec3;
-
-use crate::diagram::layout::SUM_WORDS;
+use crate::diagram::space::DeviceSpace;
 use geometry::rvd::clip::Integrals;
-use geometry::rvd::{CellSums, Surface};
+use geometry::rvd::{CellSums, Point, Surface};
 
 /// The device's scales hold where a seed is within this of all of the surface's box (`NEAR` in the stage `count`): twice the
 /// box's half diagonal and some. Without such a seed the host searches, and takes the radius from the seeds.
-pub(crate) const COVERING_RADIUS: f64 = 2.0;
+const COVERING_RADIUS: f64 = 2.0;
+
+/// The same where lifts are no longer than `longest_lift`, and that of the seed is no longer but by a rounding.
+pub(crate) fn covering_radius_of_near(longest_lift: f64) -> f64 {
+    COVERING_RADIUS.hypot(2.001 * longest_lift)
+}
 
 /// Units per unit, powers of two.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -35,7 +38,7 @@ fn scale(bound: f64) -> f64 {
     exponent.clamp(-100.0, 120.0).exp2()
 }
 
-pub(crate) fn total_mass(surface: &Surface) -> f64 {
+pub(crate) fn total_mass<P: Point>(surface: &Surface<P>) -> f64 {
     let mut mass = 0.0;
     for (f, corners) in surface.facets().iter().enumerate().filter(|(f, _)| !surface.skips(*f)) {
         let w: f64 = corners.iter().map(|&v| surface.weights()[v as usize]).sum();
@@ -46,10 +49,8 @@ pub(crate) fn total_mass(surface: &Surface) -> f64 {
 
 /// A bound on the distance from any point of the surface's box to its nearest seed: no seed can
 /// be nearer to all of the box than the one with the nearest farthest corner.
-pub(crate) fn covering_radius(seeds: &[DVec3]) -> f64 {
-    // The unit frame's box is within [-1/2, 1/2]³ up to rounding.
-    let farthest = |x: &DVec3| (x.abs() + DVec3::splat(0.5)).length();
-    seeds.iter().map(farthest).fold(f64::INFINITY, f64::min)
+pub(crate) fn covering_radius<P: DeviceSpace>(seeds: &[P], longest_lift: f64) -> f64 {
+    seeds.iter().map(|p| p.farthest(longest_lift)).fold(f64::INFINITY, f64::min)
 }
 
 impl Scales {
@@ -65,48 +66,60 @@ impl Scales {
 }
 
 /// One cell's sums in units, added with wrap-around as on the device.
-pub(crate) type Units = [i64; SUM_WORDS / 2];
+#[derive(Clone, Copy)]
+pub(crate) struct Units<P: Point> {
+    mass: i64,
+    moment: P::Each<i64>,
+    energy: i64,
+    area: i64,
+}
 
 /// A piece that the host clipped, in units.
-pub(crate) fn encode(piece: &Integrals, s: &Scales) -> Units {
+pub(crate) fn encode<P: Point>(piece: &Integrals<P>, s: &Scales) -> Units<P> {
     let unit = |v: f64| v.round() as i64;
-    [
-        unit(piece.mass * s.mass),
-        unit(piece.moment.x * s.moment),
-        unit(piece.moment.y * s.moment),
-        unit(piece.moment.z * s.moment),
-        unit(piece.energy * s.energy),
-        unit(piece.area * s.area),
-    ]
+    let moment = piece.moment.coordinates();
+    Units {
+        mass: unit(piece.mass * s.mass),
+        moment: P::each(|c| unit(moment.as_ref()[c] * s.moment)),
+        energy: unit(piece.energy * s.energy),
+        area: unit(piece.area * s.area),
+    }
 }
 
-/// One cell's words as units.
-pub(crate) fn units(words: &[u32]) -> Units {
-    std::array::from_fn(|k| ((u64::from(words[2 * k + 1]) << 32) | u64::from(words[2 * k])) as i64)
+/// One cell's words as units, in the order of `shaders/shared/accumulate.wgsl`.
+pub(crate) fn units<P: Point>(words: &[u32]) -> Units<P> {
+    let unit = |k: usize| ((u64::from(words[2 * k + 1]) << 32) | u64::from(words[2 * k])) as i64;
+    let last = words.len() / 2 - 1;
+    Units { mass: unit(0), moment: P::each(|c| unit(1 + c)), energy: unit(last - 1), area: unit(last) }
 }
 
-pub(crate) fn add(words: &mut [u32], units: &Units) {
-    for (limbs, unit) in words.chunks_exact_mut(2).zip(units) {
-        let sum = ((u64::from(limbs[1]) << 32) | u64::from(limbs[0])).wrapping_add(*unit as u64);
+/// Adds to the words of one cell, in the order of `shaders/shared/accumulate.wgsl`.
+pub(crate) fn add<P: Point>(words: &mut [u32], units: &Units<P>) {
+    let all = [units.mass].into_iter().chain(units.moment.as_ref().iter().copied()).chain([units.energy, units.area]);
+    for (limbs, unit) in words.chunks_exact_mut(2).zip(all) {
+        let sum = ((u64::from(limbs[1]) << 32) | u64::from(limbs[0])).wrapping_add(unit as u64);
         limbs[0] = sum as u32;
         limbs[1] = (sum >> 32) as u32;
     }
 }
 
 /// The sums of all cells from their words. With uniform weights mass is area.
-pub(crate) fn decode(words: &[u32], uniform: bool, s: &Scales, out: &mut CellSums) {
+pub(crate) fn decode<P: DeviceSpace>(words: &[u32], uniform: bool, s: &Scales, out: &mut CellSums<P>) {
     let value = |cell: &[u32], k: usize| (((u64::from(cell[2 * k + 1]) << 32) | u64::from(cell[2 * k])) as i64) as f64;
-    for (i, cell) in words.chunks_exact(SUM_WORDS).enumerate() {
-        out.area[i] = value(cell, 5) / s.area;
+    let last = P::SUM_WORDS / 2 - 1;
+    for (i, cell) in words.chunks_exact(P::SUM_WORDS).enumerate() {
+        out.area[i] = value(cell, last) / s.area;
         out.mass[i] = if uniform { out.area[i] } else { value(cell, 0) / s.mass };
-        out.moment[i] = DVec3::new(value(cell, 1), value(cell, 2), value(cell, 3)) / s.moment;
-        out.energy[i] = value(cell, 4) / s.energy;
+        out.moment[i] = P::from_coordinates(P::each(|c| value(cell, 1 + c))) / s.moment;
+        out.energy[i] = value(cell, last - 1) / s.energy;
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::diagram::layout::SUM_WORDS;
+    use glam::DVec3;
 
     #[test]
     fn bounds_stay_below_two_to_the_sixty() {
@@ -127,7 +140,7 @@ mod tests {
         for _ in 0..3 {
             add(&mut words, &encode(&piece, &s));
         }
-        let mut out = CellSums::default();
+        let mut out: CellSums = CellSums::default();
         out.reset(1);
         decode(&words, false, &s, &mut out);
         assert_eq!((out.mass[0], out.moment[0].x, out.moment[0].y, out.area[0]), (0.75, -0.375, 1.5, 0.75));

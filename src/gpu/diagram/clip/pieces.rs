@@ -4,7 +4,7 @@
 //! the unit frame in f64. Invariant: one batch of polygons at a time is on the device and in readback memory. Must not know:
 //! sums.
 
-use glam::{DVec3, dvec3};
+use glam::dvec3;
 
 use super::{Clip, Result};
 use crate::diagram::lane;
@@ -12,10 +12,11 @@ use crate::diagram::layout::Params;
 use crate::diagram::memory::Memory;
 use crate::diagram::neighbours::{Neighbours, Place};
 use crate::diagram::pipelines::SLOTS;
+use crate::diagram::space::DeviceSpace;
 use crate::dispatch::run;
-use geometry::rvd::PassStats;
 use geometry::rvd::cells::PieceBatch;
 use geometry::rvd::clip::Vertex;
+use geometry::rvd::{PassStats, Point};
 use geometry::token::Token;
 
 /// Status of a pair that ended, in the heads that the device writes.
@@ -27,11 +28,11 @@ struct Emitted {
     labels: Vec<u32>,
 }
 
-impl Clip {
+impl<P: DeviceSpace> Clip<P> {
     pub(crate) fn emit_all(
         &mut self,
-        memory: &Memory,
-        neighbours: &mut Neighbours,
+        memory: &Memory<P>,
+        neighbours: &mut Neighbours<P>,
         out: &mut PieceBatch,
         token: &Token,
     ) -> Result<()> {
@@ -48,7 +49,7 @@ impl Clip {
         self.collect_walked(memory, neighbours, out)
     }
 
-    fn emit(&self, memory: &Memory, neighbours: &Neighbours, first: u32, count: u32) -> Result<Emitted> {
+    fn emit(&self, memory: &Memory<P>, neighbours: &Neighbours<P>, first: u32, count: u32) -> Result<Emitted> {
         let params =
             Params { emit_begin: first, emit_count: count, polygon: SLOTS as u32, ..self.params(memory, neighbours) };
         let (device, there) = (&self.cx.device, memory.there()?);
@@ -69,8 +70,8 @@ impl Clip {
 
     fn collect(
         &mut self,
-        memory: &Memory,
-        neighbours: &mut Neighbours,
+        memory: &Memory<P>,
+        neighbours: &mut Neighbours<P>,
         first: u32,
         emitted: &Emitted,
         out: &mut PieceBatch,
@@ -94,7 +95,7 @@ impl Clip {
                 continue;
             }
             let set = if neighbours.place == Place::Set { &neighbours.seeds } else { &neighbours.host.seen };
-            let origin = set[seed as usize];
+            let origin = set[seed as usize].place();
             let vertices = (k * SLOTS..k * SLOTS + size as usize).map(|v| {
                 let [x, y, z, w] = emitted.vertices[v].map(f64::from);
                 (origin + dvec3(x, y, z), w, emitted.labels[v])
@@ -104,7 +105,12 @@ impl Clip {
         Ok(())
     }
 
-    fn collect_walked(&mut self, memory: &Memory, neighbours: &mut Neighbours, out: &mut PieceBatch) -> Result<()> {
+    fn collect_walked(
+        &mut self,
+        memory: &Memory<P>,
+        neighbours: &mut Neighbours<P>,
+        out: &mut PieceBatch,
+    ) -> Result<()> {
         if self.pass.walked.is_empty() {
             return Ok(());
         }
@@ -121,8 +127,8 @@ impl Clip {
     }
 }
 
-fn push(facet: u32, seed: u32, origin: DVec3, polygon: &[Vertex], out: &mut PieceBatch) {
+fn push<P: Point>(facet: u32, seed: u32, origin: P, polygon: &[Vertex<P>], out: &mut PieceBatch) {
     if !polygon.is_empty() {
-        out.push(facet, seed, polygon.iter().map(|v| (origin + v.p, v.w, v.edge)));
+        out.push(facet, seed, polygon.iter().map(|v| ((origin + v.p).place(), v.w, v.edge)));
     }
 }

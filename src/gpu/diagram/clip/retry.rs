@@ -13,6 +13,7 @@ use crate::diagram::layout::{INDEX, State, code, failure};
 use crate::diagram::memory::Memory;
 use crate::diagram::neighbours::{LONGEST_ROW, Neighbours};
 use crate::diagram::pipelines::SLOTS;
+use crate::diagram::space::{DeviceSpace, SeedRecord};
 use geometry::rvd::PassStats;
 use geometry::rvd::cells::facet_edge;
 use geometry::rvd::incident::FacetWalker;
@@ -35,19 +36,18 @@ pub(crate) struct Retries {
 }
 
 /// What became of a pair in f64.
-#[derive(Default)]
-struct Ended {
-    sums: Vec<(u32, fixed::Units)>,
+struct Ended<P: DeviceSpace> {
+    sums: Vec<(u32, fixed::Units<P>)>,
     candidates: Vec<[u32; 2]>,
     walked: bool,
 }
 
-impl Clip {
+impl<P: DeviceSpace> Clip<P> {
     /// `variants` has the pairs whose polygons were too large before.
     pub(crate) fn sort_out(
         &mut self,
-        memory: &Memory,
-        neighbours: &Neighbours,
+        memory: &Memory<P>,
+        neighbours: &Neighbours<P>,
         failures: &[[u32; 2]],
         variants: &mut HashMap<Pair, Variant>,
     ) -> Retries {
@@ -57,7 +57,7 @@ impl Clip {
         for &entry in failures {
             let Some((facet, seed, why)) = failure(entry) else { continue };
             let pair = (facet, seed);
-            let length = neighbours.host.records[seed as usize].row_length & INDEX;
+            let length = neighbours.host.records[seed as usize].row().1 & INDEX;
             match why {
                 code::NEIGHBOURS if length < LONGEST_ROW => {
                     retries.rows.push(seed);
@@ -97,12 +97,17 @@ impl Clip {
 
     /// Clips pairs in f64 and notes their sums. Returns the cells across their bisectors. A pair
     /// that began its facet is finished with the whole facet: the device found nothing there.
-    pub(crate) fn finish(&mut self, neighbours: &Neighbours, pairs: &[Pair], token: &Token) -> Result<Vec<[u32; 2]>> {
-        let end = |walker: &mut FacetWalker, &pair: &Pair| {
+    pub(crate) fn finish(
+        &mut self,
+        neighbours: &Neighbours<P>,
+        pairs: &[Pair],
+        token: &Token,
+    ) -> Result<Vec<[u32; 2]>> {
+        let end = |walker: &mut FacetWalker<P>, &pair: &Pair| {
             token.check()?;
             Ok(self.end_pair(neighbours, walker, pair))
         };
-        let ended: Result<Vec<Ended>> = pairs.par_iter().map_init(FacetWalker::default, end).collect();
+        let ended: Result<Vec<Ended<P>>> = pairs.par_iter().map_init(FacetWalker::default, end).collect();
         let mut candidates = Vec::new();
         for (&(facet, _), mut ended) in pairs.iter().zip(ended?) {
             self.pass.finished.append(&mut ended.sums);
@@ -114,10 +119,10 @@ impl Clip {
         Ok(candidates)
     }
 
-    fn end_pair(&self, neighbours: &Neighbours, walker: &mut FacetWalker, (facet, seed): Pair) -> Ended {
+    fn end_pair(&self, neighbours: &Neighbours<P>, walker: &mut FacetWalker<P>, (facet, seed): Pair) -> Ended<P> {
         // The walker counts what it does again; the device's relaunches are what is reported.
         let mut ignored = PassStats::default();
-        let mut ended = Ended::default();
+        let mut ended = Ended { sums: Vec::new(), candidates: Vec::new(), walked: false };
         let diagram = neighbours.diagram();
         if neighbours.host.first[facet as usize] == seed {
             walker.walk(None, diagram, facet, seed, &mut ignored, |i, clipper| {
@@ -137,7 +142,7 @@ impl Clip {
     }
 
     /// More slots for the facets whose sets were full, a longer list if it was, when buffers are allocated next.
-    pub(crate) fn grow(&self, memory: &mut Memory, seeds: usize, state: State, stats: &mut PassStats) -> Result<()> {
+    pub(crate) fn grow(&self, memory: &mut Memory<P>, seeds: usize, state: State, stats: &mut PassStats) -> Result<()> {
         stats.relaunched_cells += u64::from(state.cells_overflow) + u64::from(state.list_overflow);
         if state.cells_overflow > 0 {
             let stored = u64::from(state.failures).min(memory.counts.pairs) as usize;

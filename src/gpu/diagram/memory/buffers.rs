@@ -63,17 +63,23 @@ pub(crate) struct WindowBuffers {
 impl Buffers {
     /// Allocates everything, for windows of these numbers of facets, with `held` buffers for their records. On an error what was
     /// allocated is freed again.
-    pub(crate) fn new(device: &Device, plan: Plan, windows: &[u64], held: usize) -> Result<Self, GpuError> {
+    pub(crate) fn new(
+        device: &Device,
+        lifted: bool,
+        plan: Plan,
+        windows: &[u64],
+        held: usize,
+    ) -> Result<Self, GpuError> {
         let mut allocation = Allocation::new(device, plan.total_bytes());
         // The last one is for the longest of those that take turns with it.
         let longest =
             |buffer: usize| if buffer + 1 == held { windows[buffer..].iter().max() } else { windows.get(buffer) };
-        let records = |buffer: usize| plan::window_bytes(longest(buffer).copied().unwrap_or(0)).0;
+        let records = |buffer: usize| plan::window_bytes(lifted, longest(buffer).copied().unwrap_or(0)).0;
         let records: Vec<wgpu::Buffer> = (0..held)
             .map(|buffer| allocation.make(device, "facets", records(buffer), STORAGE))
             .collect::<Result<_, GpuError>>()?;
         let mut window = |(k, &facets): (usize, &u64)| {
-            let (_, candidates) = plan::window_bytes(facets);
+            let (_, candidates) = plan::window_bytes(lifted, facets);
             Ok(WindowBuffers {
                 facets: records[Resident::buffer_of(held, k)].clone(),
                 candidates: allocation.make(device, "candidates", candidates, STORAGE)?,

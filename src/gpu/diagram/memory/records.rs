@@ -3,15 +3,15 @@
 //! Purpose: f64 in, the shaders' records out; how many slots each facet's set of cells gets. Invariant: frames are computed in
 //! f64 and rounded once. Must not know: the device.
 
-use glam::DVec3;
 use rayon::prelude::*;
 
-use crate::diagram::layout::{self, BY_CELL, split};
-use geometry::rvd::Surface;
+use crate::diagram::layout::BY_CELL;
+use crate::diagram::space::{DeviceSpace, FacetRecord};
+use geometry::rvd::{Point, Surface};
 
 /// What a facet is expected to meet: a triangle of area a and perimeter p meets about
 /// 1 + a / h² + 0.9 p / h cells of spacing h (measured within a few percent on relaxed seeds).
-pub(crate) fn expected_cells(surface: &Surface, seeds: usize) -> Vec<f64> {
+pub(crate) fn expected_cells<P: Point>(surface: &Surface<P>, seeds: usize) -> Vec<f64> {
     let h2 = surface.area() / seeds.max(1) as f64;
     let estimate = |f: usize| {
         if surface.skips(f) {
@@ -23,13 +23,13 @@ pub(crate) fn expected_cells(surface: &Surface, seeds: usize) -> Vec<f64> {
     (0..surface.facets().len()).into_par_iter().map(estimate).collect()
 }
 
-fn perimeter(surface: &Surface, f: usize) -> f64 {
-    let [a, b, c] = surface.facets()[f].map(|v| surface.positions()[v as usize]);
+fn perimeter<P: Point>(surface: &Surface<P>, f: usize) -> f64 {
+    let [a, b, c] = surface.corners(f as u32);
     a.distance(b) + b.distance(c) + c.distance(a)
 }
 
 /// Mean area and mean perimeter of the facets that have an area.
-pub(crate) fn mean_facet(surface: &Surface) -> (f64, f64) {
+pub(crate) fn mean_facet<P: Point>(surface: &Surface<P>) -> (f64, f64) {
     let live: Vec<usize> = (0..surface.facets().len()).filter(|&f| !surface.skips(f)).collect();
     let count = live.len().max(1) as f64;
     (surface.area() / count, live.iter().map(|&f| perimeter(surface, f)).sum::<f64>() / count)
@@ -55,63 +55,28 @@ pub(crate) fn first_slots(expected: &[f64], cells: usize, default_cells: usize) 
 }
 
 /// The records of all facets. Degenerate ones are zero but for their slots.
-pub(crate) fn facets(surface: &Surface, slots_log2: &[u8]) -> Vec<layout::Facet> {
-    let mut records: Vec<layout::Facet> = (0..surface.facets().len())
+pub(crate) fn facets<P: DeviceSpace>(surface: &Surface<P>, slots_log2: &[u8]) -> Vec<P::Facet> {
+    let mut records: Vec<P::Facet> = (0..surface.facets().len())
         .into_par_iter()
-        .map(|f| if surface.skips(f) { layout::Facet::default() } else { facet(surface, f) })
+        .map(|f| if surface.skips(f) { P::Facet::default() } else { P::facet(surface, f) })
         .collect();
     assign_slots(&mut records, slots_log2);
     records
 }
 
 /// Lays the sets of cells one behind the other. What is [`BY_CELL`] stays so.
-pub(crate) fn assign_slots(records: &mut [layout::Facet], slots_log2: &[u8]) {
+pub(crate) fn assign_slots(records: &mut [impl FacetRecord], slots_log2: &[u8]) {
     let mut begin = 0u32;
     for (record, &log2) in records.iter_mut().zip(slots_log2) {
-        record.slot_begin = begin;
-        record.slot_mask = (record.slot_mask & BY_CELL) | ((1u32 << log2) - 1);
+        record.set_slots(begin, (record.slots().1 & BY_CELL) | ((1u32 << log2) - 1));
         begin = begin.wrapping_add(1 << log2);
     }
-}
-
-fn facet(surface: &Surface, f: usize) -> layout::Facet {
-    let corners = surface.facets()[f];
-    let [a, b, c] = corners.map(|v| surface.positions()[v as usize]);
-    let [wa, wb, wc] = corners.map(|v| surface.weights()[v as usize]);
-    let e1 = (b - a).normalize();
-    let n = (b - a).cross(c - a).normalize();
-    let e2 = n.cross(e1).normalize();
-    let (length, u, v) = ((b - a).dot(e1), (c - a).dot(e1), (c - a).dot(e2));
-    let weight_u = (wb - wa) / length;
-    let weight_v = ((wc - wa) - weight_u * u) / v;
-    let (hi, lo) = split(a.to_array());
-    layout::Facet {
-        hi,
-        slot_begin: 0,
-        lo,
-        slot_mask: 0,
-        e1: e1.as_vec3().to_array(),
-        corner1_u: length as f32,
-        e2: e2.as_vec3().to_array(),
-        corner2_u: u as f32,
-        n: n.as_vec3().to_array(),
-        corner2_v: v as f32,
-        weight: wa as f32,
-        weight_u: weight_u as f32,
-        weight_v: weight_v as f32,
-        weight_top: wa.max(wb).max(wc) as f32,
-    }
-}
-
-/// Its row is not known yet.
-pub(crate) fn record(seed: DVec3) -> layout::Seed {
-    let (hi, lo) = split(seed.to_array());
-    layout::Seed { hi, row_begin: 0, lo, row_length: 0 }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::diagram::layout;
 
     #[test]
     fn slots_follow_expectation_and_capacity() {

@@ -7,8 +7,8 @@
 
 use super::{Memory, places};
 use crate::buffers::write;
-use crate::diagram::Result;
-use crate::diagram::plan::{OptimizerPlan, Plan, window_bytes};
+use crate::diagram::plan::{Counts, Moved, OptimizerPlan, Plan, window_bytes};
+use crate::diagram::{DeviceSpace, Result};
 use crate::dispatch::PART;
 use geometry::rvd::RvdError;
 
@@ -49,7 +49,7 @@ impl Resident {
     }
 }
 
-impl Memory {
+impl<P: DeviceSpace> Memory<P> {
     /// Makes this window the one at work, and has its records on the device.
     pub(in crate::diagram) fn turn_to(&mut self, window: usize) -> Result<()> {
         self.windows.present = window;
@@ -85,7 +85,7 @@ impl Memory {
             self.windows.most = before;
             return Err(RvdError::OutOfMemory { needed_bytes: needed, limit_bytes: limit });
         }
-        let (window, _) = window_bytes(self.counts.window);
+        let (window, _) = window_bytes(self.counts.lifted, self.counts.window);
         let more = (limit - needed) / window.max(1);
         self.hold(1 + usize::try_from(more).unwrap_or(usize::MAX));
         Ok(())
@@ -100,6 +100,8 @@ impl Memory {
 
     /// With what moves the seeds, which a session makes when it does.
     fn total_bytes(&self) -> u64 {
-        Plan::of(self.counts).total_bytes().saturating_add(OptimizerPlan::of(self.counts.seeds).total_bytes())
+        let Counts { lifted, seeds, .. } = self.counts;
+        let moving = OptimizerPlan::of(Moved { lifted, seeds }).total_bytes();
+        Plan::of(self.counts).total_bytes().saturating_add(moving)
     }
 }

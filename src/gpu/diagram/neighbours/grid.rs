@@ -1,6 +1,6 @@
 //! How fine the grid is in which seeds are searched.
 //!
-//! Purpose: with weights seeds lie densely in places. Cells three mean spacings wide may then have more of them than the device
+//! Purpose: with weights, or on a lifted surface, seeds lie densely in places. Cells three mean spacings wide may then have more of them than the device
 //! looks at (`CELL_CAPACITY` in the stage `count`), and the host would have to search in every pass. From the seeds that each
 //! cell is to expect, cells are made narrower until none is too full. They are not made so narrow that the rows of many
 //! seeds that are far apart leave the rings that the device looks at; the host makes those rows longer.
@@ -14,7 +14,7 @@ use rayon::prelude::*;
 
 use crate::diagram::layout::RINGS;
 use crate::diagram::plan::grid_side;
-use geometry::rvd::Surface;
+use geometry::rvd::{Point, Surface};
 
 /// Seeds that a cell may expect: fewer than its capacity, as chance puts more into some.
 const FULL: f64 = 160.0;
@@ -27,7 +27,7 @@ const NEIGHBOURHOOD: f64 = 3.6;
 /// No more than this share of the seeds may be farther apart than rows are found.
 const FAR_APART: f64 = 0.01;
 
-/// The most that [`grid_side_for`] gives for `seeds` seeds with weights, whatever the surface.
+/// The most that [`grid_side_for`] gives for `seeds` seeds with weights or lifts, whatever the surface.
 pub(crate) fn finest_side(seeds: u64) -> u32 {
     // Few seeds fill no cell, so the grid stays as it was.
     let even = grid_side(0.0, seeds);
@@ -35,9 +35,9 @@ pub(crate) fn finest_side(seeds: u64) -> u32 {
 }
 
 /// Grid cells along each side of the unit box for `seeds` seeds.
-pub(crate) fn grid_side_for(surface: &Surface, seeds: usize) -> u32 {
+pub(crate) fn grid_side_for<P: Point>(surface: &Surface<P>, seeds: usize) -> u32 {
     let mut side = grid_side(surface.area(), seeds as u64);
-    if surface.is_uniform() {
+    if surface.is_uniform() && P::IS_PLACE {
         return side;
     }
     let expected = expected_seeds(surface, seeds);
@@ -57,17 +57,26 @@ struct Expected {
     seeds: f64,
     /// A unit of area.
     density: f64,
+    /// A unit of its area in R³, which is less where the surface is lifted.
+    in_space: f64,
 }
 
 /// Seeds that energies are least with: of w as many a unit of area as its root says (Gersho 1979, in two dimensions).
-fn expected_seeds(surface: &Surface, seeds: usize) -> Vec<Expected> {
+fn expected_seeds<P: Point>(surface: &Surface<P>, seeds: usize) -> Vec<Expected> {
     let each = seeds as f64 / surface.root_mass();
     let of = |f: usize| {
         let roots = surface.facets()[f].map(|v| surface.weights()[v as usize].sqrt());
         let density = each * roots.iter().sum::<f64>() / 3.0;
-        Expected { at: surface.centroid(f as u32), seeds: density * surface.facet_area(f as u32), density }
+        let (at, area) = (surface.centroid(f as u32).place(), surface.facet_area(f as u32));
+        let in_space = if P::IS_PLACE { density } else { density * area / area_in_space(surface, f as u32) };
+        Expected { at, seeds: density * area, density, in_space }
     };
     (0..surface.facets().len()).into_par_iter().filter(|&f| !surface.skips(f)).map(of).collect()
+}
+
+fn area_in_space<P: Point>(surface: &Surface<P>, f: u32) -> f64 {
+    let [a, b, c] = surface.corners(f).map(P::place);
+    0.5 * (b - a).cross(c - a).length()
 }
 
 /// Seeds that the fullest cell expects. Of a facet that is larger than a cell no more than a plane has in one.
@@ -78,7 +87,7 @@ fn fullest(expected: &[Expected], side: u32) -> f64 {
         .map(|e| {
             let place = ((e.at + 0.5) * f64::from(side)).floor().clamp(DVec3::ZERO, DVec3::splat(last));
             let [x, y, z] = place.to_array().map(|x| x as u64);
-            let most = 3f64.sqrt() * e.density / f64::from(side).powi(2);
+            let most = 3f64.sqrt() * e.in_space / f64::from(side).powi(2);
             ((z * u64::from(side) + y) * u64::from(side) + x, e.seeds.min(most))
         })
         .collect();

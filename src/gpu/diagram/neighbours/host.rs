@@ -3,15 +3,14 @@
 //! Purpose: where the device cannot prove rows or first cells, or a pair needs a longer row, the host finds them with its tree.
 //! Invariant: rows are in the device's order, unless seeds are farther than floats reach. Must not know: clipping.
 
-use glam::DVec3;
 use rayon::prelude::*;
 
 use super::{Neighbours, Place, Result, Rows};
 use crate::buffers::write;
-use crate::diagram::layout::{self, COMPLETE, INDEX, NONE, STRIDE};
+use crate::diagram::layout::{COMPLETE, INDEX, NONE, STRIDE};
 use crate::diagram::memory::Memory;
+use crate::diagram::space::{DeviceSpace, SeedRecord};
 pub(super) use geometry::knn::{NeighbourRow, NeighbourTable, SeedIndex, Threads};
-use geometry::mesh::coincident;
 use geometry::rvd::RvdError;
 use geometry::rvd::incident::{Diagram, Starts};
 use geometry::token::{Stopped, Token};
@@ -20,14 +19,14 @@ use geometry::token::{Stopped, Token};
 pub(crate) const LONGEST_ROW: u32 = 4096;
 
 /// What the host knows of the seeds on the device. Of no use while not fresh, but for `starts`, which are guesses.
-pub(crate) struct HostCopy {
+pub(crate) struct HostCopy<P: DeviceSpace> {
     /// It is of the present seeds.
     pub fresh: bool,
     /// The records as on the device, longer rows noted.
-    pub records: Vec<layout::Seed>,
+    pub records: Vec<P::Seed>,
     /// Positions. Those that the device sees, unless seeds are far.
-    pub seen: Vec<DVec3>,
-    pub index: SeedIndex,
+    pub seen: Vec<P>,
+    pub index: SeedIndex<P>,
     /// Rows of the host's search; without rows if the device made them.
     pub table: NeighbourTable,
     /// The device's table, if the host made it.
@@ -39,7 +38,7 @@ pub(crate) struct HostCopy {
     pub starts: Starts,
 }
 
-impl Default for HostCopy {
+impl<P: DeviceSpace> Default for HostCopy<P> {
     fn default() -> Self {
         Self {
             fresh: false,
@@ -55,9 +54,14 @@ impl Default for HostCopy {
     }
 }
 
+/// The word of a record that says how long its row is.
+fn length_of(row: &NeighbourRow) -> u32 {
+    row.seeds.len() as u32 | if row.complete { COMPLETE } else { 0 }
+}
+
 /// Puts a row of the tree into the device's order. The end of a row that is not complete goes, as far as
 /// a seed that is not in it might come before it in that order: a key is good to 4e-7 of itself.
-pub(super) fn in_device_order(i: u32, records: &[layout::Seed], row: &mut NeighbourRow) {
+pub(super) fn in_device_order(i: u32, records: &[impl SeedRecord], row: &mut NeighbourRow) {
     let own = &records[i as usize];
     let mut keyed: Vec<(f32, u32)> = row.seeds.iter().map(|&j| (own.key(&records[j as usize]), j)).collect();
     keyed.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
@@ -70,25 +74,28 @@ pub(super) fn in_device_order(i: u32, records: &[layout::Seed], row: &mut Neighb
     row.seeds.extend(keyed.iter().map(|&(_, j)| j));
 }
 
-impl Neighbours {
+impl<P: DeviceSpace> Neighbours<P> {
     /// For the pairs that the host does; [`Self::view`] comes before.
-    pub(crate) fn diagram(&self) -> Diagram<'_> {
+    pub(crate) fn diagram(&self) -> Diagram<'_, P> {
         let HostCopy { seen, index, table, .. } = &self.host;
         Diagram { surface: &self.cx.surface, seeds: seen, index, table, capacities: self.cx.capacities }
     }
 
     /// Rows and first cells by the host's tree. Whether the table has room for them; if so, they are to be uploaded.
     /// `far`: seeds are farther than floats reach.
-    pub(crate) fn search_on_host(&mut self, memory: &mut Memory, far: bool, token: &Token) -> Result<bool> {
+    pub(crate) fn search_on_host(&mut self, memory: &mut Memory<P>, far: bool, token: &Token) -> Result<bool> {
         self.host_searches += 1;
-        self.host.records = memory.read(|b| &b.seeds, 0..self.count)?;
+        self.host.records = match self.place {
+            Place::Set => self.records(),
+            _ => memory.read(|b| &b.seeds, 0..self.count)?,
+        };
         let seeds = &self.seeds;
         let host = &mut self.host;
         host.seen.clear();
         match self.place {
             // Where floats do not reach, the host decides, so it takes what it was given.
             Place::Set if far => host.seen.extend_from_slice(&self.seeds),
-            _ => host.seen.extend(host.records.iter().map(|r| DVec3::from_array(r.position()))),
+            _ => host.seen.extend(host.records.iter().map(P::of_record)),
         }
         host.index = SeedIndex::new(&host.seen);
         if !host.table.fill(&host.index, self.cx.capacities.neighbours, Threads::Pool, &|| token.is_stopped()) {
@@ -98,7 +105,7 @@ impl Neighbours {
         self.merged = !far
             && self.duplicates > 0
             && self.place == Place::Set
-            && coincident::find(seeds).len() as u64 != self.duplicates;
+            && P::coincident(seeds).len() as u64 != self.duplicates;
         let rows: Vec<NeighbourRow> = (0..host.seen.len() as u32)
             .into_par_iter()
             .map(|i| {
@@ -112,8 +119,7 @@ impl Neighbours {
             .collect();
         host.packed.clear();
         for (record, row) in host.records.iter_mut().zip(&rows) {
-            record.row_begin = host.packed.len() as u32;
-            record.row_length = row.seeds.len() as u32 | if row.complete { COMPLETE } else { 0 };
+            record.set_row(host.packed.len() as u32, length_of(row));
             host.packed.extend_from_slice(&row.seeds);
         }
         host.packed_end = host.packed.len();
@@ -131,14 +137,14 @@ impl Neighbours {
         Ok(memory.has_room(self.host.packed.len() as u64))
     }
 
-    pub(crate) fn upload_rows(&self, memory: &Memory) -> Result<()> {
+    pub(crate) fn upload_rows(&self, memory: &Memory<P>) -> Result<()> {
         let buffers = &memory.there()?.buffers;
         write(&self.cx.device, &buffers.seeds, 0, &self.host.records)?;
         Ok(write(&self.cx.device, &buffers.table, 0, &self.host.packed)?)
     }
 
     /// Nearest seeds of facets whose first cell the device could not prove.
-    pub(crate) fn find_unproved(&mut self, memory: &Memory) -> Result<()> {
+    pub(crate) fn find_unproved(&mut self, memory: &Memory<P>) -> Result<()> {
         self.host_searches += 1;
         self.host.fresh = false;
         self.view(memory)?;
@@ -155,7 +161,7 @@ impl Neighbours {
 
     /// Brings what the host knows of the device's seeds, rows and first cells up to date: for pairs
     /// that the device could not end.
-    pub(crate) fn view(&mut self, memory: &Memory) -> Result<()> {
+    pub(crate) fn view(&mut self, memory: &Memory<P>) -> Result<()> {
         if self.host.fresh {
             return Ok(());
         }
@@ -168,10 +174,13 @@ impl Neighbours {
             host.first[root[0] as usize] = root[1];
         }
         host.seen.clear();
-        host.seen.extend(host.records.iter().map(|r| DVec3::from_array(r.position())));
+        host.seen.extend(host.records.iter().map(P::of_record));
         host.index = SeedIndex::new(&host.seen);
         host.table.clear();
-        let end = |r: &layout::Seed| (r.row_begin + (r.row_length & INDEX)) as usize;
+        let end = |r: &P::Seed| {
+            let (begin, length) = r.row();
+            (begin + (length & INDEX)) as usize
+        };
         let by_device = if self.rows == Rows::Device { self.count * STRIDE as usize } else { 0 };
         host.packed_end = host.records.iter().map(end).max().unwrap_or(0).max(by_device);
         host.fresh = true;
@@ -180,16 +189,16 @@ impl Neighbours {
 
     /// The length of a row that is to be longer.
     pub(crate) fn longer(&self, seed: u32) -> u32 {
-        (self.host.records[seed as usize].row_length & INDEX).max(1).saturating_mul(4).min(LONGEST_ROW)
+        (self.host.records[seed as usize].row().1 & INDEX).max(1).saturating_mul(4).min(LONGEST_ROW)
     }
 
     /// Four times longer rows for `seeds`, behind the table. Whether the table has room for them.
-    pub(crate) fn lengthen(&mut self, memory: &mut Memory, seeds: &[u32]) -> Result<bool> {
+    pub(crate) fn lengthen(&mut self, memory: &mut Memory<P>, seeds: &[u32]) -> Result<bool> {
         let HostCopy { index, records, .. } = &self.host;
         let far = self.rows == Rows::Host { far: true };
         let query = |&i: &u32| {
             let mut row = NeighbourRow::default();
-            let known = (records[i as usize].row_length & INDEX) as usize;
+            let known = (records[i as usize].row().1 & INDEX) as usize;
             // Rows stop short of ties, so the next length counts from what was asked for.
             let mut k = (known.max(1) * 4).min(LONGEST_ROW as usize);
             loop {
@@ -208,8 +217,7 @@ impl Neighbours {
         let mut tail = Vec::new();
         for (&i, row) in seeds.iter().zip(&rows) {
             let record = &mut self.host.records[i as usize];
-            record.row_begin = (self.host.packed_end + tail.len()) as u32;
-            record.row_length = row.seeds.len() as u32 | if row.complete { COMPLETE } else { 0 };
+            record.set_row((self.host.packed_end + tail.len()) as u32, length_of(row));
             tail.extend_from_slice(&row.seeds);
         }
         let first = self.host.packed_end;

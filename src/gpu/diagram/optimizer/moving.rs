@@ -10,7 +10,8 @@ use crate::buffers::write;
 use crate::diagram::layout::Totals;
 use crate::diagram::memory::{OptimizerBindings, OptimizerBuffers};
 use crate::diagram::neighbours::Place;
-use crate::diagram::plan::{OptimizerPlan, PASSES};
+use crate::diagram::plan::{Moved, OptimizerPlan, PASSES};
+use crate::diagram::space::DeviceSpace;
 use crate::diagram::{Context, Result};
 use geometry::rvd::Together;
 
@@ -53,8 +54,8 @@ pub(crate) struct Moving {
 }
 
 impl Moving {
-    pub(super) fn new(cx: &Context, together: Together) -> Result<Self> {
-        let plan = OptimizerPlan::new(cx.max_seeds as u64, cx.limits())?;
+    pub(super) fn new<P: DeviceSpace>(cx: &Context<P>, seeds: u64, together: Together) -> Result<Self> {
+        let plan = OptimizerPlan::new(Moved { lifted: !P::IS_PLACE, seeds }, cx.limits())?;
         Ok(Self {
             buffers: OptimizerBuffers::new(&cx.device, plan)?,
             bindings: None,
@@ -71,7 +72,7 @@ impl Moving {
         })
     }
 
-    pub(crate) fn hold(&mut self, cx: &Context, held: &[bool]) -> Result<()> {
+    pub(crate) fn hold<P: DeviceSpace>(&mut self, cx: &Context<P>, held: &[bool]) -> Result<()> {
         let words: Vec<u32> = held.iter().map(|&h| u32::from(h)).collect();
         write(&cx.device, &self.buffers.held, 0, &words)?;
         self.held = held.to_vec();

@@ -16,13 +16,14 @@ use crate::diagram::clip::{Launch, Pair, STEPS, Variant, Wants, by_cell, count_r
 use crate::diagram::layout::{Params, ROOT, State};
 use crate::diagram::neighbours::Rows;
 use crate::diagram::plan::{EXTRA_CANDIDATES, LARGE_BATCH};
+use crate::diagram::space::DeviceSpace;
 use geometry::rvd::{PassStats, elapsed_ms};
 use geometry::token::Token;
 
 /// A submission that took longer than this is not made longer.
 const SUBMISSION_MS: f64 = 50.0;
 
-impl GpuSession {
+impl<P: DeviceSpace> GpuSession<P> {
     /// Brings the pairs of all facets to their end, and adds them up.
     pub(crate) fn run_sums(&mut self, token: &Token, stats: &mut PassStats) -> Result<()> {
         match self.others.is_empty() {

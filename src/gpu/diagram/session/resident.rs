@@ -12,23 +12,22 @@
 use std::mem::offset_of;
 use std::time::Instant;
 
-use glam::DVec3;
-
 use super::{GpuSession, Result, finished, rooms};
 use crate::buffers::write;
 use crate::diagram::clip::{Launch, Variant, Wants, count_requeued, fixed};
-use crate::diagram::layout::{ENTRY_BYTES, SUM_WORDS, State, Totals};
+use crate::diagram::layout::{ENTRY_BYTES, State, Totals};
 use crate::diagram::neighbours::{Place, Rows};
 use crate::diagram::optimizer::{Step, limbs};
+use crate::diagram::space::DeviceSpace;
 use geometry::rvd::clip::Integrals;
 pub(super) use geometry::rvd::resident::{Evaluation, Resident};
 use geometry::rvd::{CellSums, DeviceWork, PassStats, RvdError, elapsed_ms};
 use geometry::token::Token;
 
-impl GpuSession {
+impl<P: DeviceSpace> GpuSession<P> {
     /// Makes the optimizer's buffers, and puts the seeds there that were set last.
     pub(super) fn open_optimizer(&mut self) -> Result<()> {
-        self.optimizer.open(&self.cx)?;
+        self.optimizer.open(&self.cx, &self.memory)?;
         if self.neighbours.place == Place::Set {
             self.optimizer.take_seeds(&self.cx, &self.neighbours)?;
             // What was found of the seeds as set holds for them as points, but for what the host did in f64
@@ -78,14 +77,15 @@ impl GpuSession {
         }
         let mut area = self.optimizer.area(rooms!(self));
         if let Some(words) = &words {
-            let areas = words.chunks_exact(SUM_WORDS).map(|cell| limbs(cell[10], cell[11]));
+            let areas =
+                words.chunks_exact(P::SUM_WORDS).map(|cell| limbs(cell[P::SUM_WORDS - 2], cell[P::SUM_WORDS - 1]));
             area = areas.sum::<i64>() as f64 / self.clip.scales.area;
         }
         if !self.clip.covers(area, self.facets()) {
             let mut sums = CellSums::default();
             *stats = finished(*stats, self.in_f64()?.sums(&mut sums, token)?);
-            let mut exact = vec![0; self.neighbours.count * SUM_WORDS];
-            for (i, cell) in exact.chunks_exact_mut(SUM_WORDS).enumerate() {
+            let mut exact = vec![0; self.neighbours.count * P::SUM_WORDS];
+            for (i, cell) in exact.chunks_exact_mut(P::SUM_WORDS).enumerate() {
                 let (mass, moment, energy) = (sums.mass[i], sums.moment[i], sums.energy[i]);
                 let whole = Integrals { mass, moment, energy, area: sums.area[i] };
                 fixed::add(cell, &fixed::encode(&whole, &self.clip.scales));
@@ -223,7 +223,7 @@ impl GpuSession {
     }
 }
 
-impl Resident for GpuSession {
+impl<P: DeviceSpace> Resident<P> for GpuSession<P> {
     fn hold(&mut self, held: &[bool]) -> Result<()> {
         let count = self.neighbours.count;
         self.open_optimizer()?;
@@ -293,16 +293,16 @@ impl Resident for GpuSession {
         self.optimizer.clear_history();
     }
 
-    fn read(&mut self, out: &mut Vec<DVec3>) -> Result<()> {
+    fn read(&mut self, out: &mut Vec<P>) -> Result<()> {
         self.open_optimizer()?;
         self.ensure_memory()?;
         let points = self.optimizer.read_points(rooms!(self))?;
         out.clear();
-        out.extend(points.iter().map(|p| DVec3::from_array(p.position())));
+        out.extend(points.iter().map(P::of_record));
         Ok(())
     }
 
-    fn read_sums(&mut self, out: &mut CellSums) -> Result<()> {
+    fn read_sums(&mut self, out: &mut CellSums<P>) -> Result<()> {
         self.on_pool(|session| {
             session.open_optimizer()?;
             if !session.optimizer.there()?.has_sums() {

@@ -13,7 +13,8 @@ use crate::diagram::clip::fixed;
 use crate::diagram::layout::{State, Totals, halt};
 use crate::diagram::neighbours::{Found, Place, Rows, Searched};
 use crate::diagram::optimizer::Step;
-use geometry::rvd::{Session, SessionOptions, Surface};
+use crate::diagram::space::DeviceSpace;
+use geometry::rvd::{Lifted, Session, SessionOptions, Surface};
 use geometry::token::Token;
 
 impl Gpu {
@@ -26,9 +27,30 @@ impl Gpu {
         options: SessionOptions,
         token: &Token,
     ) -> Result<Vec<Found>> {
+        self.search_in(surface, sets, options, token)
+    }
+
+    /// The same on a lifted surface.
+    pub fn search_lifted(
+        &self,
+        surface: Arc<Surface<Lifted>>,
+        sets: &[&[Lifted]],
+        options: SessionOptions,
+        token: &Token,
+    ) -> Result<Vec<Found>> {
+        self.search_in(surface, sets, options, token)
+    }
+
+    fn search_in<P: DeviceSpace>(
+        &self,
+        surface: Arc<Surface<P>>,
+        sets: &[&[P]],
+        options: SessionOptions,
+        token: &Token,
+    ) -> Result<Vec<Found>> {
         self.pool.install(|| {
-            let mut session = GpuSession::new(self, surface, options);
-            let find = |seeds: &&[DVec3]| {
+            let mut session = GpuSession::new(self, surface, options)?;
+            let find = |seeds: &&[P]| {
                 session.set_seeds(seeds)?;
                 session.search_now(token)?;
                 session.start_now(token)?;
@@ -39,7 +61,7 @@ impl Gpu {
     }
 }
 
-impl GpuSession {
+impl<P: DeviceSpace> GpuSession<P> {
     /// Encodes the seeds' arrival and the search for their rows.
     pub(super) fn encode_search(&mut self, encoder: &mut wgpu::CommandEncoder, token: &Token) -> Result<()> {
         let params = self.params();
@@ -123,7 +145,7 @@ impl GpuSession {
     fn search_on_host(&mut self, far: bool, token: &Token) -> Result<()> {
         let fits = self.neighbours.search_on_host(&mut self.memory, far, token)?;
         if far {
-            self.clip.set_radius(fixed::covering_radius(&self.neighbours.host.seen));
+            self.clip.set_radius(fixed::covering_radius(&self.neighbours.host.seen, self.cx.longest_lift));
         }
         if !fits {
             return self.release();

@@ -9,11 +9,13 @@
 use std::ops::Range;
 use std::sync::Arc;
 
+use glam::DVec3;
+
 use super::{GpuSession, Result};
 use crate::diagram::Gpu;
 use crate::diagram::clip::fixed;
-use crate::diagram::layout::{SUM_WORDS, Seed};
 use crate::diagram::neighbours::Place;
+use crate::diagram::space::DeviceSpace;
 use geometry::rvd::{
     CellSums, DeviceWork, PassStats, PhasesMs, PieceBatch, Resident, RvdError, Session, SessionOptions, Surface,
 };
@@ -25,7 +27,7 @@ struct Share {
     stats: PassStats,
 }
 
-impl GpuSession {
+impl<P: DeviceSpace> GpuSession<P> {
     /// Has this session do these facets alone. Before anything is allocated.
     fn take_share(&mut self, share: Range<u32>) {
         self.neighbours.roots.retain(|root| share.contains(&root[0]));
@@ -56,7 +58,7 @@ impl GpuSession {
             // Times are not added up: devices work at the same time.
             stats.add(&PassStats { neighbours_ms: 0.0, start_ms: 0.0, ..of_share });
             // As if the host had clipped them.
-            for (seed, cell) in words.chunks_exact(SUM_WORDS).enumerate() {
+            for (seed, cell) in words.chunks_exact(P::SUM_WORDS).enumerate() {
                 if cell.iter().any(|&word| word != 0) {
                     self.clip.pass.finished.push((seed as u32, fixed::units(cell)));
                 }
@@ -66,14 +68,14 @@ impl GpuSession {
     }
 
     /// The seeds of the pass, as the device has them.
-    fn seed_records(&mut self, token: &Token) -> Result<Vec<Seed>> {
+    fn seed_records(&mut self, token: &Token) -> Result<Vec<P::Seed>> {
         self.ensure_memory()?;
         self.search_now(token)?;
         self.ensure_memory()?;
         self.memory.read(|b| &b.seeds, 0..self.neighbours.count)
     }
 
-    fn share_of_sums(&mut self, records: Option<&[Seed]>, token: &Token) -> Result<Share> {
+    fn share_of_sums(&mut self, records: Option<&[P::Seed]>, token: &Token) -> Result<Share> {
         self.on_pool(|session| {
             if let Some(records) = records {
                 session.neighbours.set_records(records);
@@ -90,12 +92,12 @@ impl GpuSession {
 
 /// A session on several devices. Pieces come from the first one alone, which then has all facets.
 pub(in crate::diagram) struct SharedSession {
-    session: GpuSession,
+    session: GpuSession<DVec3>,
     gpu: Arc<Gpu>,
     surface: Arc<Surface>,
     options: SessionOptions,
     /// For pieces, once they are asked for.
-    whole: Option<GpuSession>,
+    whole: Option<GpuSession<DVec3>>,
 }
 
 impl SharedSession {
@@ -106,7 +108,7 @@ impl SharedSession {
         let at = |k: u64| (facets * k / count) as u32;
         let mut sessions = (0..count).zip(gpus).map(|(k, gpu)| {
             gpu.pool.install(|| {
-                let mut session = GpuSession::new(gpu, Arc::clone(surface), options);
+                let mut session = GpuSession::new(gpu, Arc::clone(surface), options)?;
                 session.take_share(at(k)..at(k + 1));
                 session.ensure_memory()?;
                 Ok::<_, RvdError>(session)
@@ -119,13 +121,13 @@ impl SharedSession {
         Ok(Self { session, gpu, surface: Arc::clone(surface), options, whole: None })
     }
 
-    fn all(&self) -> impl Iterator<Item = &GpuSession> {
+    fn all(&self) -> impl Iterator<Item = &GpuSession<DVec3>> {
         std::iter::once(&self.session).chain(&self.session.others).chain(&self.whole)
     }
 }
 
 impl Session for SharedSession {
-    fn set_seeds(&mut self, seeds: &[glam::DVec3]) -> Result<()> {
+    fn set_seeds(&mut self, seeds: &[DVec3]) -> Result<()> {
         self.session.set_seeds(seeds)?;
         self.session.others.iter_mut().try_for_each(|other| other.set_seeds(seeds))
     }
@@ -139,7 +141,7 @@ impl Session for SharedSession {
             Some(whole) => whole,
             none => {
                 let open = || GpuSession::new(&self.gpu, Arc::clone(&self.surface), self.options);
-                none.insert(self.gpu.pool.install(open))
+                none.insert(self.gpu.pool.install(open)?)
             }
         };
         if self.session.neighbours.place == Place::Set {
