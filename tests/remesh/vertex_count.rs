@@ -3,7 +3,6 @@
 
 use glam::DVec3;
 use tessera::mesh::TriMesh;
-use tessera::mesh::measure::topology;
 use tessera::mesh::shapes::Shape;
 use tessera::remesh::report::CountReason;
 use tessera::remesh::{Remesh, RemeshOptions, Seeds, Share, remesh};
