@@ -166,16 +166,18 @@ class JobMesh(_message.Message):
     def __init__(self, file: _Optional[_Union[MeshFile, _Mapping]] = ..., arrays: _Optional[_Union[MeshArrays, _Mapping]] = ...) -> None: ...
 
 class JobArrays(_message.Message):
-    __slots__ = ("seeds", "edge_lengths", "weights", "creases")
+    __slots__ = ("seeds", "edge_lengths", "weights", "creases", "metric")
     SEEDS_FIELD_NUMBER: _ClassVar[int]
     EDGE_LENGTHS_FIELD_NUMBER: _ClassVar[int]
     WEIGHTS_FIELD_NUMBER: _ClassVar[int]
     CREASES_FIELD_NUMBER: _ClassVar[int]
+    METRIC_FIELD_NUMBER: _ClassVar[int]
     seeds: ArrayRef
     edge_lengths: ArrayRef
     weights: ArrayRef
     creases: ArrayRef
-    def __init__(self, seeds: _Optional[_Union[ArrayRef, _Mapping]] = ..., edge_lengths: _Optional[_Union[ArrayRef, _Mapping]] = ..., weights: _Optional[_Union[ArrayRef, _Mapping]] = ..., creases: _Optional[_Union[ArrayRef, _Mapping]] = ...) -> None: ...
+    metric: ArrayRef
+    def __init__(self, seeds: _Optional[_Union[ArrayRef, _Mapping]] = ..., edge_lengths: _Optional[_Union[ArrayRef, _Mapping]] = ..., weights: _Optional[_Union[ArrayRef, _Mapping]] = ..., creases: _Optional[_Union[ArrayRef, _Mapping]] = ..., metric: _Optional[_Union[ArrayRef, _Mapping]] = ...) -> None: ...
 
 class CvtJobCommand(_message.Message):
     __slots__ = ("step", "edit")

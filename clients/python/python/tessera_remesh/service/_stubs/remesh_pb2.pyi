@@ -41,6 +41,7 @@ class ArrayKind(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
     ARRAY_KIND_ENERGIES: _ClassVar[ArrayKind]
     ARRAY_KIND_CREASES: _ClassVar[ArrayKind]
     ARRAY_KIND_EDGE_LENGTHS: _ClassVar[ArrayKind]
+    ARRAY_KIND_METRIC: _ClassVar[ArrayKind]
     ARRAY_KIND_NORMALS: _ClassVar[ArrayKind]
     ARRAY_KIND_NORMAL_CORNERS: _ClassVar[ArrayKind]
     ARRAY_KIND_TEXTURE_COORDINATES: _ClassVar[ArrayKind]
@@ -88,6 +89,7 @@ class DensitySource(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
     DENSITY_SOURCE_LFS: _ClassVar[DensitySource]
     DENSITY_SOURCE_ERROR: _ClassVar[DensitySource]
     DENSITY_SOURCE_ERROR_MAX: _ClassVar[DensitySource]
+    DENSITY_SOURCE_METRIC: _ClassVar[DensitySource]
 
 class StepKind(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
     __slots__ = ()
@@ -156,6 +158,7 @@ ARRAY_KIND_AREAS: ArrayKind
 ARRAY_KIND_ENERGIES: ArrayKind
 ARRAY_KIND_CREASES: ArrayKind
 ARRAY_KIND_EDGE_LENGTHS: ArrayKind
+ARRAY_KIND_METRIC: ArrayKind
 ARRAY_KIND_NORMALS: ArrayKind
 ARRAY_KIND_NORMAL_CORNERS: ArrayKind
 ARRAY_KIND_TEXTURE_COORDINATES: ArrayKind
@@ -191,6 +194,7 @@ DENSITY_SOURCE_CURVATURE: DensitySource
 DENSITY_SOURCE_LFS: DensitySource
 DENSITY_SOURCE_ERROR: DensitySource
 DENSITY_SOURCE_ERROR_MAX: DensitySource
+DENSITY_SOURCE_METRIC: DensitySource
 STEP_KIND_UNSPECIFIED: StepKind
 STEP_KIND_LLOYD: StepKind
 STEP_KIND_LBFGS: StepKind
@@ -249,7 +253,7 @@ class AttributeHeader(_message.Message):
     def __init__(self, kind: _Optional[_Union[AttributeKind, str]] = ..., name: _Optional[str] = ..., type: _Optional[_Union[AttributeType, str]] = ..., values: _Optional[int] = ..., by_corner: bool = ..., components: _Optional[int] = ...) -> None: ...
 
 class MeshHeader(_message.Message):
-    __slots__ = ("vertices", "facets", "position_type", "weights", "edge_lengths", "creases", "attributes")
+    __slots__ = ("vertices", "facets", "position_type", "weights", "edge_lengths", "creases", "attributes", "metric")
     VERTICES_FIELD_NUMBER: _ClassVar[int]
     FACETS_FIELD_NUMBER: _ClassVar[int]
     POSITION_TYPE_FIELD_NUMBER: _ClassVar[int]
@@ -257,6 +261,7 @@ class MeshHeader(_message.Message):
     EDGE_LENGTHS_FIELD_NUMBER: _ClassVar[int]
     CREASES_FIELD_NUMBER: _ClassVar[int]
     ATTRIBUTES_FIELD_NUMBER: _ClassVar[int]
+    METRIC_FIELD_NUMBER: _ClassVar[int]
     vertices: int
     facets: int
     position_type: PositionType
@@ -264,7 +269,8 @@ class MeshHeader(_message.Message):
     edge_lengths: int
     creases: int
     attributes: _containers.RepeatedCompositeFieldContainer[AttributeHeader]
-    def __init__(self, vertices: _Optional[int] = ..., facets: _Optional[int] = ..., position_type: _Optional[_Union[PositionType, str]] = ..., weights: _Optional[int] = ..., edge_lengths: _Optional[int] = ..., creases: _Optional[int] = ..., attributes: _Optional[_Iterable[_Union[AttributeHeader, _Mapping]]] = ...) -> None: ...
+    metric: int
+    def __init__(self, vertices: _Optional[int] = ..., facets: _Optional[int] = ..., position_type: _Optional[_Union[PositionType, str]] = ..., weights: _Optional[int] = ..., edge_lengths: _Optional[int] = ..., creases: _Optional[int] = ..., attributes: _Optional[_Iterable[_Union[AttributeHeader, _Mapping]]] = ..., metric: _Optional[int] = ...) -> None: ...
 
 class Density(_message.Message):
     __slots__ = ("source", "edge_length", "adaptivity", "gradation")
