@@ -101,7 +101,7 @@ impl Gpu {
         if let Some(pipelines) = &*lifted {
             return Ok(Arc::clone(pipelines));
         }
-        let pipelines = Arc::new(self.pipelines.lifted(&self.device)?);
+        let pipelines = Arc::new(self.pool.install(|| self.pipelines.lifted(&self.device))?);
         *lifted = Some(Arc::clone(&pipelines));
         Ok(pipelines)
     }

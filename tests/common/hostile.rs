@@ -40,17 +40,18 @@ pub fn run(mesh: &TriMesh, options: &RemeshOptions, backend: &dyn Backend) -> Re
     remesh(mesh, options, backend, &mut (), &Token::default())
 }
 
-/// An oriented 2-manifold comes out on every backend, for whoever reads indices and for whoever welds positions.
+/// An oriented 2-manifold comes out on every backend, by indices and by positions.
 pub fn remeshed(name: &str, mesh: &TriMesh, options: &RemeshOptions) -> Vec<Remesh> {
     let each = backends().into_iter().map(|(backend, tolerance)| {
         let who = format!("{name}, {}", backend.kind().name());
         let out = run(mesh, options, backend).unwrap_or_else(|e| panic!("{who}: {e}"));
         cases::manifold(out.mesh.facets(), out.mesh.positions().len()).unwrap_or_else(|e| panic!("{who}: {e}"));
-        let seen = topology(&out.mesh);
-        assert_eq!((seen.non_manifold_edges, seen.non_manifold_vertices), (0, 0), "{who}: {seen:?}");
+        let (seen, input) = (topology(&out.mesh), &out.report.input);
+        // Sheets that touch do so in the result too.
+        let touch = input.sheets > input.topology.components;
+        assert!(touch || (seen.non_manifold_edges, seen.non_manifold_vertices) == (0, 0), "{who}: {seen:?}");
         let area = out.report.rvd.area;
         // Of facets that are there twice one is taken.
-        let input = &out.report.input;
         let whole = if input.coincident_facets > 0 { input.area } else { mesh.area() };
         // The dual's diagram is double precision on every backend; the caller's units may cost digits.
         assert!((area / whole - 1.0).abs() < 1e-6, "{who}: {area:e} of {whole:e}, {tolerance}");

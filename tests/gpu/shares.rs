@@ -101,7 +101,7 @@ fn records_that_are_sent_in_turn_change_no_bit() {
             let part = on(&*small, &surface, &seeds, options);
             same(&format!("{share} of {bytes}"), &part, &all);
             // What is sent in a pass, beside seeds and parameters.
-            assert!(part.stats.uploaded_bytes > 500_000, "{:?}", part.stats);
+            assert!(part.stats.uploaded_bytes > 50_000, "{:?}", part.stats);
         }
         let least = device(Some(bytes / 50)).session(Arc::clone(&surface), options);
         assert!(matches!(least.err(), Some(RvdError::OutOfMemory { .. })));

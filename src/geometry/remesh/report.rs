@@ -258,6 +258,7 @@ pub struct ResultFigures {
     #[serde(flatten)]
     pub quality: Option<Quality>,
     /// Edges and facets in the metric; absent without one.
+    #[serde(skip_serializing_if = "Option::is_none")]
     pub metric: Option<AdaptedFigures>,
     /// What it lacks of the input; absent if not measured.
     pub lost: Option<LostParts>,

@@ -145,9 +145,14 @@ impl Preprocessed {
                 separated.apart = Apart::of(clean, &sheets, gap);
             }
             if sheets.count > topology.components
-                && let Some(apart) = &separated.apart
+                && let Some(apart) = &mut separated.apart
             {
                 self.figures.sheets = sheets.count;
+                // Facets that are now neighbours had others between them.
+                if let Some((consistent, flipped)) = make_consistent(&apart.mesh, token)? {
+                    self.figures.reoriented_facets += flipped;
+                    apart.mesh = consistent;
+                }
                 separated.topology = topology_unless(&apart.mesh, &Adjacency::unless(&apart.mesh, token)?, token)?;
             }
             seams = sheets.seams;
