@@ -29,8 +29,8 @@ pub struct DeviceOptions {
     /// No buffer larger than this, and no more of one seen by a shader, though the adapter allows more: what
     /// another device's limits come to can be tried so.
     pub most_buffer_bytes: Option<u64>,
-    /// Memory that a session may take. One that needs more keeps the records of some windows of its facets on the device, and sends
-    /// the others when their turn comes.
+    /// Memory that a session may take. One that needs more keeps some of its records on the device, and sends the others when
+    /// their turn comes.
     pub memory_bytes: Option<u64>,
 }
 
