@@ -62,6 +62,7 @@ fn values(key: &str, default: Option<&str>) -> [String; 3] {
         _ if key == "role" => ["\"gateway\"", "\"worker\"", "\"all\""],
         _ if key == "public_host" => ["[\"a\"]", "[\"b\"]", "[\"c\"]"],
         _ if key == "cors_origin" => ["[\"http://a\"]", "[\"http://b\"]", "[\"http://c\"]"],
+        _ if key == "gpu_adapters" => ["\"2\"", "\"3\"", "\"all\""],
         _ if key == "backend" => ["\"gpu\"", "\"serial\"", "\"parallel\""],
         Some("true" | "false") => ["true", "false", "true"],
         Some(text) if text.starts_with('"') && text.ends_with("h\"") || text.ends_with("d\"") => {
