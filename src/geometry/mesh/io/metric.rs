@@ -277,7 +277,7 @@ mod tests {
         assert_eq!(of("a.solb", &binary).unwrap(), [Tensor(SIX)]);
         for (text, wrong) in [
             ("MeshVersionFormatted 2\nDimension 3\nSolAtVertices\n2\n1 1\n1\n2\n", "kinds"),
-            ("MeshVersionFormatted 2\nDimension 3\nSolAtVertices\n2\n1 3\n1 2 3\n", "ends"),
+            ("MeshVersionFormatted 2\nDimension 3\nSolAtVertices\n2\n1 3\n1 2 3\n", "cut off"),
             ("MeshVersionFormatted 2\nDimension 3\nSolAtVertices\n99999999999\n1 3\n1 2 3\n", "declared"),
             ("MeshVersionFormatted 2\nDimension 3\nEnd\n", "no SolAtVertices"),
             ("v 1 2 3\n", "not MeshVersionFormatted"),
