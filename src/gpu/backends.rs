@@ -129,9 +129,16 @@ impl BackendOptions {
         if self.gpu_adapters != usize::MAX && devices.len() < self.gpu_adapters {
             return Err(NoGpu::TooFew { wanted: self.gpu_adapters, found: devices.len() });
         }
+        let broken = |e: RvdError| NoGpu::Broken(e.to_string());
         let gpus = devices.into_iter().map(|device| Gpu::new(device, self.threads).map(Arc::new));
-        let shared = gpus.collect::<Result<_, _>>().and_then(SharedGpu::new);
-        Ok(Arc::new(shared.map_err(|e| NoGpu::Broken(e.to_string()))?))
+        let mut gpus: Vec<Arc<Gpu>> = gpus.collect::<Result<_, _>>().map_err(broken)?;
+        match (gpus.len(), gpus.pop()) {
+            (1, Some(gpu)) => Ok(gpu),
+            (_, last) => {
+                gpus.extend(last);
+                Ok(Arc::new(SharedGpu::new(gpus).map_err(broken)?))
+            }
+        }
     }
 }
 

@@ -97,13 +97,13 @@ impl Gpu {
 
     /// The stages of lifted surfaces. Most runs need none, so they are compiled for the first session.
     fn lifted_pipelines(&self) -> Result<Arc<Pipelines>> {
-        let mut lifted = self.lifted.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some(pipelines) = &*lifted {
+        let kept = || self.lifted.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(pipelines) = &*kept() {
             return Ok(Arc::clone(pipelines));
         }
-        let pipelines = Arc::new(self.pool.install(|| self.pipelines.lifted(&self.device))?);
-        *lifted = Some(Arc::clone(&pipelines));
-        Ok(pipelines)
+        // Not under the lock: a thread of the pool that waits may take up another session's opening.
+        let made = Arc::new(self.pool.install(|| self.pipelines.lifted(&self.device))?);
+        Ok(Arc::clone(kept().get_or_insert(made)))
     }
 
     /// The device, for shaders of a caller's own.

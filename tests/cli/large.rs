@@ -91,5 +91,5 @@ fn figures_of_a_large_surface() {
     println!("{} MiB at the peak, {} planned, {limit} allowed", peak >> 20, planned >> 20);
     let area = |key: &str| report.pointer(key).and_then(Value::as_f64).unwrap();
     assert!((area("/rvd/area") / area("/input/area") - 1.0).abs() < 1e-9);
-    assert!(peak.abs_diff(planned) * 10 <= planned, "{peak} for {planned}");
+    assert!(peak <= planned && peak * 4 >= planned * 3, "{peak} for {planned}");
 }

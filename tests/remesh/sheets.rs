@@ -10,7 +10,7 @@ use tessera::remesh::{Remesh, RemeshOptions, Seeds, Tolerance, remesh};
 use tessera::rvd::Parallel;
 use tessera::{DensityOptions, DensitySource, Token, TriMesh};
 
-use crate::rough::Random;
+use crate::rough::{Random, book};
 
 fn run(mesh: &TriMesh, options: &RemeshOptions) -> Remesh {
     remesh(mesh, options, &Parallel::new(Some(2)).unwrap(), &mut (), &Token::default()).unwrap()
@@ -138,6 +138,22 @@ fn a_sheet_that_stands_on_another_tears_nothing() {
         assert!(quality.hausdorff_percent < bound, "{touching}: {} {bound}", quality.hausdorff_percent);
         assert!((done.mesh.area() / mesh.area() - 1.0).abs() < 1e-3, "{touching}");
         assert_eq!(done.report.result.repair.non_manifold_facets, 0, "{touching}");
+    }
+}
+
+/// Pages that meet in a spine, all oriented outwards: two of them are one sheet, and all sheets have the spine's vertices.
+#[test]
+fn sheets_that_meet_in_a_curve_have_its_vertices_in_common() {
+    for pages in [3, 4, 6] {
+        let done = run(&book(pages, 8, false), &points(150 * pages));
+        let sheets = pages.div_ceil(2);
+        assert_eq!((done.report.input.sheets, done.report.result.topology.components), (sheets, sheets), "{pages}");
+        let on_spine = |p: &&DVec3| p.truncate().length() < 1e-12;
+        let mut heights: Vec<f64> = done.mesh.positions().iter().filter(on_spine).map(|p| p.z).collect();
+        heights.sort_by(f64::total_cmp);
+        assert!(heights.len() > 5 * sheets && heights.len().is_multiple_of(sheets), "{pages}: {heights:?}");
+        assert!(heights.chunks(sheets).all(|same| same.iter().all(|z| *z == same[0])), "{pages}: {heights:?}");
+        assert_eq!(crossings(&done.mesh, &Token::default()).unwrap().count, 0, "{pages}");
     }
 }
 

@@ -35,8 +35,8 @@ pub(super) struct WindowArgs {
     /// sums and centroids, and no pieces (docs/large-surfaces.md).
     #[arg(long, value_name = "N", value_parser = whole::<u64>)]
     pub(super) memory_mib: Option<u64>,
-    /// Folder for scratch files, which take up to three times the file. Not one in memory. The system's folder for temporary files if
-    /// not given.
+    /// Folder for scratch files, which take up to ten times the file; the plan says how much. Not one in memory. The system's folder for
+    /// temporary files if not given.
     #[arg(long, value_name = "DIR", requires = "memory_mib")]
     scratch: Option<std::path::PathBuf>,
 }

@@ -15,8 +15,9 @@ use crate::token::{Stopped, Token};
 
 /// Most sheets that are moved: a surface with more is a list of triangles, or dust.
 const MOST: usize = 10_000;
-/// What translations may change, share of the whole's size.
-const ROUNDING: f64 = 1e-14;
+/// What translations may change, share of the whole's size. The seeds of a curve are a chain, whose rounding grows with the square of
+/// their number.
+const ROUNDING: f64 = 1e-10;
 /// Largest growth of the whole: each doubling costs a binary digit of single precision.
 const LONGEST: f64 = 8.0;
 
@@ -95,6 +96,12 @@ impl Apart {
         }
         let mesh = TriMesh::new(moved, facets).ok()?;
         Some(Self { mesh, rows, margin: 0.5 * gap, places, touched: sheets.touch, copied })
+    }
+
+    /// The vertex that this one is, or is a copy of.
+    pub(crate) fn before(&self, v: u32) -> u32 {
+        let vertices = (self.mesh.positions().len() - self.copied.len()) as u32;
+        if v < vertices { v } else { self.copied[(v - vertices) as usize] }
     }
 
     /// Where a place beside the surface was.

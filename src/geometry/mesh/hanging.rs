@@ -21,22 +21,32 @@ use crate::token::{Stopped, Token};
 /// Largest distance of a vertex from the edge that it divides, share of the pieces of this edge.
 const MOST_BEND: f64 = 0.05;
 
+/// Edges around a vertex that are looked at, the nearest first. Where more are near, as in a heap of triangles beside one far vertex,
+/// nothing is a surface, and all pairs would be too many.
+const MOST_NEAR: usize = 64;
+
 /// A surface with divided facets.
 pub(crate) struct Divided {
     pub mesh: TriMesh,
     /// The facet that each facet is of.
     pub origin: Vec<u32>,
-    /// The divided edges, by the lowest vertices at their ends, the lower one first, and the vertices between them in order.
-    pub edges: HashMap<[u32; 2], Vec<u32>>,
+    pub edges: DividedEdges,
 }
 
-impl Divided {
+/// Divided edges, by the lowest vertices at their ends, the lower one first, and the vertices between them in order.
+pub(crate) struct DividedEdges(HashMap<[u32; 2], Vec<u32>>);
+
+impl DividedEdges {
+    pub(crate) fn len(&self) -> usize {
+        self.0.len()
+    }
+
     /// Edges of the surface as it was, divided as its facets are. `class` has the lowest vertex in the place of each.
     pub(crate) fn pieces(&self, edges: &[[u32; 2]], class: &[u32]) -> Vec<[u32; 2]> {
         let mut all = Vec::with_capacity(edges.len());
         for &[a, b] in edges {
             let welded = [a, b].map(|v| class.get(v as usize).copied().unwrap_or(v));
-            let Some(between) = self.edges.get(&undirected(welded)) else {
+            let Some(between) = self.0.get(&undirected(welded)) else {
                 all.push([a, b]);
                 continue;
             };
@@ -85,7 +95,7 @@ impl<'a> Boundary<'a> {
         a.distance(b)
     }
 
-    /// The vertices within `reach` of edges, by edge, then along it.
+    /// The vertices within `reach` of edges, and much nearer than these are long, by edge, then along it.
     fn beside(&self, reach: f64, token: &Token) -> Result<Vec<Beside>, Stopped> {
         let at = |v: u32| self.place(v).to_array();
         let lines = self.ends.iter().zip(0u32..).map(|(&[a, b], k)| GeomWithData::new(Line::new(at(a), at(b)), k));
@@ -93,16 +103,18 @@ impl<'a> Boundary<'a> {
         token.check()?;
         let of_vertex = |&vertex: &u32| {
             let p = self.place(vertex);
-            let others = move |line: &&GeomWithData<Line<[f64; 3]>, u32>| {
-                !token.is_stopped() && !self.ends[line.data as usize].contains(&vertex)
-            };
-            let near = tree.locate_within_distance(p.to_array(), reach * reach).filter(others);
-            near.map(move |line| {
-                let [a, b] = self.ends[line.data as usize].map(|v| self.place(v));
+            let near = tree.nearest_neighbor_iter_with_distance_2(p.to_array());
+            let near = near.take_while(move |(_, squared)| *squared <= reach * reach && !token.is_stopped());
+            let beside = move |(line, _): (&GeomWithData<Line<[f64; 3]>, u32>, f64)| {
+                let ends = self.ends[line.data as usize];
+                let [a, b] = ends.map(|v| self.place(v));
                 let along = b - a;
                 let share = ((p - a).dot(along) / along.length_squared()).clamp(0.0, 1.0);
-                Beside { edge: line.data, share, vertex, distance: p.distance(a + along * share) }
-            })
+                let distance = p.distance(a + along * share);
+                let other = !ends.contains(&vertex) && distance <= MOST_BEND * along.length();
+                other.then_some(Beside { edge: line.data, share, vertex, distance })
+            };
+            near.take(MOST_NEAR).filter_map(beside)
         };
         let vertices = ascending(self.ends.iter().flatten().copied());
         let mut found: Vec<Beside> = vertices.par_iter().flat_map_iter(of_vertex).collect();
@@ -171,7 +183,11 @@ pub(crate) fn divide(
         return Ok(None);
     }
     // Pieces have area, so the surface is as valid as it was.
-    Ok(TriMesh::new(mesh.positions().to_vec(), facets).ok().map(|mesh| Divided { mesh, origin, edges }))
+    Ok(TriMesh::new(mesh.positions().to_vec(), facets).ok().map(|mesh| Divided {
+        mesh,
+        origin,
+        edges: DividedEdges(edges),
+    }))
 }
 
 /// Divides a facet at the vertices of its sides.
@@ -206,11 +222,9 @@ pub(crate) struct Gaps {
 pub(crate) fn gaps(mesh: &TriMesh, adjacency: &Adjacency, reach: f64, token: &Token) -> Result<Gaps, Stopped> {
     let boundary = Boundary::new(mesh, adjacency);
     let mut nearest: HashMap<u32, f64> = HashMap::new();
-    for Beside { edge, vertex, distance, .. } in boundary.beside(reach, token)? {
-        if distance <= MOST_BEND * boundary.length(edge) {
-            let least = nearest.entry(vertex).or_insert(distance);
-            *least = least.min(distance);
-        }
+    for Beside { vertex, distance, .. } in boundary.beside(reach, token)? {
+        let least = nearest.entry(vertex).or_insert(distance);
+        *least = least.min(distance);
     }
     let mut found = Gaps::default();
     for (&[a, b], edge) in boundary.ends.iter().zip(0..) {
@@ -273,10 +287,25 @@ mod tests {
             assert!(sums.iter().enumerate().all(|(f, sum)| (sum - area(&mesh, f)).abs() < 1e-12));
             // Edges that are named come in pieces.
             let class = adjacency.representative();
-            for (&edge, between) in &divided.edges {
-                assert_eq!(divided.pieces(&[edge], class).len(), between.len() + 1);
+            for (&edge, between) in &divided.edges.0 {
+                assert_eq!(divided.edges.pieces(&[edge], class).len(), between.len() + 1);
             }
         }
+    }
+
+    /// A heap of triangles within the reach that one far vertex makes: time and memory stay linear.
+    #[test]
+    fn a_heap_beside_a_far_vertex_is_looked_through() {
+        let n = 20_000u32;
+        let at = |k: u32| DVec3::new(f64::from(k), f64::from(k * k % 1009), f64::from(k * 7 % 997)).map(f64::sin);
+        let mut positions: Vec<DVec3> = (0..3 * n).map(at).collect();
+        positions.push(DVec3::splat(1e9));
+        let mut facets: Vec<[u32; 3]> = (0..n).map(|k| [3 * k, 3 * k + 1, 3 * k + 2]).collect();
+        facets.push([0, 1, 3 * n]);
+        let mesh = TriMesh::new(positions, facets).unwrap();
+        let boundary = Boundary::new(&mesh, &Adjacency::new(&mesh));
+        let found = boundary.beside(1e6, &Token::default()).unwrap();
+        assert!(found.len() <= MOST_NEAR * 3 * n as usize, "{}", found.len());
     }
 
     #[test]

@@ -72,6 +72,7 @@ impl InputFigures {
         token.check()?;
         let oddities = if adjacency.non_manifold_edges > 0 { duplicates::oddities(mesh) } else { Oddities::default() };
         token.check()?;
+        let topology = topology_unless(mesh, adjacency, token)?;
         Ok(Self {
             kind: oddities.kind(),
             enclosed_facets: oddities.enclosed,
@@ -85,11 +86,11 @@ impl InputFigures {
             divided_edges: 0,
             gap_edges: 0,
             gap_distance: 0.0,
-            sheets: 0,
+            sheets: topology.components,
             coincident_facets: 0,
             outlier_vertices,
             area: mesh.area(),
-            topology: topology_unless(mesh, adjacency, token)?,
+            topology,
         })
     }
 }

@@ -72,8 +72,12 @@ impl MetricField {
     }
 }
 
+/// The unit normal; zero for a facet without area.
 fn normal([a, b, c]: [DVec3; 3]) -> DVec3 {
-    (b - a).normalize_or_zero().cross((c - a).normalize_or_zero()).normalize_or_zero()
+    /// A smaller sine between two sides is rounding, and its direction is none.
+    const LEAST_SINE: f64 = 1e-9;
+    let cross = (b - a).normalize_or_zero().cross((c - a).normalize_or_zero());
+    if cross.length() < LEAST_SINE { DVec3::ZERO } else { cross.normalize() }
 }
 
 /// Length of an edge between two sites, by their metrics: exact where the logarithm of the length changes evenly along the edge.
@@ -81,7 +85,8 @@ pub fn length(a: &Site, b: &Site) -> f64 {
     let edge = b.position - a.position;
     let (u, v) = (a.tensor.length(edge), b.tensor.length(edge));
     let ratio = v / u;
-    if (ratio - 1.0).abs() < EVEN { 0.5 * (u + v) } else { (v - u) / ratio.ln() }
+    // An edge without length has no ratio.
+    if u.min(v) <= 0.0 || (ratio - 1.0).abs() < EVEN { 0.5 * (u + v) } else { (v - u) / ratio.ln() }
 }
 
 /// Lengths at both ends that differ by less than this share are taken as even: the formula would lose its digits.
@@ -95,6 +100,12 @@ pub fn quality([a, b, c]: [&Site; 3]) -> f64 {
     let sum = 2.0 * (uu + vv - uv);
     // No facet without sides has a shape.
     if sum > 0.0 { 2.0 * 3f64.sqrt() * (uu * vv - uv * uv).max(0.0).sqrt() / sum } else { 0.0 }
+}
+
+/// Area of a facet in the mean metric of its corners.
+pub(crate) fn area([a, b, c]: [&Site; 3]) -> f64 {
+    let mean = (a.tensor + b.tensor + c.tensor) * (1.0 / 3.0);
+    0.5 * mean.parallelogram(b.position - a.position, c.position - a.position)
 }
 
 /// How near the edges of a triangulation are to length 1 in a metric, and its facets to equilateral triangles.

@@ -74,7 +74,7 @@ impl Tensor {
             for (p, q) in [(0, 1), (0, 2), (1, 2)] {
                 let off = m[p][q];
                 // Small beside both, it changes neither.
-                if off.abs() <= f64::EPSILON * 0.01 * (m[p][p] * m[q][q]).abs().sqrt() {
+                if off.abs() <= f64::EPSILON * 0.01 * m[p][p].abs().sqrt() * m[q][q].abs().sqrt() {
                     continue;
                 }
                 turned = true;
@@ -108,9 +108,13 @@ impl Tensor {
 
     /// The least eigenvalue, if the tensor is not positive definite.
     pub fn not_positive(&self) -> Option<f64> {
-        let least = self.eigen().0.into_iter().fold(f64::INFINITY, f64::min);
+        /// Less than this share of the largest one is the rounding of six numbers.
+        const ROUNDING: f64 = 1e-14;
+        let (values, _) = self.eigen();
+        let [least, most] = [f64::min, f64::max].map(|of| values.into_iter().reduce(of).unwrap_or(f64::NAN));
         // A NaN is not positive.
-        (least.is_nan() || least <= 0.0).then_some(least)
+        let positive = values.iter().all(|value| value.is_finite()) && least > ROUNDING * most;
+        (!positive).then_some(least)
     }
 
     /// The logarithm of a positive definite tensor.

@@ -5,7 +5,8 @@
 //! surface. Each pass has proposals, which are pure functions of the mesh as the pass finds it, and commits them by rank as long as
 //! nothing that they depend on has changed.
 //! Invariant: a manifold stays one, of the same topology. Vertices lie on the input, those of curves on their curves; corners and
-//! boundaries without a curve stay. No facet turns away from the input. The same bits whatever the number of threads.
+//! boundaries without a curve stay. No change makes a facet that faces away from the input where none did; the rest are counted. The
+//! same bits whatever the number of threads.
 //! Must not know: seeds, diagrams, where the metric comes from.
 
 mod collapse;
@@ -21,11 +22,13 @@ use super::Result;
 use super::constants::*;
 use super::features::polyline::{Polyline, Stretch};
 use super::manifold::LocalMesh;
-use crate::mesh::metric::{MetricField, Site, length, quality};
+use crate::mesh::edges::{sides, undirected};
+use crate::mesh::metric::{MetricField, Site, area, length, quality};
 use crate::token::Token;
 use rails::Rails;
 
 /// A triangulation on the input, unit frame.
+#[derive(Clone)]
 pub(super) struct Draft {
     pub(super) positions: Vec<DVec3>,
     pub(super) facets: Vec<[u32; 3]>,
@@ -43,7 +46,7 @@ pub(super) struct Adapted {
     /// For each vertex that stayed, which one of the draft it was.
     pub(super) fixed: Vec<Option<u32>>,
     pub(super) curve_edges: Vec<[u32; 2]>,
-    /// By how much lengths were scaled for the number of vertices: below 1, edges are longer.
+    /// What lengths in the metric were multiplied by for the number of vertices: below 1, edges are longer.
     pub(super) scale: f64,
     pub(super) rounds: usize,
     /// Facets that face away from the input.
@@ -69,37 +72,74 @@ struct Adapting<'a> {
     /// By vertex, which one of the draft it was, if it was one.
     origin: Vec<Option<u32>>,
     rails: Rails,
-    field: &'a mut MetricField,
+    field: &'a MetricField,
     /// The most vertices there may be.
     most: usize,
     token: &'a Token,
 }
 
-/// Makes the edges of `draft` unit edges. With a number of vertices, `field` is scaled for it.
-pub(super) fn adapt(draft: Draft, field: &mut MetricField, vertices: Option<usize>, token: &Token) -> Result<Adapted> {
-    let mut state = Adapting::new(draft, field, token)?;
-    let (mut rounds, mut scale) = (state.rounds(ADAPTING_ROUNDS)?, 1.0);
+/// A number of vertices to make, if one is asked for, and the most there may be.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Wanted {
+    pub(super) vertices: Option<usize>,
+    pub(super) most: usize,
+}
+
+/// Makes the edges of `draft` unit edges. With a number of vertices, `field` is scaled for it: first by the area of the draft in the
+/// metric, then by what came of that. Each attempt begins with the draft: edges from 0.71 to 1.41 stay, so that a triangulation that
+/// is scaled again keeps its number, or loses many vertices at once.
+pub(super) fn adapt(draft: Draft, field: &mut MetricField, wanted: Wanted, token: &Token) -> Result<Adapted> {
+    let Some(asked) = wanted.vertices else { return adapt_once(draft, field, wanted.most, token) };
+    let mut scale = scale_for(&draft, asked as f64, field, token)?;
+    field.scale(scale);
+    let mut best = Adapted { scale, ..adapt_once(draft.clone(), field, wanted.most, token)? };
     for _ in 0..SCALING_TIMES {
-        let Some(asked) = vertices else { break };
-        let share = asked as f64 / state.sites.len() as f64;
+        let share = asked as f64 / best.positions.len() as f64;
         if (share - 1.0).abs() < SCALING_TOLERANCE {
             break;
         }
-        // Twice as long edges make four times as many vertices.
-        state.scale(share.sqrt())?;
-        scale *= share.sqrt();
-        rounds += state.rounds(SCALED_ROUNDS)?;
+        let to = best.scale * share.sqrt();
+        field.scale(to / scale);
+        scale = to;
+        let next = adapt_once(draft.clone(), field, wanted.most, token)?;
+        let rounds = best.rounds + next.rounds;
+        if next.positions.len().abs_diff(asked) >= best.positions.len().abs_diff(asked) {
+            best.rounds = rounds;
+            break;
+        }
+        best = Adapted { scale, rounds, ..next };
     }
+    field.scale(best.scale / scale);
+    Ok(best)
+}
+
+fn adapt_once(draft: Draft, field: &MetricField, most: usize, token: &Token) -> Result<Adapted> {
+    let mut state = Adapting::new(draft, field, most, token)?;
+    let rounds = state.rounds()?;
     let facing_away = state.facing_away()?;
     let Adapting { mesh, mobility, origin, rails, .. } = state;
     let (positions, facets) = mesh.into_parts();
     let stays = |(origin, mobility): (Option<u32>, Mobility)| origin.filter(|_| mobility == Mobility::Fixed);
     let fixed = origin.into_iter().zip(mobility).map(stays).collect();
-    Ok(Adapted { positions, facets, fixed, curve_edges: rails.edges(), scale, rounds, facing_away })
+    Ok(Adapted { positions, facets, fixed, curve_edges: rails.edges(), scale: 1.0, rounds, facing_away })
+}
+
+/// What lengths are multiplied by so that unit edges make `asked` vertices: n = c A s² + B s / 2, with the area A and the boundary B
+/// of the draft in the metric.
+fn scale_for(draft: &Draft, asked: f64, field: &MetricField, token: &Token) -> Result<f64> {
+    let sites = Adapting::sites(field, &draft.positions, token)?;
+    let of = |v: u32| &sites[v as usize];
+    let area: f64 = draft.facets.iter().map(|t| area(t.map(of))).sum();
+    let mut edges: Vec<[u32; 2]> = draft.facets.iter().flat_map(|&t| sides(t).map(undirected)).collect();
+    edges.sort_unstable();
+    let open = edges.chunk_by(|a, b| a == b).filter(|same| same.len() == 1).map(|same| same[0]);
+    let boundary: f64 = open.map(|[a, b]| length(of(a), of(b))).sum();
+    let (by_area, by_boundary) = (VERTICES_PER_AREA * area, 0.5 * boundary);
+    Ok(2.0 * asked / (by_boundary + (by_boundary * by_boundary + 4.0 * by_area * asked).sqrt()))
 }
 
 impl<'a> Adapting<'a> {
-    fn new(draft: Draft, field: &'a mut MetricField, token: &'a Token) -> Result<Self> {
+    fn new(draft: Draft, field: &'a MetricField, most: usize, token: &'a Token) -> Result<Self> {
         let Draft { positions, facets, fixed, lines, stretches } = draft;
         let rails = Rails::new(lines, &stretches);
         let curves = rails.edges().into_iter().collect();
@@ -114,7 +154,7 @@ impl<'a> Adapting<'a> {
         };
         let mobility = fixed.iter().enumerate().map(of).collect();
         let origin = (0..fixed.len() as u32).map(Some).collect();
-        let most = fixed.len() * MOST_GROWTH + SPARE_VERTICES;
+        let most = (fixed.len() * MOST_GROWTH + SPARE_VERTICES).min(most);
         Ok(Self { mesh, sites, mobility, origin, rails, field, most, token })
     }
 
@@ -123,15 +163,9 @@ impl<'a> Adapting<'a> {
         Ok(positions.par_iter().enumerate().map(at).collect::<Result<_, _>>()?)
     }
 
-    fn scale(&mut self, factor: f64) -> Result<()> {
-        self.field.scale(factor);
-        self.sites = Self::sites(self.field, &self.mesh.positions, self.token)?;
-        Ok(())
-    }
-
     /// Rounds until little changes. Returns how many there were.
-    fn rounds(&mut self, most: usize) -> Result<usize> {
-        for round in 1..=most {
+    fn rounds(&mut self) -> Result<usize> {
+        for round in 1..=ADAPTING_ROUNDS {
             let mut changed = self.collapse()?;
             self.flip()?;
             let [split, astray] = self.split()?;
@@ -143,7 +177,7 @@ impl<'a> Adapting<'a> {
                 return Ok(round);
             }
         }
-        Ok(most)
+        Ok(ADAPTING_ROUNDS)
     }
 
     fn site(&self, v: u32) -> &Site {

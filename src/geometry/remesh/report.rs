@@ -274,7 +274,8 @@ pub struct AdaptedFigures {
     /// Lengths and shapes in the metric, scaled.
     #[serde(flatten)]
     pub figures: MetricFigures,
-    /// By how much the metric's edges were made longer for the number of vertices that was asked for; 1 if none was.
+    /// What lengths in the metric were multiplied by for the number of vertices that was asked for: below 1, edges are longer. 1 if none
+    /// was.
     pub scale: f64,
     /// Rounds of local changes.
     pub rounds: usize,

@@ -31,7 +31,7 @@ use crate::Traffic;
 use geometry::rvd::parallel::Parallel;
 use geometry::rvd::{
     Capacities, CellSums, DeviceWork, PassStats, PhasesMs, PieceBatch, Resident, RvdError, Session, SessionOptions,
-    Surface, elapsed_ms,
+    Surface, check_seeds, elapsed_ms,
 };
 use geometry::token::Token;
 
@@ -308,6 +308,8 @@ impl<P: DeviceSpace> GpuSession<P> {
 
 impl<P: DeviceSpace> Session<P> for GpuSession<P> {
     fn set_seeds(&mut self, seeds: &[P]) -> Result<()> {
+        // Before room is made: seeds that are refused leave the session as it was.
+        check_seeds(seeds, self.cx.max_seeds)?;
         self.on_pool(|session| session.make_room(seeds.len()))?;
         self.neighbours.set_seeds(seeds)?;
         self.seeds_changed();

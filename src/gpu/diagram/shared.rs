@@ -1,13 +1,14 @@
 //! The GPU backend on several devices.
 //!
-//! Purpose: [`SharedGpu`] shares the facets of each surface out to its devices in ranges of one length.
+//! Purpose: [`SharedGpu`] shares the facets of each surface out to its devices in ranges of one length. A lifted surface is done by
+//! the first one alone.
 //! Invariant: sums, and seeds that move, have the same bits on any number of devices of one kind. Must not know: how facets are done.
 
 use std::sync::Arc;
 
 use super::session::SharedSession;
 use super::{Gpu, Result};
-use geometry::rvd::{Backend, BackendKind, DeviceFacts, RvdError, Session, SessionOptions, Surface};
+use geometry::rvd::{Backend, BackendKind, DeviceFacts, Lifted, RvdError, Session, SessionOptions, Surface};
 
 /// Several devices that share the facets of each job.
 #[derive(Debug)]
@@ -66,5 +67,21 @@ impl Backend for SharedGpu {
 
     fn session(&self, surface: Arc<Surface>, options: SessionOptions) -> Result<Box<dyn Session>> {
         Ok(Box::new(SharedSession::open(&self.gpus, &surface, options)?))
+    }
+
+    fn lifted_session(
+        &self,
+        surface: Arc<Surface<Lifted>>,
+        options: SessionOptions,
+    ) -> Result<Box<dyn Session<Lifted>>> {
+        self.first().lifted_session(surface, options)
+    }
+
+    fn exact_lifted_session(
+        &self,
+        surface: Arc<Surface<Lifted>>,
+        options: SessionOptions,
+    ) -> Result<Box<dyn Session<Lifted>>> {
+        self.first().exact_lifted_session(surface, options)
     }
 }

@@ -206,7 +206,9 @@ impl Reader<'_> {
         let lengths = arrays.edge_lengths.as_ref().map(lengths).transpose()?;
         let weights = arrays.weights.as_ref().map(|array| self.numbers(WEIGHTS, array, 1)).transpose()?;
         let metric = |array: &ArrayRef| match array.form {
-            ArrayForm::Text => self.text(METRIC, array, |text| surface.tensors(io::lists::tensors(text, self.token)?)),
+            ArrayForm::Text => {
+                self.text(METRIC, array, |text| surface.tensors(io::lists::tensors(text, surface.count(), self.token)?))
+            }
             _ => Ok(tensors(&self.numbers(METRIC, array, Tensor::NUMBERS as u64)?)),
         };
         let metric = arrays.metric.as_ref().map(metric).transpose()?;

@@ -227,9 +227,9 @@ fn of_density(error: &DensityError) -> Fault {
         DensityError::SizeCount { .. } => "mesh.edge_lengths".to_owned(),
         DensityError::BadSize { vertex, .. } => format!("mesh.edge_lengths[{vertex}]"),
         DensityError::MetricCount { .. } => "mesh.metric".to_owned(),
-        DensityError::MetricNotFinite { vertex } | DensityError::MetricNotPositive { vertex, .. } => {
-            format!("mesh.metric[{vertex}]")
-        }
+        DensityError::MetricNotFinite { vertex }
+        | DensityError::MetricNotPositive { vertex, .. }
+        | DensityError::MetricRange { vertex } => format!("mesh.metric[{vertex}]"),
         DensityError::BadOption { name, .. } => format!("header.options.density.{}", name.replace(' ', "_")),
         DensityError::NoCount | DensityError::PointLimit { .. } => "header.options.points".to_owned(),
         DensityError::TooManyPoints { .. } => "header.options.density".to_owned(),

@@ -48,7 +48,7 @@ pub(super) fn lengths(net: &Net, tensors: &[Tensor], token: &Token) -> Result<Ve
     let lengths: Vec<f64> = (0..net.vertices()).map(of).collect();
     // A tensor may be so small or large that its areas are no numbers.
     match lengths.iter().position(|h| !(h.is_finite() && *h > 0.0)) {
-        Some(vertex) => Err(DensityError::BadSize { vertex, value: lengths[vertex] }),
+        Some(vertex) => Err(DensityError::MetricRange { vertex }),
         None => Ok(lengths),
     }
 }

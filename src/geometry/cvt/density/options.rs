@@ -192,6 +192,14 @@ pub enum DensityError {
         /// Its least eigenvalue.
         least: f64,
     },
+    /// Lengths that a metric tensor stands for are no numbers.
+    #[error(
+        "the metric tensor of vertex {vertex} stands for lengths too small or too large for numbers; scale the metric"
+    )]
+    MetricRange {
+        /// The vertex, from 0.
+        vertex: usize,
+    },
     /// An option is outside its range.
     #[error("{name} is {value}; it must be {range}")]
     BadOption {

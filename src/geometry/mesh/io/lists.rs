@@ -58,13 +58,14 @@ pub fn points(text: &str, most: usize, token: &Token) -> Result<Vec<DVec3>, Data
     Ok(points)
 }
 
-/// Metric tensors, six numbers a line: m11, m12, m22, m13, m23, m33. Reading ends early once the token is stopped.
-pub fn tensors(text: &str, token: &Token) -> Result<Vec<Tensor>, DataError> {
+/// Metric tensors, six numbers a line: m11, m12, m22, m13, m23, m33. Reading ends after one more than `most`, or once the token is
+/// stopped.
+pub fn tensors(text: &str, most: usize, token: &Token) -> Result<Vec<Tensor>, DataError> {
     let tensor = |(number, line)| match numbers::<f64, { Tensor::NUMBERS }>(line) {
         Some(tensor) => Ok(Tensor(tensor)),
         None => Err(syntax(number, format!("not six numbers: {}", shown(line)))),
     };
-    lines(text, token).map(tensor).collect()
+    lines(text, token).take(most.saturating_add(1)).map(tensor).collect()
 }
 
 /// How the vertices of a file are numbered in the surface that was read from it.
@@ -75,6 +76,11 @@ pub struct FileVertices {
 }
 
 impl FileVertices {
+    /// How many vertices the file has.
+    pub fn count(&self) -> usize {
+        self.count
+    }
+
     /// Whether the vertices of such a file have numbers.
     pub fn are_numbered(format: Format) -> bool {
         !matches!(format.codec().vertices, VertexNumbers::Absent)

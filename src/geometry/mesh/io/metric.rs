@@ -26,7 +26,7 @@ pub fn read(name: &str, bytes: &[u8], token: &Token) -> Result<Vec<Tensor>, Data
         "npy" => of_numpy(plain),
         _ => {
             let wrong = || DataError::Header(format!("the name does not end in {FILES}, and it is no text"));
-            lists::tensors(std::str::from_utf8(plain).map_err(|_| wrong())?, token)
+            lists::tensors(std::str::from_utf8(plain).map_err(|_| wrong())?, usize::MAX, token)
         }
     }
 }
@@ -195,22 +195,23 @@ fn of_numpy(bytes: &[u8]) -> Result<Vec<Tensor>, DataError> {
         ">f4" => (Kind::F32, Order::Big),
         other => return Err(wrong(format!("its numbers are {}", super::numbers::plain(other, 20)))),
     };
-    let shape = field("shape").and_then(|rest| rest.strip_prefix('(')?.split_once(')')).map(|(s, _)| s);
-    let shape: Option<Vec<usize>> =
-        shape.map(|text| text.split(',').filter(|n| !n.is_empty()).map(|n| n.parse().unwrap_or(usize::MAX)).collect());
-    let shape = shape.unwrap_or_default();
+    let text = field("shape").and_then(|rest| rest.strip_prefix('(')?.split_once(')')).map_or("", |(sizes, _)| sizes);
+    let sizes = text.split(',').filter(|n| !n.is_empty()).take(4);
+    let shape: Vec<usize> = sizes.map(|n| n.parse().unwrap_or(usize::MAX)).collect();
+    let shown = || super::numbers::plain(text, 40);
     let each = match shape[..] {
         [_, 6] => 6,
         [_, 3] => 3,
         [_, 3, 3] => 9,
-        _ => return Err(wrong(format!("its shape is {shape:?}"))),
+        _ => return Err(wrong(format!("its shape is ({})", shown()))),
     };
     let by_columns = field("fortran_order").is_some_and(|rest| rest.starts_with("True"));
     let numbers = kind.floats(data, order);
     if shape[0].checked_mul(each) != Some(numbers.len()) {
         return Err(DataError::Truncated(format!(
-            "it has {} numbers, not those of its shape {shape:?}",
-            numbers.len()
+            "it has {} numbers, not those of its shape ({})",
+            numbers.len(),
+            shown()
         )));
     }
     let n = shape[0];

@@ -58,7 +58,7 @@ impl Adapting<'_> {
         let mut offer = |site: Site, along: Option<(Beside, f64)>| {
             let most = best.as_ref().map_or(here - LEAST_MOVE_GAIN, |best| here - best.gain);
             let cost = self.cost(v, &site, most);
-            if cost < most {
+            if cost < most && self.faces_at(v, site.position) {
                 best = Some(Proposal { gain: here - cost, v, site, along });
             }
         };
@@ -80,10 +80,14 @@ impl Adapting<'_> {
                 }
             }
         }
-        let best = best?;
-        let corners: Vec<_> =
-            self.mesh.ring(v).iter().map(|&f| self.mesh.corners_with(f, v, best.site.position)).collect();
-        self.face(&corners, self.mesh.ring(v).iter().map(|&f| self.mesh.corners(f))).then_some(best)
+        best
+    }
+
+    /// Whether the facets around a vertex face as they should with it at a place.
+    fn faces_at(&self, v: u32, place: DVec3) -> bool {
+        let ring = self.mesh.ring(v);
+        let corners: Vec<_> = ring.iter().map(|&f| self.mesh.corners_with(f, v, place)).collect();
+        self.face(&corners, ring.iter().map(|&f| self.mesh.corners(f)))
     }
 
     /// The step that makes the edges of a vertex unit edges, in the mean.
@@ -101,23 +105,28 @@ impl Adapting<'_> {
     }
 
     /// What the edges and facets around `v` lack with it at a site, or any number not less than `most` if it is not less.
-    /// Infinite if a facet turned over.
+    /// Infinite if a facet turned over, or became a poor one.
     fn cost(&self, v: u32, site: &Site, most: f64) -> f64 {
         let mut cost = 0.0;
+        // Of the shapes around it, there and here.
+        let (mut least, mut before) = (f64::INFINITY, f64::INFINITY);
         for &f in self.mesh.ring(v) {
             let t = self.mesh.facets()[f as usize];
             if self.mesh.is_turned(f, self.mesh.corners_with(f, v, site.position), TURNED_COSINE) {
                 return f64::INFINITY;
             }
             let of = |u: u32| if u == v { site } else { self.site(u) };
-            cost += SHAPE_WEIGHT * (1.0 - quality(t.map(of))).powi(2);
+            let shape = quality(t.map(of));
+            (least, before) = (least.min(shape), before.min(self.quality(t)));
+            cost += SHAPE_WEIGHT * (1.0 - shape).powi(2);
             // Each edge is that of two facets.
             let others = t.into_iter().filter(|&u| u != v);
             cost += others.map(|u| 0.5 * length(site, self.site(u)).ln().powi(2)).sum::<f64>();
             if cost >= most {
-                break;
+                return cost;
             }
         }
-        cost
+        // As for collapses: beside a crease a vertex would be pulled onto it.
+        if least < POOR_QUALITY && least < before { f64::INFINITY } else { cost }
     }
 }

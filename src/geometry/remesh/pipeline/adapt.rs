@@ -8,7 +8,7 @@ use crate::mesh::TriMesh;
 use crate::mesh::metric::{MetricField, MetricFigures};
 use crate::mesh::tensor::Tensor;
 use crate::remesh::features::KeptCurves;
-use crate::remesh::metric::{self, Draft};
+use crate::remesh::metric::{self, Draft, Wanted};
 use crate::remesh::report::AdaptedFigures;
 use crate::remesh::{RemeshError, Result};
 use crate::rvd::{RvdError, Surface};
@@ -20,7 +20,7 @@ pub(super) fn adapt(
     built: Built,
     (input, tensors): (&TriMesh, &[Tensor]),
     (surface, curves): (&Surface, &KeptCurves),
-    vertices: Option<usize>,
+    wanted: Wanted,
     token: &Token,
 ) -> Result<Built> {
     let frame = surface.frame();
@@ -38,7 +38,7 @@ pub(super) fn adapt(
     let Built { mesh, segments, repair, missed, .. } = built;
     let (places, facets) = mesh.into_parts();
     let positions = places.iter().map(|&p| unit(p)).collect();
-    let adapted = metric::adapt(Draft { positions, facets, fixed, lines, stretches }, &mut field, vertices, token)?;
+    let adapted = metric::adapt(Draft { positions, facets, fixed, lines, stretches }, &mut field, wanted, token)?;
     // A fixed vertex has its own bits.
     let place = |(p, from): (&glam::DVec3, &Option<u32>)| from.map_or(frame.to_world(*p), |v| places[v as usize]);
     let world = adapted.positions.iter().zip(&adapted.fixed).map(place).collect();

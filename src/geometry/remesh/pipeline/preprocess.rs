@@ -13,7 +13,7 @@ use crate::mesh::adjacency::{Adjacency, weld_unless};
 use crate::mesh::apart::Apart;
 use crate::mesh::duplicates::{self, InputKind};
 use crate::mesh::edges::{sides, undirected};
-use crate::mesh::hanging::{self, Divided};
+use crate::mesh::hanging::{self, Divided, DividedEdges};
 use crate::mesh::input::{Reach, make_consistent, stitch_boundaries};
 use crate::mesh::measure::{Topology, topology_unless};
 use crate::mesh::sheets::Sheets;
@@ -29,7 +29,8 @@ pub(super) struct Preprocessed {
     pub(super) changed: Option<TriMesh>,
     /// For each facet the one of the input that it is of, if there are fewer or more.
     origin: Option<Vec<u32>>,
-    divided: Option<Divided>,
+    /// Edges that were divided.
+    divided: Option<DividedEdges>,
 }
 
 /// The figures of the input, and the changed surface. `weld`: how far boundaries may be apart that are joined, caller's units.
@@ -46,12 +47,11 @@ pub(super) fn preprocess(given: &TriMesh, weld: Option<f64>, token: &Token) -> R
     token.check()?;
     let mut divided = None;
     if adjacency.boundary_edges > 0
-        && let Some(mut found) = hanging::divide(changed.as_ref().unwrap_or(given), &adjacency, reach.distance, token)?
+        && let Some(found) = hanging::divide(changed.as_ref().unwrap_or(given), &adjacency, reach.distance, token)?
     {
-        adjacency = Adjacency::unless(&found.mesh, token)?;
-        origin = Some(std::mem::take(&mut found.origin));
-        changed = Some(found.mesh.clone());
-        divided = Some(found);
+        let Divided { mesh, origin: of, edges } = found;
+        adjacency = Adjacency::unless(&mesh, token)?;
+        (changed, origin, divided) = (Some(mesh), Some(of), Some(edges));
     }
     token.check()?;
     let mut coincident_facets = 0;
@@ -79,8 +79,7 @@ pub(super) fn preprocess(given: &TriMesh, weld: Option<f64>, token: &Token) -> R
     }
     figures.stitched_vertices = stitched_vertices;
     figures.coincident_facets = coincident_facets;
-    figures.divided_edges = divided.as_ref().map_or(0, |divided: &Divided| divided.edges.len());
-    figures.sheets = figures.topology.components;
+    figures.divided_edges = divided.as_ref().map_or(0, DividedEdges::len);
     Ok(Preprocessed { figures, changed, origin, divided })
 }
 
@@ -184,7 +183,7 @@ impl Preprocessed {
             // Where sheets meet, each has a curve, so that all have vertices in the same places.
             adapted.creases.extend(seams);
             if let Some(apart) = apart {
-                adapted.creases = edges_of_sheets(&adapted.creases, clean, &class, apart);
+                adapted.creases = edges_of_sheets(&adapted.creases, &class, apart);
             }
         }
         if let Some(Apart { copied, .. }) = apart {
@@ -206,12 +205,10 @@ impl Preprocessed {
     pub(super) fn given_apart(&self, given: &TriMesh, apart: &Apart) -> Result<TriMesh, MeshError> {
         let mut facets = given.facets().to_vec();
         if !apart.copied.is_empty() {
-            let vertices = (apart.mesh.positions().len() - apart.copied.len()) as u32;
-            let before = |v: u32| if v < vertices { v } else { apart.copied[(v - vertices) as usize] };
             for (k, present) in apart.mesh.facets().iter().enumerate() {
                 let f = self.origin.as_ref().map_or(k, |origin| origin[k] as usize);
                 for (corner, &v) in facets[f].iter_mut().zip(&given.facets()[f]) {
-                    if let Some(&own) = present.iter().find(|&&own| before(own) == v) {
+                    if let Some(&own) = present.iter().find(|&&own| apart.before(own) == v) {
                         *corner = own;
                     }
                 }
@@ -221,15 +218,14 @@ impl Preprocessed {
     }
 }
 
-/// The edges that `edges` of `clean` are in each sheet. Those that are none stay as they are, to be refused.
-fn edges_of_sheets(edges: &[[u32; 2]], clean: &TriMesh, class: &[u32], apart: &Apart) -> Vec<[u32; 2]> {
+/// What `edges` are in each sheet. Those that are none stay as they are, to be refused. `class` has the lowest vertex in the place
+/// of each, before the sheets were moved.
+fn edges_of_sheets(edges: &[[u32; 2]], class: &[u32], apart: &Apart) -> Vec<[u32; 2]> {
     let welded = |[a, b]: [u32; 2]| undirected([a, b].map(|v| class.get(v as usize).copied().unwrap_or(v)));
     let mut found: HashMap<[u32; 2], Vec<[u32; 2]>> = edges.iter().map(|&edge| (welded(edge), Vec::new())).collect();
-    for (before, now) in clean.facets().iter().zip(apart.mesh.facets()) {
-        for (then, now) in sides(*before).into_iter().zip(sides(*now)) {
-            if let Some(of_sheets) = found.get_mut(&welded(then)) {
-                of_sheets.push(undirected(now));
-            }
+    for now in apart.mesh.facets().iter().flat_map(|&facet| sides(facet)) {
+        if let Some(of_sheets) = found.get_mut(&welded(now.map(|v| apart.before(v)))) {
+            of_sheets.push(undirected(now));
         }
     }
     let mut all = Vec::with_capacity(edges.len());

@@ -23,6 +23,7 @@ use crate::mesh::closest_point::ClosestPoint;
 use crate::mesh::comparison::{Comparison, Distances};
 use crate::remesh::constants::*;
 use crate::remesh::features::KeptCurves;
+use crate::remesh::metric::Wanted;
 use crate::remesh::report::{DeviceFigures, RefineEnd};
 use crate::remesh::{Limits, Placement, RemeshOptions, Result, Seeds};
 use crate::rvd::{Lifted, RvdError};
@@ -347,7 +348,8 @@ fn build<P: Metric>(
     schedule.figures.refine.out_of_tolerance = built.missed;
     if let DensitySource::Metric(tensors) = &options.density.source {
         let asked = options.seeds.drawn();
-        built = adapt::adapt(built, (schedule.job.separated, tensors), (surface, curves), asked, token)?;
+        let wanted = Wanted { vertices: asked, most: options.density.max_points };
+        built = adapt::adapt(built, (schedule.job.separated, tensors), (surface, curves), wanted, token)?;
         // Vertices are not those of the seeds any more.
         seeds = built.mesh.positions().to_vec();
         schedule.figures.asked = asked.unwrap_or(seeds.len());

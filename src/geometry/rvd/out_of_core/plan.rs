@@ -1,8 +1,7 @@
 //! The memory that a diagram in windows takes.
 //!
 //! Purpose: [`Plan::new`] chooses the windows for a limit, from counts alone.
-//! Invariant: the plan is known before anything is allocated, and the process comes to what it says, within a tenth. Must not know:
-//! contents of files.
+//! Invariant: the plan is known before anything is allocated, and the process takes no more. Must not know: contents of files.
 
 use serde::Serialize;
 

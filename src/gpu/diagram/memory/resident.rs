@@ -71,24 +71,48 @@ impl<P: DeviceSpace> Memory<P> {
         if needed <= limit {
             return Ok(());
         }
-        let (share, before) = (self.counts.facets, self.windows.most);
-        let mut most = share.next_power_of_two() / 2;
-        while needed > limit && most >= FEWEST {
-            self.windows.most = most;
-            self.cut();
-            self.lay_out(flags);
-            self.hold(1);
+        let before = self.windows.most;
+        let mut most = self.counts.facets.next_power_of_two() / 2;
+        let mut least = needed;
+        // The windows of which the fewest facets take turns: facets, windows' length, buffers.
+        let mut best: Option<(u64, u64, usize)> = None;
+        while most >= FEWEST && best.is_none_or(|best| best.0 > 0) {
+            let buffers = self.hold_in(most, limit, flags);
             needed = self.total_bytes();
+            least = least.min(needed);
+            if needed <= limit {
+                let turns = self.facets_in_turn();
+                if best.is_none_or(|best| turns < best.0) {
+                    best = Some((turns, most, buffers));
+                }
+            }
             most /= 2;
         }
-        if needed > limit {
+        let Some((_, most, buffers)) = best else {
             self.windows.most = before;
-            return Err(RvdError::OutOfMemory { needed_bytes: needed, limit_bytes: limit });
-        }
-        let (window, _) = window_bytes(self.counts.lifted, self.counts.window);
-        let more = (limit - needed) / window.max(1);
-        self.hold(1 + usize::try_from(more).unwrap_or(usize::MAX));
+            return Err(RvdError::OutOfMemory { needed_bytes: least, limit_bytes: limit });
+        };
+        self.hold_in(most, limit, flags);
+        self.hold(buffers);
         Ok(())
+    }
+
+    /// Cuts windows of at most `most` facets, with as many buffers for records as fit, at least one. Returns their number.
+    fn hold_in(&mut self, most: u64, limit: u64, flags: bool) -> usize {
+        self.windows.most = most;
+        self.cut();
+        self.lay_out(flags);
+        self.hold(1);
+        let (window, _) = window_bytes(self.counts.lifted, self.counts.window);
+        let more = limit.saturating_sub(self.total_bytes()) / window.max(1);
+        self.hold(1 + usize::try_from(more).unwrap_or(usize::MAX - 1));
+        self.resident.buffers
+    }
+
+    /// Facets whose records are not on the device all the time.
+    fn facets_in_turn(&self) -> u64 {
+        let turns = self.windows.all.get(self.resident.staying()..).unwrap_or_default();
+        turns.iter().map(|window| window.facets.len() as u64).sum()
     }
 
     /// Has so many buffers for records, or one for each window.

@@ -8,6 +8,7 @@
 
 use std::ops::Range;
 use std::sync::Arc;
+use std::thread::ScopedJoinHandle;
 
 use glam::DVec3;
 
@@ -24,6 +25,7 @@ use geometry::token::Token;
 /// What a device found of its facets: sums of all cells, in units.
 struct Share {
     words: Vec<u32>,
+    scales: fixed::Scales,
     stats: PassStats,
 }
 
@@ -45,16 +47,27 @@ impl<P: DeviceSpace> GpuSession<P> {
         let records = records.as_deref();
         let mut others = std::mem::take(&mut self.others);
         let (own, theirs) = std::thread::scope(|scope| {
-            let shares = others.iter_mut().map(|other| scope.spawn(move || other.share_of_sums(records, token)));
-            let running: Vec<_> = shares.collect();
-            let own = self.run_share(token, stats);
+            let refused = |error| RvdError::Internal(format!("no thread for a device: {error}"));
             let lost = |_| Err(RvdError::Internal("a device's share came to no end".to_owned()));
-            (own, running.into_iter().map(|share| share.join().unwrap_or_else(lost)).collect::<Vec<_>>())
+            let running: Vec<_> = others
+                .iter_mut()
+                .map(|other| {
+                    std::thread::Builder::new().spawn_scoped(scope, move || other.share_of_sums(records, token))
+                })
+                .collect();
+            let own = self.run_share(token, stats);
+            let end = |share: std::io::Result<ScopedJoinHandle<'_, Result<Share>>>| {
+                share.map_err(refused).and_then(|share| share.join().unwrap_or_else(lost))
+            };
+            (own, running.into_iter().map(end).collect::<Vec<_>>())
         });
         self.others = others;
         own?;
         for share in theirs {
-            let Share { words, stats: of_share } = share?;
+            let Share { words, scales, stats: of_share } = share?;
+            if scales != self.clip.scales {
+                return Err(RvdError::Internal("devices chose different units for one pass".to_owned()));
+            }
             // Times are not added up: devices work at the same time.
             stats.add(&PassStats { neighbours_ms: 0.0, start_ms: 0.0, ..of_share });
             // As if the host had clipped them.
@@ -85,7 +98,7 @@ impl<P: DeviceSpace> GpuSession<P> {
             session.run_share(token, &mut stats)?;
             session.ensure_memory()?;
             let words = session.clip.sum_words(&session.memory, session.neighbours.count)?;
-            Ok(Share { words, stats })
+            Ok(Share { words, scales: session.clip.scales, stats })
         })
     }
 }
@@ -98,6 +111,8 @@ pub(in crate::diagram) struct SharedSession {
     options: SessionOptions,
     /// For pieces, once they are asked for.
     whole: Option<GpuSession<DVec3>>,
+    /// `whole` has the present seeds.
+    whole_is_present: bool,
 }
 
 impl SharedSession {
@@ -118,7 +133,7 @@ impl SharedSession {
         let mut session = sessions.next().ok_or_else(none)??;
         session.others = sessions.collect::<Result<_>>()?;
         let gpu = Arc::clone(gpus.first().ok_or_else(none)?);
-        Ok(Self { session, gpu, surface: Arc::clone(surface), options, whole: None })
+        Ok(Self { session, gpu, surface: Arc::clone(surface), options, whole: None, whole_is_present: false })
     }
 
     fn all(&self) -> impl Iterator<Item = &GpuSession<DVec3>> {
@@ -128,6 +143,7 @@ impl SharedSession {
 
 impl Session for SharedSession {
     fn set_seeds(&mut self, seeds: &[DVec3]) -> Result<()> {
+        self.whole_is_present = false;
         self.session.set_seeds(seeds)?;
         self.session.others.iter_mut().try_for_each(|other| other.set_seeds(seeds))
     }
@@ -144,12 +160,19 @@ impl Session for SharedSession {
                 none.insert(self.gpu.pool.install(open)?)
             }
         };
-        if self.session.neighbours.place == Place::Set {
-            whole.set_seeds(&self.session.neighbours.seeds)?;
-        } else {
-            let records = self.session.on_pool(|session| session.seed_records(token))?;
-            whole.neighbours.set_records(&records);
-            whole.seeds_changed();
+        if let Place::Trial(_) = self.session.neighbours.place {
+            self.session.neighbours.place = Place::Point;
+            self.session.seeds_changed();
+        }
+        if !self.whole_is_present {
+            if self.session.neighbours.place == Place::Set {
+                whole.set_seeds(&self.session.neighbours.seeds)?;
+            } else {
+                let records = self.session.on_pool(|session| session.seed_records(token))?;
+                whole.neighbours.set_records(&records);
+                whole.seeds_changed();
+            }
+            self.whole_is_present = true;
         }
         whole.pieces(facets, out, token)
     }
@@ -160,7 +183,11 @@ impl Session for SharedSession {
 
     fn device_work(&self) -> DeviceWork {
         let mut work = DeviceWork::default();
-        self.all().for_each(|session| work += session.work());
+        std::iter::once(&self.session).chain(&self.session.others).for_each(|session| work += session.work());
+        // Submissions and bytes of its device are the first session's.
+        if let Some(whole) = &self.whole {
+            work += DeviceWork { host_searches: whole.neighbours.host_searches, ..whole.clip.work };
+        }
         work
     }
 
@@ -169,6 +196,8 @@ impl Session for SharedSession {
     }
 
     fn resident(&mut self) -> Option<&mut dyn Resident> {
+        // The caller may move them.
+        self.whole_is_present = false;
         self.session.resident()
     }
 }
