@@ -1,4 +1,4 @@
-//! Attributes of a surface: normals, texture coordinates, colours, scalars.
+//! Attributes of a surface: normals, texture coordinates, colours, scalars, regions.
 //!
 //! Purpose: [`Attributes`] stands beside a [`TriMesh`], which knows nothing of it. Invariant: every array has the count that
 //! the mesh asks for, indices are in range and numbers finite; normals are of unit length, or zero where none is known;
@@ -7,6 +7,7 @@
 use glam::{DVec2, DVec3};
 
 use super::numbers::NumberType;
+use super::regions::{Regions, RegionsError};
 use super::{MAX_ELEMENTS, TriMesh};
 
 /// Values by corner, so that facets around a vertex may have different ones; such edges are seams.
@@ -144,6 +145,9 @@ pub enum AttributeError {
         /// Which of its values, from 0.
         index: usize,
     },
+    /// Regions will not do.
+    #[error(transparent)]
+    Regions(#[from] RegionsError),
     /// A file holds it in a way that cannot be understood.
     #[error("{attribute}: {message}")]
     Unreadable {
@@ -182,6 +186,7 @@ pub struct Attributes {
     texture: Option<PerCorner<DVec2>>,
     colours: Option<Colours>,
     scalars: Vec<Scalar>,
+    regions: Option<Regions>,
 }
 
 const NORMALS: &str = "normals";
@@ -198,6 +203,7 @@ impl Attributes {
             texture: None,
             colours: None,
             scalars: Vec::new(),
+            regions: None,
         }
     }
 
@@ -279,6 +285,18 @@ impl Attributes {
         Ok(())
     }
 
+    /// Takes the region of each facet.
+    pub fn set_regions(&mut self, regions: Regions) -> Result<(), AttributeError> {
+        check_count("regions", regions.of_facet().len(), self.facets, "facets")?;
+        self.regions = Some(regions);
+        Ok(())
+    }
+
+    /// The regions, if any.
+    pub fn regions(&self) -> Option<&Regions> {
+        self.regions.as_ref()
+    }
+
     /// The normals, if any.
     pub fn normals(&self) -> Option<&Normals> {
         self.normals.as_ref()
@@ -301,7 +319,11 @@ impl Attributes {
 
     /// Whether the mesh has no attributes.
     pub fn is_empty(&self) -> bool {
-        self.normals.is_none() && self.texture.is_none() && self.colours.is_none() && self.scalars.is_empty()
+        self.normals.is_none()
+            && self.texture.is_none()
+            && self.colours.is_none()
+            && self.scalars.is_empty()
+            && self.regions.is_none()
     }
 
     /// Checks that they can be `mesh`'s.
