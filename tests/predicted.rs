@@ -401,6 +401,7 @@ const CHOICES: &[&str] = &[
     "RemeshOptions.boundaries",
     "RemeshOptions.crease_angle",
     "RemeshOptions.measure",
+    "RemeshOptions.non_manifold",
     "RemeshOptions.placement",
     "RemeshOptions.projection",
     "RemeshOptions.seed",

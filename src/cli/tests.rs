@@ -74,6 +74,7 @@ fn options_come_through_the_message() {
         "--anisotropy auto --density error",
         "--anisotropy 0.1 --density error-max",
         "--weld 0.01",
+        "--non-manifold keep",
         "--weld 0.01%",
     ] {
         let (_, given) = asked(line);

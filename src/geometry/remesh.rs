@@ -262,6 +262,9 @@ pub struct RemeshOptions {
     pub keep_thin: bool,
     /// How far boundaries may be apart that are joined, up to 0.4 of their edges. `None` joins only what rounding separates.
     pub weld: Option<Tolerance>,
+    /// Whether sheets that meet in edges of three or more facets have their vertices there in common, as the input has. Otherwise
+    /// each sheet has its own, in the same places.
+    pub keep_non_manifold: bool,
     /// How long cells may be along the surface's lines of least curvature.
     pub anisotropy: Anisotropy,
     /// Whether to measure the result (Hausdorff distance and the like) for the report.
@@ -286,6 +289,7 @@ impl RemeshOptions {
             crease_angle_deg: Self::CREASE_ANGLE_DEG,
             creases: Vec::new(),
             weld: None,
+            keep_non_manifold: false,
             refine: None,
             keep_boundaries: true,
             keep_thin: true,
@@ -310,6 +314,7 @@ impl RemeshOptions {
         with_crease_angle_deg(crease_angle_deg: f64),
         with_creases(creases: Vec<[u32; 2]>),
         with_weld(weld: Tolerance => Some(weld)),
+        with_keep_non_manifold(keep_non_manifold: bool),
         with_refine(refine: Refine => Some(refine)),
         with_keep_boundaries(keep_boundaries: bool),
         with_keep_thin(keep_thin: bool),

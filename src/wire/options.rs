@@ -8,7 +8,7 @@
 use glam::DVec3;
 
 use super::counts::Bounds;
-use super::proto::{self, BoundaryRule, Measure, RvdOutput, ThinRule};
+use super::proto::{self, BoundaryRule, Measure, NonManifoldRule, RvdOutput, ThinRule};
 use super::{WireError, unknown_enum};
 use geometry::cvt::density::{DensityOptions, DensitySource};
 use geometry::cvt::{CvtOptions, Projection};
@@ -204,6 +204,11 @@ pub fn remesh(given: &proto::RemeshOptions, beside: Beside, bounds: &Bounds) -> 
             ThinRule::Unspecified => usual.keep_thin,
             ThinRule::Finer => true,
             ThinRule::Even => false,
+        },
+        keep_non_manifold: match choice("non_manifold", given.non_manifold)? {
+            NonManifoldRule::Unspecified => usual.keep_non_manifold,
+            NonManifoldRule::Keep => true,
+            NonManifoldRule::Cut => false,
         },
         measure: match choice("measure", given.measure)? {
             Measure::Unspecified => usual.measure,
@@ -475,5 +480,6 @@ pub fn of_remesh(options: &RemeshOptions) -> proto::RemeshOptions {
         anisotropy_auto: options.anisotropy == Anisotropy::Auto,
         weld: if let Some(Tolerance::Length(length)) = options.weld { Some(length) } else { None },
         weld_percent: if let Some(Tolerance::DiagonalPercent(percent)) = options.weld { Some(percent) } else { None },
+        non_manifold: if options.keep_non_manifold { NonManifoldRule::Keep } else { NonManifoldRule::Cut }.into(),
     }
 }

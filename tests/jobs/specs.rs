@@ -180,6 +180,7 @@ fn options() -> impl Strategy<Value = RemeshOptions> {
                 anisotropy,
                 anisotropy_auto,
                 weld: None,
+                non_manifold: 0,
                 weld_percent: None,
             }
         },

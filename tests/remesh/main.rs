@@ -29,6 +29,7 @@ mod surfaces;
 
 mod anisotropy;
 mod attributes;
+mod complexes;
 mod curves;
 mod density;
 mod deviation;

@@ -167,6 +167,8 @@ impl<'py> Options<'py> {
         options.keep_thin = self.word("thin", &[("finer", true), ("even", false)])?.unwrap_or(options.keep_thin);
         options.anisotropy = self.anisotropy()?;
         options.weld = self.weld()?;
+        options.keep_non_manifold =
+            self.word("non_manifold", &[("keep", true), ("cut", false)])?.unwrap_or(options.keep_non_manifold);
         options.measure = self.get("measure", "True or False")?.unwrap_or(options.measure);
         options.refine = self.refine(&options.seeds)?;
         options.attributes = self.any("attributes")?.map(|given| attributes(&given, mesh)).transpose()?;

@@ -25,7 +25,7 @@ use geometry::token::Token;
 use server::config::{BackendArgs, count, whole};
 use wire::counts::Bounds;
 use wire::options::{self, Beside, ByVertex};
-use wire::proto::{self, BoundaryRule, Placement, Projection, ThinRule};
+use wire::proto::{self, BoundaryRule, NonManifoldRule, Placement, Projection, ThinRule};
 use wire::{WireError, names};
 
 #[derive(Args, Debug)]
@@ -144,6 +144,9 @@ pub(crate) struct ShapeArgs {
     /// Join boundaries that are at most this far apart: a length, or percent of the bounding box's diagonal, as 0.01%.
     #[arg(long, value_name = "DISTANCE", value_parser = distance, allow_negative_numbers = true)]
     pub(crate) weld: Option<String>,
+    /// What happens at edges of three or more facets, where sheets meet.
+    #[arg(long, default_value = "cut", value_parser = words(NON_MANIFOLD))]
+    pub(crate) non_manifold: NonManifoldRule,
     /// What happens to the boundaries of an open surface.
     #[arg(long, default_value = "keep", value_parser = words(BOUNDARIES))]
     pub(crate) boundaries: BoundaryRule,
@@ -208,6 +211,10 @@ fn lift(text: &str) -> Result<String, String> {
 const BOUNDARIES: Words<BoundaryRule> = &[
     ("keep", "They get vertices of their own and stay where they are", BoundaryRule::Keep),
     ("free", "The rim settles where the cells end, about half an edge inside", BoundaryRule::Free),
+];
+const NON_MANIFOLD: Words<NonManifoldRule> = &[
+    ("cut", "Each sheet has vertices of its own there, in the same places: the result is a manifold", NonManifoldRule::Cut),
+    ("keep", "The sheets have these vertices in common, as in the input", NonManifoldRule::Keep),
 ];
 const THIN: Words<ThinRule> = &[
     (

@@ -10,6 +10,7 @@
 
 mod chords;
 mod path;
+mod shared;
 
 use std::collections::BTreeSet;
 
@@ -17,6 +18,7 @@ use glam::DVec3;
 
 use path::Path;
 use rayon::prelude::*;
+pub(crate) use shared::Twin;
 
 use crate::knn::{NeighbourRow, SeedIndex};
 use crate::mesh::features::{Curve, Features};
@@ -32,6 +34,8 @@ pub struct CurveSeeds {
     pub segments: Vec<Segment>,
     /// Curves between two corners that are much shorter than an edge.
     short: Vec<u32>,
+    /// Curves that others are copies of, or that are copies; ascending. Their seeds stay as they are.
+    shared: Vec<u32>,
 }
 
 /// Two neighbouring seeds of a curve.

@@ -55,7 +55,8 @@ impl<P: Space> Cvt<P> {
             // that none of those to come changes its number.
             let mut split = HashSet::new();
             let mut intruders = self.intruders(token)?;
-            intruders.retain(|&(_, segment)| split.insert(segment));
+            let is_own = |segment: u32| !self.curves.is_shared(self.curves.segments[segment as usize].curve);
+            intruders.retain(|&(_, segment)| is_own(segment) && split.insert(segment));
             intruders.truncate(MOST_ADOPTED - adopted);
             if intruders.is_empty() {
                 break;

@@ -226,6 +226,25 @@ impl Attributes {
         all
     }
 
+    /// Those of the mesh with these of its vertices, and as many facets.
+    pub(crate) fn of_vertices(&self, kept: &[u32]) -> Self {
+        fn select<T: Clone>(values: &mut Vec<T>, each: usize, kept: &[u32]) {
+            *values = kept.iter().flat_map(|&v| values[each * v as usize..][..each].iter().cloned()).collect();
+        }
+        let mut all = self.clone();
+        all.vertices = kept.len();
+        if let Some(Normals::PerVertex(values)) = &mut all.normals {
+            select(values, 1, kept);
+        }
+        if let Some(Colours { values, .. }) = &mut all.colours {
+            select(values, 1, kept);
+        }
+        for Scalar { components, values, .. } in &mut all.scalars {
+            select(values, *components, kept);
+        }
+        all
+    }
+
     /// Takes normals, of any length but infinite; they are made unit. A normal of length 0 means that none is known there.
     pub fn set_normals(&mut self, mut normals: Normals) -> Result<(), AttributeError> {
         match &normals {

@@ -8,7 +8,7 @@
 mod chains;
 mod graph;
 
-use std::collections::HashSet;
+use std::collections::{BTreeSet, HashSet};
 
 use glam::DVec3;
 
@@ -26,6 +26,8 @@ pub struct FeatureOptions {
     pub crease_angle_deg: f64,
     /// Edges that are creases whatever their angle: two vertices each.
     pub given_creases: Vec<[u32; 2]>,
+    /// Vertices that are corners if a curve has them.
+    pub given_corners: Vec<u32>,
     /// Shortest crease found by angle with a free end; shorter ones are removed. A connected network of creases is removed
     /// if its total length is below twice this, or if its curves are much shorter on average.
     pub min_crease_length: f64,
@@ -176,7 +178,9 @@ impl Features {
         }
         let (length, reach) = (options.merge_length, options.turn_reach);
         let merge = CornerMerge { length, reach, off: MERGE_DEVIATION * reach };
-        let (curves, corners, joined) = chains::curves(&graph, metric, merge, token)?;
+        let given: BTreeSet<u32> =
+            options.given_corners.iter().filter_map(|&v| class.get(v as usize).copied()).collect();
+        let (curves, corners, joined) = chains::curves(&graph, metric, merge, &given, token)?;
         Ok(Self { curves, corners, left_out, joined })
     }
 

@@ -3,6 +3,7 @@
 //! Purpose: [`Regions`] has the region of each facet, and what the file calls it; [`Regions::borders`] are the edges between two.
 //! Invariant: every facet has a region that is there; no two regions have one number. Must not know: files, what borders are for.
 
+use std::borrow::Cow;
 use std::collections::{BTreeMap, HashSet};
 
 use super::edges::{sides, undirected};
@@ -117,6 +118,18 @@ impl Regions {
             Region { number, name } if name.is_empty() => number.to_string(),
             Region { name, .. } => name.clone(),
         }
+    }
+
+    /// The regions of a mesh whose facets are of these of the present one; the same if `None`.
+    pub(crate) fn of(&self, origin: Option<&[u32]>) -> Cow<'_, Self> {
+        let Some(origin) = origin else { return Cow::Borrowed(self) };
+        let of_facet = origin.iter().map(|&f| self.of_facet[f as usize]).collect();
+        Cow::Owned(Self { of_facet, all: self.all.clone() })
+    }
+
+    /// The same regions of other facets.
+    pub(crate) fn with_facets(&self, of_facet: Vec<u32>) -> Self {
+        Self { of_facet, all: self.all.clone() }
     }
 
     /// The edges at which facets of several regions meet, and the number of edges at which any two facets do. `class` has the lowest

@@ -5,6 +5,7 @@
 //! those of the nearest corner. What is given per corner comes from one side of a seam for each result facet. The result depends on the meshes alone, not on threads.
 //! Must not know: how the result came about, files, messages.
 
+pub(super) mod regions;
 mod seams;
 
 use glam::DVec3;

@@ -314,12 +314,22 @@ pub(super) const SIDE_STEP: f64 = 1e-3;
 pub(super) const ADDING_ROUNDS: usize = 8;
 /// Rounds that move seeds which produced no vertex.
 pub(super) const MOVING_ROUNDS: usize = 1;
+/// Rounds that also move seeds from where they are needed least to where the result is farthest, for facets that are to be nearest.
+pub(super) const NEARER_ROUNDS: usize = 3;
+/// Places as far as this share of the largest distance get another seed, at most this share of all seeds.
+pub(super) const FARTHEST_SHARE: f64 = 0.5;
+pub(super) const MOST_MOVED: f64 = 0.005;
 /// Growth of the deviation up to which a round that adds seeds counts as better, though a place may be worse.
 pub(super) const ADDING_SLACK: f64 = 2.0;
 /// Growth of the deviation up to which a round counts as better if fewer seeds have no vertex.
 pub(super) const MOVING_SLACK: f64 = 1.25;
 /// Share of the tolerance by which a vertex may leave its curve: the chords between such vertices are off as well.
 pub(super) const OFF_CURVE_SHARE: f64 = 0.5;
+
+// Regions.
+
+/// Share of a piece between curves that votes for one region where it is all of it. The rest is rounding at its borders.
+pub(super) const ONE_REGION_SHARE: f64 = 0.9;
 
 // Sheets apart.
 
@@ -367,6 +377,8 @@ pub(super) const VAIN_STRETCH: f64 = 1.5;
 pub(super) const MAX_COUNT_ROUNDS: usize = 4;
 /// Least number of seeds, share of the requested vertices.
 pub(super) const FEWEST_SEEDS_SHARE: f64 = 0.1;
+/// Most seeds, times the vertices that were asked for, where sheets are joined: many have copies of one curve.
+pub(super) const MOST_SEEDS_OF_JOINED: f64 = 3.0;
 /// Least number of seeds: the vertices of a tetrahedron.
 pub(super) const FEWEST_SEEDS: f64 = 4.0;
 

@@ -6,8 +6,10 @@
 
 pub(super) mod envelope;
 pub(super) mod polyline;
+pub(super) mod seams;
 
 use std::collections::HashSet;
+use std::sync::Arc;
 
 use glam::DVec3;
 use rayon::prelude::*;
@@ -25,6 +27,7 @@ use crate::rvd::{Frame, Surface};
 use crate::token::{Stopped, Token};
 use envelope::CurveSample;
 use polyline::{Polyline, Stretch};
+use seams::Seams;
 
 /// `count` of some points in an order, evenly spaced in it; all if there are fewer.
 fn evenly(points: &[DVec3], count: usize) -> impl Iterator<Item = DVec3> + '_ {
@@ -37,6 +40,12 @@ pub(crate) struct KeptCurves {
     features: Features,
     pub(crate) seeds: CurveSeeds,
     dropped_curves: usize,
+    /// Where several sheets have a curve.
+    seams: Option<Arc<Seams>>,
+    /// For each seed, whether several sheets have it.
+    shared: Vec<bool>,
+    /// Seeds that are copies of others.
+    copies: usize,
 }
 
 impl KeptCurves {
@@ -46,6 +55,7 @@ impl KeptCurves {
         plan: &Plan<'_>,
         surface: &Surface,
         (options, by_error): (&RemeshOptions, bool),
+        seams: Option<&Arc<Seams>>,
         token: &Token,
     ) -> Result<Self, RemeshError> {
         Features::check(mesh, options.crease_angle_deg, &options.creases, token)?;
@@ -66,6 +76,7 @@ impl KeptCurves {
         let mut criteria = FeatureOptions {
             crease_angle_deg: options.crease_angle_deg,
             given_creases: plan.edges(&options.creases, token)?,
+            given_corners: Vec::new(),
             min_crease_length: SHORTEST_CREASE * scale,
             turn_reach: BEND_REACH * scale,
             ridge_clearance: if weaker { SMOOTH_REACH * scale } else { 0.0 },
@@ -75,6 +86,13 @@ impl KeptCurves {
         let mut dropped_curves = 0;
         loop {
             let mut features = Features::find(&plan.mesh, surface.positions(), &criteria, token)?;
+            // A corner in one sheet is one in all that meet there. Each may cut curves at others.
+            while let Some(corners) = seams.map(|seams| seams.corners(&features))
+                && corners.len() > criteria.given_corners.len()
+            {
+                criteria.given_corners = corners;
+                features = Features::find(&plan.mesh, surface.positions(), &criteria, token)?;
+            }
             if !options.keep_boundaries {
                 features.retain(|_, c| c.kind != CurveKind::Boundary);
             }
@@ -96,8 +114,10 @@ impl KeptCurves {
             if let Some(mut seeds) = placed {
                 seeds.split_by_deviation(token)?;
                 seeds.split_between_others(|c| features.curves[c as usize].kind == CurveKind::Boundary, token)?;
+                let copies = seams.map_or(0, |seams| seams.share(&mut seeds, &features, surface.positions()));
                 if seeds.len() as f64 <= share(creases(&features)) * points as f64 {
-                    return Ok(Self { features, seeds, dropped_curves });
+                    let shared = seeds.on_shared();
+                    return Ok(Self { features, seeds, dropped_curves, seams: seams.cloned(), shared, copies });
                 }
             }
             let creases = creases(&features);
@@ -210,7 +230,11 @@ impl KeptCurves {
         let most = (LARGEST_SHARE * points as f64) as usize;
         if let Some(mut seeds) = CurveSeeds::place(surface, (features, stretch), edge, most, token)? {
             seeds.split_by_deviation(token)?;
+            let seams = self.seams.as_ref();
+            let copies = seams.map_or(0, |seams| seams.share(&mut seeds, features, surface.positions()));
             if seeds.len() <= most {
+                self.copies = copies;
+                self.shared = seeds.on_shared();
                 self.seeds = seeds;
             }
         }
@@ -226,6 +250,16 @@ impl KeptCurves {
     /// Vertices of curves, by the first at each place; some more than once.
     pub(crate) fn curve_vertices(&self) -> impl Iterator<Item = u32> {
         self.features.curves.iter().flat_map(|c| &c.vertices).chain(&self.features.corners).copied()
+    }
+
+    /// How many seeds are in the places of others, where sheets meet.
+    pub(crate) fn copies(&self) -> usize {
+        self.copies
+    }
+
+    /// Whether several sheets have a seed, which stays at its place.
+    pub(crate) fn is_shared(&self, seed: u32) -> bool {
+        self.shared.get(seed as usize).copied().unwrap_or(false)
     }
 
     pub(crate) fn is_corner(&self, seed: u32) -> bool {

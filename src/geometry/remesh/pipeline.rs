@@ -21,6 +21,7 @@
 
 mod adapt;
 mod extract;
+mod join;
 mod optimize;
 mod prepare;
 mod preprocess;
@@ -32,7 +33,9 @@ use std::time::Instant;
 use glam::DVec3;
 
 use super::attributes::{self, Provenance};
-use super::report::{CountFigures, CountReason, InputFigures, MemoryFigures, Report, ResultFigures, Timings};
+use super::report::{
+    CountFigures, CountReason, InputFigures, MemoryFigures, RegionFigures, Report, ResultFigures, Timings,
+};
 use super::{
     Anisotropy, Limits, Observer, Placement, Refine, Remesh, RemeshError, RemeshOptions, Result, Seeds, Tolerance,
     warnings,
@@ -134,11 +137,12 @@ fn run_stages(
     let (preprocessed, mut prepared) =
         rayon::join(|| preprocess(given, weld, token), || prepare(given, options, asked, None, token));
     let mut preprocessed = preprocessed?;
-    let Separated { apart, options: adapted, topology } = preprocessed.separate(given, options, token)?;
+    let Separated { apart, options: adapted, topology, seams } = preprocessed.separate(given, options, token)?;
+    let asked = Asked { seams: seams.as_ref(), ..asked };
     token.check()?;
     let (clean, options) = (preprocessed.mesh(given), adapted.as_ref().unwrap_or(options));
     let separated = apart.as_ref().map_or(clean, |apart| &apart.mesh);
-    if preprocessed.changed.is_some() || apart.is_some() {
+    if preprocessed.changed.is_some() || adapted.is_some() || apart.is_some() {
         prepared = prepare(separated, options, asked, None, token);
     }
     let input = preprocessed.figures.clone();
@@ -182,44 +186,67 @@ fn run_stages(
     token.check()?;
     let mut of_result = None;
     let result = &mut attempt.built.mesh;
-    let (attributes, provenance) = match &apart {
+    let curve_edges = &attempt.built.curve_edges[..];
+    let carried = match &apart {
         // Attributes are those of the facets as given, and so is the provenance.
-        None => transfer(&mut job, given, options, result)?,
+        None => transfer(&mut job, given, options, (result, curve_edges))?,
         Some(apart) => {
             let broken = |e| RvdError::Internal(format!("a surface was valid where its parts were apart: {e}"));
             let given_apart = preprocessed.given_apart(given, apart).map_err(broken)?;
-            let transferred = transfer(&mut job, &given_apart, options, result)?;
+            let mut transferred = transfer(&mut job, &given_apart, options, (result, curve_edges))?;
             // Of the sheets apart: in their places, vertices of several may be in one.
             of_result = Some(topology_unless(result, &Adjacency::unless(result, token)?, token)?);
             *result = apart.mesh_back(result, token)?.map_err(broken)?;
             attempt.seeds.iter_mut().for_each(|p| *p = apart.back(*p));
             // It answers for the sheets apart, not for the input.
             attempt.closest = None;
+            if options.keep_non_manifold {
+                join::join(&mut attempt.built, &attempt.curves, &mut transferred).map_err(broken)?;
+                job.topology = input.topology;
+                of_result = None;
+            }
             transferred
         }
     };
     job.laps.end(|t| &mut t.attributes);
 
     job.enter("measure");
-    let measured = measure(clean, input, options, attempt, of_result, job)?;
+    let mut measured = measure(clean, input, options, attempt, of_result, job)?;
+    let Carried { attributes, provenance, regions } = carried;
+    measured.report.result.regions = regions;
     Ok(Remesh { attributes, provenance, ..measured })
 }
 
-/// The input's attributes on the result, and where its vertices lie on the input, if asked for.
+/// What the result has of the input's attributes.
+#[derive(Default)]
+struct Carried {
+    attributes: Option<Attributes>,
+    /// Where its vertices lie on the input.
+    provenance: Vec<Provenance>,
+    regions: Vec<RegionFigures>,
+}
+
+/// The input's attributes on the result, if there are any.
 fn transfer(
     job: &mut Job<'_, '_>,
     given: &TriMesh,
     options: &RemeshOptions,
-    result: &TriMesh,
-) -> Result<(Option<Attributes>, Vec<Provenance>), RemeshError> {
-    let Some(attributes) = &options.attributes else { return Ok((None, Vec::new())) };
+    (result, curve_edges): (&TriMesh, &[[u32; 2]]),
+) -> Result<Carried, RemeshError> {
+    let Some(attributes) = &options.attributes else { return Ok(Carried::default()) };
     job.enter("attributes");
     let token = job.token;
     let closest = ClosestPoint::unless(given, token)?;
     let provenance = attributes::provenance(&closest, result.positions(), token)?;
     token.check()?;
-    let carried = attributes::carry(given, attributes, &closest, result, &provenance)?;
-    Ok((Some(carried), provenance))
+    let mut carried = attributes::carry(given, attributes, &closest, result, &provenance)?;
+    let mut figures = Vec::new();
+    if let Some(regions) = attributes.regions() {
+        let of_facet = attributes::regions::carry((given, regions), &closest, (result, curve_edges), token)?;
+        figures = attributes::regions::figures(regions, given, (result, &of_facet));
+        carried.set_regions(regions.with_facets(of_facet))?;
+    }
+    Ok(Carried { attributes: Some(carried), provenance, regions: figures })
 }
 
 /// The quality of a result, and what it lacks of `mesh`, for which `closest` may answer.
@@ -263,8 +290,19 @@ fn measure(
     let ((topology, coincident_vertices), (quality, lost)) = (topology?, quality?.unzip());
     let (vertices, facets) = (result.positions().len(), result.facets().len());
     let (repair, metric) = (built.repair, built.metric);
-    let result =
-        ResultFigures { vertices, facets, topology, coincident_vertices, quality, metric, lost, crossings, repair };
+    let regions = Vec::new();
+    let result = ResultFigures {
+        vertices,
+        facets,
+        topology,
+        coincident_vertices,
+        quality,
+        metric,
+        regions,
+        lost,
+        crossings,
+        repair,
+    };
     laps.end(|t| &mut t.measure);
     laps.timings.total = elapsed_ms(laps.begin);
     let reason = match options.refine {
@@ -311,7 +349,7 @@ fn measure(
 pub(super) struct Job<'a, 'b> {
     /// The input, preprocessed, its sheets apart.
     pub(super) separated: &'a TriMesh,
-    asked: Asked,
+    asked: Asked<'a>,
     pub(super) backend: &'b dyn Backend,
     pub(super) token: &'b Token,
     pub(super) observer: &'b mut dyn Observer,

@@ -260,12 +260,31 @@ pub struct ResultFigures {
     /// Edges and facets in the metric; absent without one.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub metric: Option<AdaptedFigures>,
+    /// The regions of the input, by their numbers; absent without any.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub regions: Vec<RegionFigures>,
     /// What it lacks of the input; absent if not measured.
     pub lost: Option<LostParts>,
     /// Facets that cross others; absent if not measured.
     pub crossings: Option<Crossings>,
     /// What the repair had to do.
     pub repair: RepairFigures,
+}
+
+/// A region of the input in the result.
+#[derive(Clone, Debug, Serialize, PartialEq)]
+pub struct RegionFigures {
+    /// Its number.
+    pub number: i64,
+    /// Its name; absent if it has none.
+    #[serde(skip_serializing_if = "String::is_empty")]
+    pub name: String,
+    /// Its area in the input, caller's units.
+    pub input_area: f64,
+    /// Its facets in the result; 0 if it is lost.
+    pub facets: usize,
+    /// Their area.
+    pub area: f64,
 }
 
 /// How well a result fits its metric.

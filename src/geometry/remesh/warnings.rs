@@ -5,9 +5,12 @@
 //! sentence, made here, with names of options in backticks; every interface shows the same list. Must not know: how the figures
 //! came about, where warnings are shown.
 
-use super::report::{CountReason, LostReason, RefineEnd, Report, Warning};
+use super::report::{CountReason, LostReason, RefineEnd, RegionFigures, Report, Warning};
 use crate::mesh::attributes::{Attributes, Colours};
 use crate::mesh::duplicates::InputKind;
+
+/// The most regions that are named.
+const MOST_NAMED: usize = 10;
 
 /// The warnings of a remesh of an input with `attributes`, those of the input first.
 pub(super) fn of(report: &Report, attributes: Option<&Attributes>) -> Vec<Warning> {
@@ -65,8 +68,11 @@ fn of_input(report: &Report, all: &mut Vec<Warning>) {
     }
     let backs = "facets of the input lie on others, back to back, and enclose nothing; remesh one side of them";
     counted(all, "back_to_back_facets", input.back_to_back_facets, backs);
-    let edges = "edges of the input have more than two facets; the result is cut there; to choose where, cut the input";
-    counted(all, "non_manifold_edges", input.topology.non_manifold_edges, edges);
+    if report.result.topology.non_manifold_edges == 0 {
+        let edges =
+            "edges of the input have more than two facets; the result is cut there; `non_manifold` keep joins it";
+        counted(all, "non_manifold_edges", input.topology.non_manifold_edges, edges);
+    }
 }
 
 /// Vertices and curves that there are more or fewer of than was asked for.
@@ -126,8 +132,21 @@ fn of_repair(report: &Report, all: &mut Vec<Warning>) {
     }
 }
 
-/// Parts of the input that the result lacks.
+/// Parts and regions of the input that the result lacks.
 fn of_lost(report: &Report, all: &mut Vec<Warning>) {
+    let lost: Vec<&RegionFigures> = report.result.regions.iter().filter(|region| region.facets == 0).collect();
+    if !lost.is_empty() {
+        let label = |region: &&RegionFigures| match &region.name {
+            name if name.is_empty() => region.number.to_string(),
+            name => format!("{name:?}"),
+        };
+        let labels: Vec<String> = lost.iter().take(MOST_NAMED).map(label).collect();
+        let more = if lost.len() > MOST_NAMED { ", ..." } else { "" };
+        let (count, labels) = (lost.len(), labels.join(", "));
+        let text =
+            format!("{count} regions are smaller than a facet and were lost: {labels}{more}; more points keep them");
+        all.push(Warning::new("lost_regions", Some(count), text));
+    }
     let Some(lost) = report.result.lost.as_ref().filter(|lost| lost.count > 0) else { return };
     let mut text = format!(
         "{} parts of the input, {:.2} % of its area, are farther than an edge from the result",

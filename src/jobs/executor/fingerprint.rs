@@ -83,6 +83,7 @@ mod tests {
             crease_angle: Some(30.0),
             boundaries: BoundaryRule::Keep.into(),
             thin: ThinRule::Even.into(),
+            non_manifold: NonManifoldRule::Keep.into(),
             max_deviation: Some(0.5),
             max_deviation_length: Some(0.01),
             max_points: Some(1000),

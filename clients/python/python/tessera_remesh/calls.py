@@ -126,6 +126,7 @@ def remesh(
     crease_angle: float | None = None,
     creases: ArrayLike | None = None,
     weld: float | str | None = None,
+    non_manifold: Literal["cut", "keep"] | None = None,
     boundaries: Literal["keep", "free"] | None = None,
     thin: Literal["finer", "even"] | None = None,
     anisotropy: float | Literal["auto"] | None = None,
@@ -175,6 +176,7 @@ def remesh(
         max_points: the most points that `max_deviation` may come to; twice `points` if None.
         crease_angle: edges bent by more than this are creases that are kept, degrees from 0 (none) to 180.
         creases: (k, 2) integer: edges that are creases whatever their angle.
+        non_manifold: "cut": sheets that meet in an edge have vertices of their own there; or "keep": they have them in common.
         weld: boundaries that are at most this far apart are joined: a length, or percent of the diagonal as "0.01%".
         boundaries: "keep", or "free": the rim settles about half an edge inside.
         thin: "finer": shorter edges where the surface is too thin for its cells; or "even".

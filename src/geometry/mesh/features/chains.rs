@@ -23,18 +23,21 @@ const END_EDGES: usize = 3;
 /// A curve has a corner where it turns by more than this, degrees.
 const CORNER_ANGLE: f64 = 60.0;
 
-/// The curves between corners, the corners, and how many of them have become part of others.
+/// The curves between corners, the corners, and how many of them have become part of others. Those `given` are corners if a curve has
+/// them, and stay.
 pub(super) fn curves(
     graph: &Graph,
     metric: Metric<'_>,
     merge: CornerMerge,
+    given: &BTreeSet<u32>,
     token: &Token,
 ) -> Result<(Vec<Curve>, Vec<u32>, usize), Stopped> {
     let kind = |a: u32, b: u32| graph.edges[&undirected([a, b])].kind;
     let mean_angle = |c: &[u32]| {
         c.windows(2).map(|p| graph.edges[&undirected([p[0], p[1]])].angle).sum::<f64>() / (c.len() - 1) as f64
     };
-    let is_corner = |(v, l): &(&u32, &Vec<u32>)| l.len() != 2 || kind(**v, l[0]) != kind(**v, l[1]);
+    let is_corner =
+        |(v, l): &(&u32, &Vec<u32>)| l.len() != 2 || given.contains(v) || kind(**v, l[0]) != kind(**v, l[1]);
     let mut corners: BTreeSet<u32> = graph.neighbours.iter().filter(is_corner).map(|(&v, _)| v).collect();
     let mut curves = Vec::new();
     let mut done = BTreeSet::new();
@@ -59,7 +62,7 @@ pub(super) fn curves(
         curve.ends_deg = [mean_angle(&chain[..few]), mean_angle(&chain[chain.len() - few..])];
     }
     token.check()?;
-    let joined = merge_corners(&mut curves, &mut corners, metric, merge, token)?;
+    let joined = merge_corners(&mut curves, (&mut corners, given), metric, merge, token)?;
     token.check()?;
     curves.sort_by(|a: &Curve, b| a.vertices.cmp(&b.vertices));
     Ok((curves, corners.into_iter().collect(), joined))
@@ -149,6 +152,8 @@ const MIN_LOOP: f64 = 3.0;
 
 struct Merger<'a> {
     curves: &'a mut [Curve],
+    /// Corners that stay.
+    given: &'a BTreeSet<u32>,
     /// Empty for one that has become part of others.
     at: BTreeMap<u32, Vec<usize>>,
     metric: Metric<'a>,
@@ -158,7 +163,7 @@ struct Merger<'a> {
 /// Merges corners that are close along a boundary, the shortest distance first. Returns how many were removed.
 fn merge_corners(
     curves: &mut Vec<Curve>,
-    corners: &mut BTreeSet<u32>,
+    (corners, given): (&mut BTreeSet<u32>, &BTreeSet<u32>),
     metric: Metric<'_>,
     merge: CornerMerge,
     token: &Token,
@@ -175,7 +180,7 @@ fn merge_corners(
         curve.ends().into_iter().for_each(|v| at.entry(v).or_default().push(c));
     }
     token.check()?;
-    let mut merger = Merger { curves, at, metric, merge };
+    let mut merger = Merger { curves, given, at, metric, merge };
     let mut removed: Vec<u32> = Vec::new();
     for (_, c) in short {
         token.check()?;
@@ -226,6 +231,7 @@ impl Merger<'_> {
         let others: Vec<&Curve> = self.at[&removed].iter().filter(|&&o| o != c).map(|&o| &self.curves[o]).collect();
         // A boundary does not divide.
         let goes_on = others.iter().filter(|o| o.kind == CurveKind::Boundary).count() == 1;
+        let goes_on = goes_on && !self.given.contains(&removed);
         // A curve that returns to its start needs room for a loop.
         let loops =
             |o: &Curve| o.ends().contains(&stays) && self.is_as_long_as(&o.vertices, MIN_LOOP * self.merge.reach);
@@ -296,7 +302,7 @@ mod tests {
         let before = corners.len();
         let merged = merge_corners(
             &mut curves,
-            &mut corners,
+            (&mut corners, &BTreeSet::new()),
             metric,
             CornerMerge { length: 0.4, reach: 1.0, off: 0.1 },
             &Token::default(),

@@ -225,10 +225,16 @@ pub(crate) fn restore(mesh: &mut LocalMesh, envelope: &CurveEnvelope, token: &To
 }
 
 /// Moves vertices whose edges are farther from curves than the goal a little nearer. Corners, which are `fixed`, move less,
-/// and only on boundaries, whose teeth may be narrower than an edge is long. Returns the corners that moved.
-pub(crate) fn tighten(mesh: &mut LocalMesh, envelope: &CurveEnvelope, fixed: &[bool], token: &Token) -> Vec<u32> {
+/// and only on boundaries, whose teeth may be narrower than an edge is long. Those of curves that several sheets have, `shared`, stay.
+/// Returns the corners that moved.
+pub(crate) fn tighten(
+    mesh: &mut LocalMesh,
+    envelope: &CurveEnvelope,
+    (fixed, shared): (&[bool], &[bool]),
+    token: &Token,
+) -> Vec<u32> {
     let excess = |mesh: &LocalMesh, v: u32| envelope.excess(&mesh.positions, v, mesh.positions[v as usize]);
-    let may_move = |mesh: &LocalMesh, v: u32| !fixed[v as usize] || mesh.is_on_boundary(v);
+    let may_move = |mesh: &LocalMesh, v: u32| !fixed[v as usize] || mesh.is_on_boundary(v) && !shared[v as usize];
     let mut vertices = envelope.vertices();
     vertices.retain(|&v| may_move(mesh, v));
     if vertices.iter().all(|&v| excess(mesh, v) <= 1.0) {
@@ -344,7 +350,7 @@ mod tests {
         let closed = vec![[0, 1, 3], [1, 2, 3], [1, 0, 4], [2, 1, 4]];
         let tightened = |facets: &Vec<[u32; 3]>, fixed: bool| {
             let mut mesh = LocalMesh::new(start.to_vec(), facets.clone(), HashSet::new());
-            let moved = tighten(&mut mesh, &envelope, &[fixed; 5], &Token::default());
+            let moved = tighten(&mut mesh, &envelope, (&[fixed; 5], &[false; 5]), &Token::default());
             (mesh.positions, moved)
         };
         let (free, moved) = tightened(&open, false);

@@ -16,7 +16,7 @@ use crate::mesh::closest_point::ClosestPoint;
 use crate::mesh::csr::Csr;
 use crate::mesh::edges::undirected;
 use crate::mesh::features::CurveKind;
-use crate::remesh::constants::OFF_CURVE_SHARE;
+use crate::remesh::constants::{FARTHEST_SHARE, MOST_MOVED, OFF_CURVE_SHARE};
 use crate::remesh::distance::{HausdorffEstimate, InputSamples, Reference, SurfaceSample, missed_places};
 use crate::remesh::features::KeptCurves;
 use crate::remesh::features::envelope::CurveEnvelope;
@@ -82,6 +82,8 @@ pub(super) struct Missed {
     pub(super) seeds_without_vertex: Vec<u32>,
     /// Where as many seeds are of use: midpoints of long edges, unit frame.
     pub(super) long_edge_midpoints: Vec<DVec3>,
+    /// Seeds that are needed least, each with a place that is farthest from the result; none unless facets are to be nearest.
+    pub(super) moves: Vec<(u32, DVec3)>,
 }
 
 impl<'a> Extraction<'a> {
@@ -187,8 +189,10 @@ impl<'a> Extraction<'a> {
     /// Moves the draft's vertices to where facets are nearest to the input. Corners stay. `component` is by vertex.
     fn fit(&self, draft: &mut Draft<'a>, component: &[u32], dual: &dual::Dual) {
         let vertex = vertex_of(component, dual);
-        let is_fixed = |&s: &u32| self.curves.is_corner(s) || s >= self.first_added;
-        let fixed: Vec<bool> = draft.vertex_seed.iter().map(is_fixed).collect();
+        // Several sheets have the vertices of a curve where they meet.
+        let shared: Vec<bool> = draft.vertex_seed.iter().map(|&s| self.curves.is_shared(s)).collect();
+        let is_fixed = |(&s, &shared): (&u32, &bool)| self.curves.is_corner(s) || s >= self.first_added || shared;
+        let fixed: Vec<bool> = draft.vertex_seed.iter().zip(&shared).map(is_fixed).collect();
         let curves = self.curves.samples(&draft.curve_edges);
         let unit = self.unit(draft);
         // Added seeds bring edges to the curves. An envelope as well would fold facets between them.
@@ -205,7 +209,7 @@ impl<'a> Extraction<'a> {
         fit::fit(&mut mesh, &mut target, self.shapes, self.token);
         restore(&mut mesh, &envelope, self.token);
         self.improve_shapes(&mut mesh, draft, &target.fixed, &envelope, false);
-        for v in tighten(&mut mesh, &envelope, &target.fixed, self.token) {
+        for v in tighten(&mut mesh, &envelope, (&target.fixed, &shared), self.token) {
             target.fixed[v as usize] = false;
         }
         let HausdorffEstimate { missed, largest, by_vertex } =
@@ -216,8 +220,44 @@ impl<'a> Extraction<'a> {
         let lost: Vec<_> =
             (self.curves.seeds.len() as u32..draft.seeds as u32).filter(|&s| !there[s as usize]).collect();
         let long_edge_midpoints = long_edge_midpoints(&mesh.positions, mesh.facets(), &target.fixed, lost.len());
-        draft.missed = Missed { places, deviation: largest, seeds_without_vertex: lost, long_edge_midpoints };
+        let moves = match (self.shapes, self.adds) {
+            (Shapes::Nearest(_), false) => self.moves(draft, &mesh, &target, &by_vertex, largest),
+            _ => Vec::new(),
+        };
+        draft.missed = Missed { places, deviation: largest, seeds_without_vertex: lost, long_edge_midpoints, moves };
         draft.fitted = Some(Fitted { mesh, target, envelope, reference, distances: by_vertex });
+    }
+
+    /// Seeds that are needed least, each with a place that is farthest from the result. `distances` are by vertex.
+    fn moves(
+        &self,
+        draft: &Draft<'_>,
+        mesh: &LocalMesh,
+        target: &Target,
+        distances: &[f64],
+        largest: f64,
+    ) -> Vec<(u32, DVec3)> {
+        let mut far = missed_places(mesh, &target.input, Some(FARTHEST_SHARE * largest), self.token);
+        far.truncate((MOST_MOVED * draft.positions.len() as f64).ceil() as usize);
+        let mut taken = vec![false; mesh.positions.len()];
+        far.iter().flat_map(|&(v, _)| mesh.neighbours(v)).for_each(|v| taken[v as usize] = true);
+        // What a cell leaves behind is bridged by facets twice as long, so four times as far.
+        let around = |v: u32| mesh.neighbours(v).into_iter().map(|u| distances[u as usize]).fold(0.0, f64::max);
+        let is_free = |v: &u32| !self.curves.has_seed(draft.vertex_seed[*v as usize]) && !mesh.is_on_boundary(*v);
+        let mut spare: Vec<(f64, u32)> = (0..distances.len() as u32)
+            .filter(is_free)
+            .map(|v| (around(v), v))
+            .filter(|s| 4.0 * s.0 < FARTHEST_SHARE * largest)
+            .collect();
+        spare.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+        let apart = |&(_, v): &(f64, u32)| {
+            let near = mesh.neighbours(v);
+            let is_apart = near.iter().all(|&u| !taken[u as usize]);
+            near.into_iter().filter(|_| is_apart).for_each(|u| taken[u as usize] = true);
+            is_apart
+        };
+        let spare: Vec<(f64, u32)> = spare.into_iter().filter(apart).take(far.len()).collect();
+        spare.iter().zip(far).map(|(&(_, v), (_, place))| (draft.vertex_seed[v as usize], place)).collect()
     }
 
     /// The input by vertex of the draft: a sample a piece, vertices and facets. `vertex` is by component of the dual.

@@ -226,15 +226,20 @@ impl<'a> Job<'a, '_> {
         let (&Seeds::Sample { seed, .. } | &Seeds::Implied { seed }) = &options.seeds else { return Ok(best) };
         let asked = best.figures.asked;
         let least = (FEWEST_SEEDS_SHARE * asked as f64).max(FEWEST_SEEDS).min(asked as f64);
+        // Where sheets are joined afterwards, seeds have fewer vertices.
+        let joins = options.keep_non_manifold;
+        let most = if joins { MOST_SEEDS_OF_JOINED * asked as f64 } else { asked as f64 };
+        let vertices =
+            |of: &Optimized<'a, P>| of.failing.vertices.saturating_sub(if joins { of.curves.copies() } else { 0 });
         // Seeds and vertices of the best.
-        let mut from = (asked as f64, best.failing.vertices as f64);
+        let mut from = (asked as f64, vertices(&best) as f64);
         // Vertices per further seed, and how much farther to go than that says.
         let (mut slope, mut stretch) = (from.1 / from.0, 1.0);
         for round in 1..=MAX_COUNT_ROUNDS {
-            if !self.scales_seeds || is_near(best.failing.vertices, asked) {
+            if !self.scales_seeds || is_near(vertices(&best), asked) {
                 break;
             }
-            let drawn = (from.0 + stretch * (asked as f64 - from.1) / slope).clamp(least, asked as f64).round();
+            let drawn = (from.0 + stretch * (asked as f64 - from.1) / slope).clamp(least, most).round();
             if drawn == from.0 {
                 break;
             }
@@ -248,8 +253,8 @@ impl<'a> Job<'a, '_> {
             let shorter = Some(&*best.lift_lengths).filter(|_| best.figures.refine.fold_rounds > 0);
             let Some(prepared) = self.prepare_again(&options, shorter)? else { break };
             let Some(mut next) = self.optimize_again(prepared, &options, None)? else { break };
-            let here = (drawn, next.failing.vertices as f64);
-            if next.failing.vertices.abs_diff(asked) < best.failing.vertices.abs_diff(asked) {
+            let here = (drawn, vertices(&next) as f64);
+            if vertices(&next).abs_diff(asked) < vertices(&best).abs_diff(asked) {
                 next.take_over(&best);
                 next.figures.refine.count_rounds = round;
                 best = next;

@@ -12,6 +12,7 @@ use crate::cvt::lifts::CurveLifts;
 use crate::mesh::TriMesh;
 use crate::mesh::closest_point::ClosestPoint;
 use crate::remesh::features::KeptCurves;
+use crate::remesh::features::seams::Seams;
 use crate::remesh::lift::{Lift, Lifting};
 use crate::remesh::triangle::{Norm, Shapes};
 use crate::remesh::{Anisotropy, RemeshOptions, Result};
@@ -53,15 +54,17 @@ impl Metric for Lifted {
 
 /// What the caller asked for, whatever densities later rounds have.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Asked {
+pub(super) struct Asked<'a> {
     /// Diagonal of the input's bounding box, caller's units.
     pub(super) diagonal: f64,
     /// Whether edge lengths are for the least distance.
     pub(super) by_error: bool,
     pub(super) shapes: Shapes,
+    /// Where sheets that are apart met, once that is known.
+    pub(super) seams: Option<&'a Arc<Seams>>,
 }
 
-impl Asked {
+impl Asked<'_> {
     pub(super) fn new(given: &TriMesh, options: &RemeshOptions) -> Self {
         let (low, high) = given.bounds();
         let source = &options.density.source;
@@ -72,7 +75,7 @@ impl Asked {
             (Anisotropy::Share(_), _) => Shapes::Slender,
         };
         let by_error = matches!(source, DensitySource::Error | DensitySource::ErrorMax);
-        Self { diagonal: (high - low).length(), by_error, shapes }
+        Self { diagonal: (high - low).length(), by_error, shapes, seams: None }
     }
 }
 
@@ -80,7 +83,7 @@ impl Asked {
 pub(super) fn prepare<'a>(
     separated: &'a TriMesh,
     options: &RemeshOptions,
-    asked: Asked,
+    asked: Asked<'_>,
     lengths: Option<&[f64]>,
     token: &Token,
 ) -> Result<Prepared<'a>> {
@@ -88,7 +91,7 @@ pub(super) fn prepare<'a>(
     token.check()?;
     let surface = Arc::new(Surface::unless(&plan.mesh, plan.weights.as_deref(), token)?);
     token.check()?;
-    let find = || KeptCurves::find(separated, &plan, &surface, (options, asked.by_error), token);
+    let find = || KeptCurves::find(separated, &plan, &surface, (options, asked.by_error), asked.seams, token);
     let (curves, closest) = rayon::join(find, || surface.closest_points(token));
     let (mut curves, closest) = (curves?, closest?);
     let lift = match options.anisotropy {

@@ -7,10 +7,12 @@
 //! counted. Must not know: densities, seeds, backends.
 
 use std::collections::HashMap;
+use std::sync::Arc;
 
 use crate::cvt::density::{DensityOptions, DensitySource};
 use crate::mesh::adjacency::{Adjacency, weld_unless};
 use crate::mesh::apart::Apart;
+use crate::mesh::attributes::Attributes;
 use crate::mesh::duplicates::{self, InputKind};
 use crate::mesh::edges::{sides, undirected};
 use crate::mesh::hanging::{self, Divided, DividedEdges};
@@ -19,6 +21,7 @@ use crate::mesh::measure::{Topology, topology_unless};
 use crate::mesh::sheets::Sheets;
 use crate::mesh::{MeshError, TriMesh};
 use crate::remesh::constants::{MOST_GAP_DIAGONAL, POINTS_PER_COMPONENT, SEPARATION_DIAGONAL, SEPARATION_EDGES};
+use crate::remesh::features::seams::Seams;
 use crate::remesh::report::InputFigures;
 use crate::remesh::{RemeshOptions, Result, Seeds};
 use crate::token::{Stopped, Token};
@@ -112,6 +115,8 @@ pub(super) struct Separated {
     pub(super) options: Option<RemeshOptions>,
     /// Of the sheets: what the result is to have.
     pub(super) topology: Topology,
+    /// Where they met.
+    pub(super) seams: Option<Arc<Seams>>,
 }
 
 impl Preprocessed {
@@ -131,7 +136,7 @@ impl Preprocessed {
         let touching = topology.non_manifold_edges + topology.non_manifold_vertices > 0;
         let surface = self.figures.kind != InputKind::Volume;
         let clean = self.changed.as_ref().unwrap_or(given);
-        let mut separated = Separated { apart: None, options: None, topology };
+        let mut separated = Separated { apart: None, options: None, topology, seams: None };
         let mut seams = Vec::new();
         let several = topology.components > 1 || touching && surface;
         if let Some(edge) = target_edge(clean, topology.components, options).filter(|_| several) {
@@ -156,6 +161,12 @@ impl Preprocessed {
             }
             seams = sheets.seams;
         }
+        if let (Some(apart), false) = (&separated.apart, seams.is_empty()) {
+            let class = weld_unless(clean, token)?;
+            let of = |v: u32| class[apart.before(v) as usize];
+            let class = (0..apart.mesh.positions().len() as u32).map(of).collect();
+            separated.seams = Some(Arc::new(Seams::new(class, &seams)));
+        }
         let apart = separated.apart.as_ref().map(|apart| (apart, &seams[..]));
         separated.options = self.adapted(clean, options, apart, token)?;
         Ok(separated)
@@ -171,17 +182,21 @@ impl Preprocessed {
     ) -> Result<Option<RemeshOptions>, Stopped> {
         let touching = apart.filter(|(apart, seams)| !(apart.copied.is_empty() && seams.is_empty()));
         let (apart, seams) = touching.map_or((None, &[][..]), |(apart, seams)| (Some(apart), seams));
-        if apart.is_none() && (options.creases.is_empty() || self.divided.is_none()) {
+        let regions = options.attributes.as_ref().and_then(Attributes::regions);
+        if apart.is_none() && regions.is_none() && (options.creases.is_empty() || self.divided.is_none()) {
             return Ok(None);
         }
         let mut adapted = options.clone();
-        if !(options.creases.is_empty() && seams.is_empty()) {
+        if !(options.creases.is_empty() && seams.is_empty() && regions.is_none()) {
             let class = weld_unless(clean, token)?;
             if let Some(divided) = &self.divided {
                 adapted.creases = divided.pieces(&adapted.creases, &class);
             }
             // Where sheets meet, each has a curve, so that all have vertices in the same places.
             adapted.creases.extend(seams);
+            if let Some(regions) = regions {
+                adapted.creases.extend(regions.of(self.origin.as_deref()).borders(clean.facets(), &class).0);
+            }
             if let Some(apart) = apart {
                 adapted.creases = edges_of_sheets(&adapted.creases, &class, apart);
             }

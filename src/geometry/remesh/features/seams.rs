@@ -1,0 +1,99 @@
+//! Curves that several sheets have.
+//!
+//! Purpose: [`Seams`] knows where sheets met before they were moved apart. There all of them get the same corners
+//! ([`Seams::corners`]), so that their curves are copies of each other ([`Seams::twins`]), which get the same seeds. Results of the
+//! sheets then have the same vertices there.
+//! Invariant: depends on the surface alone. Must not know: seeds, how sheets were found.
+
+use std::collections::{BTreeMap, HashSet};
+
+use glam::DVec3;
+
+use crate::cvt::curves::{CurveSeeds, Twin};
+use crate::mesh::edges::undirected;
+use crate::mesh::features::{Curve, Features};
+
+/// Where sheets met.
+#[derive(Clone, Debug)]
+pub(crate) struct Seams {
+    /// For each vertex of the sheets apart, the lowest one that was in its place. Vertices that divide facets are behind them.
+    class: Vec<u32>,
+    /// Edges at which sheets met, by these.
+    edges: HashSet<[u32; 2]>,
+    /// Vertices of such edges.
+    vertices: HashSet<u32>,
+}
+
+impl Seams {
+    pub(crate) fn new(class: Vec<u32>, edges: &[[u32; 2]]) -> Self {
+        let vertices = edges.iter().flatten().copied().collect();
+        Self { class, edges: edges.iter().copied().map(undirected).collect(), vertices }
+    }
+
+    fn class(&self, v: u32) -> Option<u32> {
+        self.class.get(v as usize).copied()
+    }
+
+    /// All vertices that are in the place of a corner at which sheets meet, ascending.
+    pub(crate) fn corners(&self, features: &Features) -> Vec<u32> {
+        let met = |&v: &u32| self.class(v).filter(|class| self.vertices.contains(class));
+        let classes: HashSet<u32> = features.corners.iter().filter_map(met).collect();
+        (0..self.class.len() as u32).filter(|&v| classes.contains(&self.class[v as usize])).collect()
+    }
+
+    /// Gives curves that are copies of each other the same seeds. Returns how many seeds are copies of others. `positions` are those of
+    /// the vertices, unit frame.
+    pub(crate) fn share(&self, seeds: &mut CurveSeeds, features: &Features, positions: &[DVec3]) -> usize {
+        let groups = self.twins(features, positions);
+        seeds.share(features, &groups);
+        let on_shared = seeds.on_shared();
+        let corners = features.corners.iter().zip(on_shared).filter(|(_, shared)| *shared);
+        let corners: Vec<Option<u32>> = corners.map(|(&v, _)| self.class(v)).collect();
+        let places: HashSet<Option<u32>> = corners.iter().copied().collect();
+        let mut inner = vec![0usize; features.curves.len()];
+        seeds.segments.iter().for_each(|segment| inner[segment.curve as usize] += 1);
+        let open = inner.iter_mut().zip(&features.curves).filter(|(_, curve)| !curve.closed);
+        open.for_each(|(inner, _)| *inner = inner.saturating_sub(1));
+        let of_group =
+            |group: &Vec<Twin>| (group.len() - 1) * group.first().map_or(0, |twin| inner[twin.curve as usize]);
+        corners.len() - places.len() + groups.iter().map(of_group).sum::<usize>()
+    }
+
+    /// Curves that are copies of each other, in groups of at least two. `positions` are those of the vertices, unit frame.
+    fn twins(&self, features: &Features, positions: &[DVec3]) -> Vec<Vec<Twin>> {
+        let mut groups: BTreeMap<(bool, Vec<u32>), Vec<Twin>> = BTreeMap::new();
+        for (curve, number) in features.curves.iter().zip(0..) {
+            let Some((key, first, reversed)) = self.key(curve) else { continue };
+            let twin = Twin { curve: number, reversed, place: positions[first as usize] };
+            groups.entry((curve.closed, key)).or_default().push(twin);
+        }
+        groups.into_values().filter(|group| group.len() > 1).collect()
+    }
+
+    /// The vertices of a seam's curve by what they were, in the same order for all copies; the vertex that is first there, and whether the
+    /// curve runs against that order. `None` if it is no seam.
+    fn key(&self, curve: &Curve) -> Option<(Vec<u32>, u32, bool)> {
+        let mut chain: Vec<(u32, u32)> =
+            curve.vertices.iter().filter_map(|&v| self.class(v).map(|class| (class, v))).collect();
+        let is_seam = |pair: [&(u32, u32); 2]| self.edges.contains(&undirected(pair.map(|end| end.0)));
+        let (first, last) = (chain.first()?, chain.last()?);
+        if chain.len() < 2
+            || curve.closed && !is_seam([last, first])
+            || !chain.windows(2).all(|pair| is_seam([&pair[0], &pair[1]]))
+        {
+            return None;
+        }
+        let mut back = chain.clone();
+        back.reverse();
+        if curve.closed {
+            for way in [&mut chain, &mut back] {
+                let lowest = (0..way.len()).min_by_key(|&k| way[k].0)?;
+                way.rotate_left(lowest);
+            }
+        }
+        let classes = |way: &[(u32, u32)]| way.iter().map(|end| end.0).collect::<Vec<u32>>();
+        let (there, reversed) = (classes(&chain), classes(&back));
+        let runs_against = reversed < there;
+        Some(if runs_against { (reversed, back[0].1, true) } else { (there, chain[0].1, false) })
+    }
+}
