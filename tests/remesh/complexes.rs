@@ -2,9 +2,9 @@
 
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 
+use geometry::mesh::crossings::crossings;
 use glam::DVec3;
 use tessera::mesh::attributes::Attributes;
-use tessera::mesh::crossings::crossings;
 use tessera::mesh::regions::Regions;
 use tessera::remesh::{Remesh, RemeshOptions, Seeds, remesh};
 use tessera::rvd::Parallel;

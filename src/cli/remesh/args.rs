@@ -213,7 +213,11 @@ const BOUNDARIES: Words<BoundaryRule> = &[
     ("free", "The rim settles where the cells end, about half an edge inside", BoundaryRule::Free),
 ];
 const NON_MANIFOLD: Words<NonManifoldRule> = &[
-    ("cut", "Each sheet has vertices of its own there, in the same places: the result is a manifold", NonManifoldRule::Cut),
+    (
+        "cut",
+        "Each sheet has vertices of its own there, in the same places: the result is a manifold",
+        NonManifoldRule::Cut,
+    ),
     ("keep", "The sheets have these vertices in common, as in the input", NonManifoldRule::Keep),
 ];
 const THIN: Words<ThinRule> = &[

@@ -201,7 +201,7 @@ mod tests {
     }
 
     fn sheets(mesh: &TriMesh) -> Sheets {
-        Sheets::of(mesh, 0.0, &Token::default()).unwrap()
+        Sheets::of(mesh, 0.0, true, &Token::default()).unwrap()
     }
 
     #[test]

@@ -44,8 +44,9 @@ struct Side {
 }
 
 impl Sheets {
-    /// The sheets of `mesh`. Those of at most the area `least` are joined to a sheet that they touch.
-    pub(crate) fn of(mesh: &TriMesh, least: f64, token: &Token) -> Result<Self, Stopped> {
+    /// The sheets of `mesh`. Those of at most the area `least` are joined to a sheet that they touch. Unless sheets `go_on` through edges
+    /// of more than two facets, all end there.
+    pub(crate) fn of(mesh: &TriMesh, least: f64, go_on: bool, token: &Token) -> Result<Self, Stopped> {
         let class = weld_unless(mesh, token)?;
         let welded = |t: &[u32; 3]| t.map(|v| class[v as usize]);
         let whole = |[a, b, c]: &[u32; 3]| a != b && b != c && c != a;
@@ -60,6 +61,7 @@ impl Sheets {
             ref fan if fan.len() > MOST_AT_EDGE => {
                 fan.windows(2).for_each(|pair| sets.join(pair[0].facet as usize, pair[1].facet as usize));
             }
+            _ if !go_on => {}
             _ => pairs(sides(mesh, &class, low, halves), outward).iter().for_each(|&[a, b]| sets.join(a, b)),
         });
         token.check()?;
@@ -240,7 +242,7 @@ mod tests {
     }
 
     fn of(mesh: &TriMesh) -> Sheets {
-        Sheets::of(mesh, 0.0, &Token::default()).unwrap()
+        Sheets::of(mesh, 0.0, true, &Token::default()).unwrap()
     }
 
     #[test]
@@ -309,7 +311,7 @@ mod tests {
             assert!(sheets.of_facet[..floor_facets].iter().all(|&s| s == sheets.of_facet[0]));
             // A wall that is smaller than what counts stays with the floor.
             let wall = mesh.area() - floor.area();
-            assert_eq!(Sheets::of(&mesh, 1.01 * wall, &Token::default()).unwrap().count, 1);
+            assert_eq!(Sheets::of(&mesh, 1.01 * wall, true, &Token::default()).unwrap().count, 1);
         }
     }
 }

@@ -142,7 +142,7 @@ impl Preprocessed {
         if let Some(edge) = target_edge(clean, topology.components, options).filter(|_| several) {
             // Smaller ones are noise, and get no vertices of their own.
             let least = POINTS_PER_COMPONENT as f64 * (3f64.sqrt() / 2.0) * edge * edge;
-            let sheets = Sheets::of(clean, if touching { least } else { 0.0 }, token)?;
+            let sheets = Sheets::of(clean, if touching { least } else { 0.0 }, !options.keep_non_manifold, token)?;
             let (low, high) = clean.bounds();
             let gap = SEPARATION_EDGES * edge + SEPARATION_DIAGONAL * (high - low).length();
             if edge <= uniform_edge(clean, POINTS_PER_COMPONENT * sheets.count) {
