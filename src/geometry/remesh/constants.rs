@@ -314,11 +314,6 @@ pub(super) const SIDE_STEP: f64 = 1e-3;
 pub(super) const ADDING_ROUNDS: usize = 8;
 /// Rounds that move seeds which produced no vertex.
 pub(super) const MOVING_ROUNDS: usize = 1;
-/// Rounds that also move seeds from where they are needed least to where the result is farthest, for facets that are to be nearest.
-pub(super) const NEARER_ROUNDS: usize = 3;
-/// Places as far as this share of the largest distance get another seed, at most this share of all seeds.
-pub(super) const FARTHEST_SHARE: f64 = 0.5;
-pub(super) const MOST_MOVED: f64 = 0.005;
 /// Growth of the deviation up to which a round that adds seeds counts as better, though a place may be worse.
 pub(super) const ADDING_SLACK: f64 = 2.0;
 /// Growth of the deviation up to which a round counts as better if fewer seeds have no vertex.

@@ -16,7 +16,7 @@ use crate::mesh::closest_point::ClosestPoint;
 use crate::mesh::csr::Csr;
 use crate::mesh::edges::undirected;
 use crate::mesh::features::CurveKind;
-use crate::remesh::constants::{FARTHEST_SHARE, MOST_MOVED, OFF_CURVE_SHARE};
+use crate::remesh::constants::OFF_CURVE_SHARE;
 use crate::remesh::distance::{HausdorffEstimate, InputSamples, Reference, SurfaceSample, missed_places};
 use crate::remesh::features::KeptCurves;
 use crate::remesh::features::envelope::CurveEnvelope;
@@ -82,8 +82,6 @@ pub(super) struct Missed {
     pub(super) seeds_without_vertex: Vec<u32>,
     /// Where as many seeds are of use: midpoints of long edges, unit frame.
     pub(super) long_edge_midpoints: Vec<DVec3>,
-    /// Seeds that are needed least, each with a place that is farthest from the result; none unless facets are to be nearest.
-    pub(super) moves: Vec<(u32, DVec3)>,
 }
 
 impl<'a> Extraction<'a> {
@@ -220,44 +218,8 @@ impl<'a> Extraction<'a> {
         let lost: Vec<_> =
             (self.curves.seeds.len() as u32..draft.seeds as u32).filter(|&s| !there[s as usize]).collect();
         let long_edge_midpoints = long_edge_midpoints(&mesh.positions, mesh.facets(), &target.fixed, lost.len());
-        let moves = match (self.shapes, self.adds) {
-            (Shapes::Nearest(_), false) => self.moves(draft, &mesh, &target, &by_vertex, largest),
-            _ => Vec::new(),
-        };
-        draft.missed = Missed { places, deviation: largest, seeds_without_vertex: lost, long_edge_midpoints, moves };
+        draft.missed = Missed { places, deviation: largest, seeds_without_vertex: lost, long_edge_midpoints };
         draft.fitted = Some(Fitted { mesh, target, envelope, reference, distances: by_vertex });
-    }
-
-    /// Seeds that are needed least, each with a place that is farthest from the result. `distances` are by vertex.
-    fn moves(
-        &self,
-        draft: &Draft<'_>,
-        mesh: &LocalMesh,
-        target: &Target,
-        distances: &[f64],
-        largest: f64,
-    ) -> Vec<(u32, DVec3)> {
-        let mut far = missed_places(mesh, &target.input, Some(FARTHEST_SHARE * largest), self.token);
-        far.truncate((MOST_MOVED * draft.positions.len() as f64).ceil() as usize);
-        let mut taken = vec![false; mesh.positions.len()];
-        far.iter().flat_map(|&(v, _)| mesh.neighbours(v)).for_each(|v| taken[v as usize] = true);
-        // What a cell leaves behind is bridged by facets twice as long, so four times as far.
-        let around = |v: u32| mesh.neighbours(v).into_iter().map(|u| distances[u as usize]).fold(0.0, f64::max);
-        let is_free = |v: &u32| !self.curves.has_seed(draft.vertex_seed[*v as usize]) && !mesh.is_on_boundary(*v);
-        let mut spare: Vec<(f64, u32)> = (0..distances.len() as u32)
-            .filter(is_free)
-            .map(|v| (around(v), v))
-            .filter(|s| 4.0 * s.0 < FARTHEST_SHARE * largest)
-            .collect();
-        spare.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
-        let apart = |&(_, v): &(f64, u32)| {
-            let near = mesh.neighbours(v);
-            let is_apart = near.iter().all(|&u| !taken[u as usize]);
-            near.into_iter().filter(|_| is_apart).for_each(|u| taken[u as usize] = true);
-            is_apart
-        };
-        let spare: Vec<(f64, u32)> = spare.into_iter().filter(apart).take(far.len()).collect();
-        spare.iter().zip(far).map(|(&(_, v), (_, place))| (draft.vertex_seed[v as usize], place)).collect()
     }
 
     /// The input by vertex of the draft: a sample a piece, vertices and facets. `vertex` is by component of the dual.

@@ -109,11 +109,10 @@ impl Schedule<'_, '_, '_> {
         self.refine(cvt, added)
     }
 
-    /// Moves seeds without a vertex to where edges are long, and others to where the result is far, and takes further steps. Returns whether there were any.
+    /// Moves seeds without a vertex to where edges are long, and takes further steps. Returns whether there were any.
     pub(super) fn move_seeds<P: Metric>(&mut self, cvt: &mut Cvt<P>, missed: &Missed) -> Result<bool, RemeshError> {
-        let without_vertex =
-            missed.seeds_without_vertex.iter().copied().zip(missed.long_edge_midpoints.iter().copied());
-        let pins: Vec<(u32, DVec3)> = without_vertex.chain(missed.moves.iter().copied()).collect();
+        let pins: Vec<(u32, DVec3)> =
+            missed.seeds_without_vertex.iter().copied().zip(missed.long_edge_midpoints.iter().copied()).collect();
         if !pins.is_empty() {
             cvt.pin(&pins, &[])?;
         }

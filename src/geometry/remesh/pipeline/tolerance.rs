@@ -25,7 +25,6 @@ use crate::remesh::constants::*;
 use crate::remesh::features::KeptCurves;
 use crate::remesh::metric::Wanted;
 use crate::remesh::report::{DeviceFigures, RefineEnd};
-use crate::remesh::triangle::Shapes;
 use crate::remesh::{Limits, Placement, RemeshOptions, Result, Seeds};
 use crate::rvd::{Lifted, RvdError};
 
@@ -301,9 +300,7 @@ fn build<P: Metric>(
     let (divided, surface, curves) = (&*plan.mesh, &**surface, &*curves);
     let rounds = match (options.refine, options.placement) {
         (Some(_), _) => ADDING_ROUNDS,
-        (None, Placement::Fitted) if options.newton == 0 => 0,
-        (None, Placement::Fitted) if matches!(schedule.job.asked.shapes, Shapes::Nearest(_)) => NEARER_ROUNDS,
-        (None, Placement::Fitted) => MOVING_ROUNDS,
+        (None, Placement::Fitted) if options.newton > 0 => MOVING_ROUNDS,
         _ => 0,
     };
     let tolerance = tolerance.map(|t| t * surface.frame().scale);
@@ -323,7 +320,6 @@ fn build<P: Metric>(
         let missed = draft.missed.clone();
         let is_better = |before: &Missed| match adds {
             true => missed.deviation < ADDING_SLACK * before.deviation,
-            false if !before.moves.is_empty() => missed.deviation < before.deviation,
             false => {
                 missed.seeds_without_vertex.len() < before.seeds_without_vertex.len()
                     && missed.deviation < MOVING_SLACK * before.deviation
