@@ -106,6 +106,13 @@ impl Regions {
         &self.all
     }
 
+    /// The facets of each region, in order.
+    pub(crate) fn facets_by_region(&self) -> Vec<Vec<u32>> {
+        let mut facets = vec![Vec::new(); self.all.len()];
+        self.of_facet.iter().zip(0..).for_each(|(&region, facet)| facets[region as usize].push(facet));
+        facets
+    }
+
     /// The number of the region of each facet.
     pub fn numbers(&self) -> impl ExactSizeIterator<Item = i64> + '_ {
         self.of_facet.iter().map(|&region| self.all[region as usize].number)
