@@ -155,7 +155,9 @@ fn gmsh(mesh: &TriMesh) -> Vec<Odd> {
     for (what, section, told) in [
         ("a comment", "$Comments\nanything $at all\n$EndComments\n", false),
         ("periodic nodes", "$Periodic\n1\n0 1 2\n1\n1 2\n$EndPeriodic\n", false),
-        ("names", "$PhysicalNames\n1\n2 1 \"skin\"\n$EndPhysicalNames\n", true),
+        ("names", "$PhysicalNames\n1\n2 1 \"skin\"\n$EndPhysicalNames\n", false),
+        ("broken names", "$PhysicalNames\n7\n2 1 \"skin\"\n$EndPhysicalNames\n", true),
+        ("broken entities", "$Entities\n1 2\n$EndEntities\n", true),
         ("data of elements", "$ElementData\n1\n\"p\"\n1\n0\n3\n0\n1\n1\n1 5\n$EndElementData\n", true),
         ("vectors", "$NodeData\n1\n\"v\"\n1\n0\n3\n0\n3\n1\n1 0 0 0\n$EndNodeData\n", true),
         ("broken data", "$NodeData\nx\n$EndNodeData\n", true),
@@ -326,7 +328,7 @@ fn others(mesh: &TriMesh) -> Vec<Odd> {
         bytes
     };
     all.push(odd("one mark", Format::Stl, marked(&|_| 0x8000, b"any"), false));
-    all.push(odd("colours of facets", Format::Stl, marked(&|facet| 0x8000 | (facet % 2) as u16, b"any"), true));
+    all.push(odd("colours of facets", Format::Stl, marked(&|facet| 0x8000 | u16::from(facet < 20), b"any"), false));
     all.push(odd("a colour in the header", Format::Stl, marked(&|_| 0, b"COLOR=\xff\0\0\xff"), true));
     let off = |kind: &str, more: &str, face: &str| {
         let rows: String = points(mesh).lines().map(|line| format!("{line}{more}\n")).collect();

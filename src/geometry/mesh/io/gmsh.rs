@@ -85,14 +85,16 @@ fn read(bytes: &[u8], wanted: bool, counted: bool) -> Result<Reader<'_>, DataErr
                 continue;
             }
             b"$PhysicalNames" | b"$Entities" if wanted => {
-                // Both say what labels mean, and no more.
-                let begin = (reader.cursor.rest, reader.cursor.line);
+                // Both say what labels mean, and no more: what is wrong with them is left aside.
+                let mut section = reader.cursor.clone();
+                reader.pass_section(word, word.get(1..).unwrap_or_default())?;
+                section.rest = &section.rest[..section.rest.len() - reader.cursor.rest.len()];
+                let after = std::mem::replace(&mut reader.cursor, section);
                 let read = if word == b"$Entities" { reader.entities() } else { reader.physical_names() };
+                reader.cursor = after;
                 if let Err(error) = read {
-                    (reader.cursor.rest, reader.cursor.line) = begin;
                     reader.soup.raw.unreadable(&shown(word), error.to_string());
                 }
-                reader.pass_section(word, word.get(1..).unwrap_or_default())?;
                 continue;
             }
             _ => {

@@ -53,7 +53,7 @@ fn decode(bytes: &[u8], wanted: Wanted<'_>) -> Result<Soup, DataError> {
     let surface = common::read(bytes, wanted.is_some()).and_then(|all| all.surface(Raw::default()));
     let mut soup = surface.map_or_else(|| dialects::decode(bytes, wanted.is_some()), Ok)?;
     if let Some(choice) = wanted {
-        regions(bytes, choice, &mut soup.raw)?;
+        regions(bytes, choice, soup.facets.len(), &mut soup.raw)?;
         others(bytes, &mut soup.raw);
     }
     Ok(soup)
@@ -63,7 +63,7 @@ fn decode(bytes: &[u8], wanted: Wanted<'_>) -> Result<Soup, DataError> {
 const LABELS: [&str; 3] = ["usemtl", "g", "o"];
 
 /// Finds the labels that become regions, and names the others.
-fn regions(bytes: &[u8], choice: &RegionChoice, raw: &mut Raw) -> Result<(), DataError> {
+fn regions(bytes: &[u8], choice: &RegionChoice, facets: usize, raw: &mut Raw) -> Result<(), DataError> {
     let [materials, groups] = labels(bytes);
     let of_materials = match choice {
         RegionChoice::Ignore => {
@@ -80,28 +80,37 @@ fn regions(bytes: &[u8], choice: &RegionChoice, raw: &mut Raw) -> Result<(), Dat
             let found = |label: &&str| {
                 dialects::statements(bytes).any(|(_, text)| dialects::Words(text).next() == Some(label.as_bytes()))
             };
-            let there: Vec<String> =
-                LABELS.iter().filter(|label| found(label)).map(|&label| label.to_owned()).collect();
-            let at = there.iter().position(|label| label == name).ok_or_else(|| missing(name, &there))?;
-            vec![there[at].clone()]
+            let there: Vec<&str> = LABELS.into_iter().filter(found).collect();
+            let chosen: Vec<&str> = there.iter().copied().filter(|label| *label == name).collect();
+            if chosen.is_empty() {
+                return Err(missing(name, &there.into_iter().map(str::to_owned).collect::<Vec<_>>()));
+            }
+            chosen
         }
-        None if of_materials => vec![LABELS[0].to_owned()],
-        None => LABELS[1..].iter().map(|&label| label.to_owned()).collect(),
+        None if of_materials => LABELS[..1].to_vec(),
+        None => LABELS[1..].to_vec(),
     };
+    let others = if of_materials { groups } else { materials };
+    let mut are_others_lost = others > 1;
     if choice.array().is_some() || materials > 1 || groups > 1 {
+        let labels = labels_of(bytes, &statements, facets);
+        if of_materials && are_others_lost {
+            are_others_lost = !labels.are_alike(&labels_of(bytes, &LABELS[1..], facets));
+        }
         let kinds = if of_materials { "materials" } else { "groups" };
-        raw.regions = Some(labels_of(bytes, &statements).finish(kinds, by_name));
+        raw.regions = Some(labels.finish(kinds, by_name));
     }
     match of_materials {
-        true => raw.labels_beside("groups", groups, "the regions are those of the materials; --regions g takes these"),
-        false => raw.labels_beside("materials", materials, "the regions are the groups; --regions usemtl takes these"),
+        _ if !are_others_lost => {}
+        true => raw.labels_beside("groups", others, "the regions are those of the materials; --regions g takes these"),
+        false => raw.labels_beside("materials", others, "the regions are the groups; --regions usemtl takes these"),
     }
     Ok(())
 }
 
-/// The label of each facet: what the last of these statements before its face says.
-fn labels_of<'a>(bytes: &'a [u8], statements: &[String]) -> Labels<&'a [u8]> {
-    let mut labels = Labels::default();
+/// The label of each of so many facets: what the last of these statements before its face says.
+fn labels_of<'a>(bytes: &'a [u8], statements: &[&str], facets: usize) -> Labels<&'a [u8]> {
+    let mut labels = Labels::with_room(facets);
     let mut last: &[u8] = b"";
     for (_, text) in dialects::statements(bytes) {
         let mut words = dialects::Words(text);

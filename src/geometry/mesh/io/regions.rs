@@ -69,6 +69,11 @@ impl<K> Default for Labels<K> {
 }
 
 impl<K: Copy + Eq + Hash> Labels<K> {
+    /// No labels, with room for those of so many facets.
+    pub(super) fn with_room(facets: usize) -> Self {
+        Self { of_facet: Vec::with_capacity(facets), ..Self::default() }
+    }
+
     /// The label of the next facets.
     pub(super) fn push(&mut self, label: K, facets: usize) {
         if facets == 0 || self.wrong.is_some() {
@@ -97,6 +102,12 @@ impl<K: Copy + Eq + Hash> Labels<K> {
     /// How many there are.
     pub(super) fn count(&self) -> usize {
         self.known.len()
+    }
+
+    /// Whether others tell apart the same facets.
+    pub(super) fn are_alike(&self, others: &Self) -> bool {
+        // Labels are numbered by their first use.
+        self.of_facet == others.of_facet
     }
 
     /// The labels with what their regions are called; `region` also gets the rank of a label by its first use, from 0.
@@ -161,9 +172,9 @@ impl Found {
             return aside(kinds, format!("{labelled} of {facets} facets have one"));
         }
         let regions = Regions::new(of_facet, all)?;
-        let (borders, edges) = regions.borders(mesh.facets(), &weld(mesh));
-        if borders.len() >= LEAST_BORDERS && 2 * borders.len() > edges {
-            let text = format!("they change at {} of {edges} edges, as data do; regions are patches", borders.len());
+        let (borders, edges) = regions.count_borders(mesh.facets(), &weld(mesh));
+        if borders >= LEAST_BORDERS && 2 * borders > edges {
+            let text = format!("they change at {borders} of {edges} edges, as data do; regions are patches");
             return aside(format!("{count} {kinds}"), text);
         }
         Ok(Some(regions))
