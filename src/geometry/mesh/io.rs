@@ -88,11 +88,11 @@ macro_rules! formats {
 }
 
 formats! {
-    /// Wavefront OBJ, text. Groups and objects are one surface; materials are left aside.
+    /// Wavefront OBJ, text. Groups and objects are one surface.
     Obj = 2, obj::CODEC;
     /// Stanford PLY. Reads ascii and both binary orders, writes little-endian binary with doubles.
     Ply = 1, ply::CODEC;
-    /// STL. Reads ascii and binary, writes binary; coordinates are rounded to single precision.
+    /// STL. Reads ascii and binary, writes binary, or ascii with regions; coordinates are rounded to single precision.
     Stl = 3, stl::CODEC;
     /// Geomview OFF, text, with the COFF and NOFF variants.
     Off = 4, off::CODEC;

@@ -3,7 +3,7 @@
 //! Purpose: the triangles, strips and fans of all nodes of the scene, in their places, with normals, texture coordinates and
 //! colours of vertices. A glTF has a vertex once for each normal and each place in the texture: vertices of a primitive with the
 //! same bits of position and colour become one, and corners keep the rest. The second texture coordinate goes up here, and down
-//! in a glTF. A mesh with a skin is where its joints place it. Materials, images, morph targets and animations are left aside.
+//! in a glTF. A mesh with a skin is where its joints place it. Materials are regions; images, morph targets and animations are left aside.
 //! Why the reading is our own, over `serde_json`: in the crate `gltf` (1.4.1, of 2024) an accessor with a stride below its
 //! elements' size, or with indices that are fractions, panics in release builds, a count of 0 or 2⁶² in debug builds; and its
 //! documents hold the places of nodes in single precision, which tears scenes far from the origin.
