@@ -277,8 +277,8 @@ fn volumes_are_left_aside_or_refused() {
     assert!(error.contains("fill space"), "{error}");
     let both = msh(&format!("{tetrahedron}2 2 2 1 1 11 7 9\n3 1 2 1 1 7 9\n"));
     let loaded = decode_with_attributes(Format::Gmsh, both.as_bytes()).unwrap();
-    // The tetrahedron, the name of its group, and a line.
-    assert_eq!((loaded.mesh.area(), loaded.left_aside.len()), (0.5, 3));
+    // The tetrahedron and a line.
+    assert_eq!((loaded.mesh.area(), loaded.left_aside.len()), (0.5, 2));
     let unknown = msh("2 2 2 1 1 11 7 8\n");
     assert!(matches!(
         decode(Format::Gmsh, unknown.as_bytes()),

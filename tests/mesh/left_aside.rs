@@ -4,7 +4,9 @@ use std::fmt::Write as _;
 
 use tessera::mesh::TriMesh;
 use tessera::mesh::attributes::{Attributes, Scalar};
-use tessera::mesh::io::{Format, Loaded, decode, decode_with_attributes, encode, encode_with_attributes};
+use tessera::mesh::io::{
+    Format, Loaded, RegionChoice, decode, decode_with_attributes, decode_with_regions, encode, encode_with_attributes,
+};
 use tessera::mesh::shapes::Shape;
 
 /// A file with something odd in it, and whether a line is due.
@@ -155,7 +157,9 @@ fn gmsh(mesh: &TriMesh) -> Vec<Odd> {
     for (what, section, told) in [
         ("a comment", "$Comments\nanything $at all\n$EndComments\n", false),
         ("periodic nodes", "$Periodic\n1\n0 1 2\n1\n1 2\n$EndPeriodic\n", false),
-        ("names", "$PhysicalNames\n1\n2 1 \"skin\"\n$EndPhysicalNames\n", true),
+        ("names", "$PhysicalNames\n1\n2 1 \"skin\"\n$EndPhysicalNames\n", false),
+        ("broken names", "$PhysicalNames\n7\n2 1 \"skin\"\n$EndPhysicalNames\n", true),
+        ("broken entities", "$Entities\n1 2\n$EndEntities\n", true),
         ("data of elements", "$ElementData\n1\n\"p\"\n1\n0\n3\n0\n1\n1\n1 5\n$EndElementData\n", true),
         ("vectors", "$NodeData\n1\n\"v\"\n1\n0\n3\n0\n3\n1\n1 0 0 0\n$EndNodeData\n", true),
         ("broken data", "$NodeData\nx\n$EndNodeData\n", true),
@@ -326,7 +330,7 @@ fn others(mesh: &TriMesh) -> Vec<Odd> {
         bytes
     };
     all.push(odd("one mark", Format::Stl, marked(&|_| 0x8000, b"any"), false));
-    all.push(odd("colours of facets", Format::Stl, marked(&|facet| 0x8000 | (facet % 2) as u16, b"any"), true));
+    all.push(odd("colours of facets", Format::Stl, marked(&|facet| 0x8000 | u16::from(facet < 20), b"any"), false));
     all.push(odd("a colour in the header", Format::Stl, marked(&|_| 0, b"COLOR=\xff\0\0\xff"), true));
     let off = |kind: &str, more: &str, face: &str| {
         let rows: String = points(mesh).lines().map(|line| format!("{line}{more}\n")).collect();
@@ -480,9 +484,9 @@ fn lines_have_an_end() {
     assert!(lines[1024].to_string().contains("3976 more"), "{}", lines[1024]);
 }
 
-/// Labels of facets that a format has are told, once there are several.
+/// Labels of facets that a format has are regions, once there are several; if they are not wanted, and of vertices, they are told.
 #[test]
-fn labels_of_facets_are_told() {
+fn labels_of_facets_are_regions_or_told() {
     let square = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\n";
     let facet = |z: u32| {
         format!("facet normal 0 0 1\nouter loop\nvertex 0 0 {z}\nvertex 1 0 {z}\nvertex 0 1 {z}\nendloop\nendfacet\n")
@@ -512,9 +516,14 @@ fn labels_of_facets_are_told() {
         (Format::Gmsh, gmsh(1, 7), Some("2 physical groups")),
         (Format::Gmsh, gmsh(1, 1).replace("2 2 2 1 1", "2 2 2 1 5"), Some("2 parts of the model")),
     ] {
-        let loaded = decode_with_attributes(format, text.as_bytes()).unwrap();
-        let said: Vec<String> = loaded.left_aside.iter().map(ToString::to_string).collect();
+        let ignored = decode_with_regions(format, text.as_bytes(), &RegionChoice::Ignore).unwrap();
+        let said: Vec<String> = ignored.left_aside.iter().map(ToString::to_string).collect();
         assert_eq!(said.len(), usize::from(told.is_some()), "{text}: {said:?}");
         assert!(told.is_none_or(|told| said[0].starts_with(told)), "{text}: {said:?}");
+        let loaded = decode_with_attributes(format, text.as_bytes()).unwrap();
+        let of_vertices = told.is_some_and(|told| told.ends_with("vertices"));
+        assert_eq!(loaded.left_aside.len(), usize::from(of_vertices), "{text}");
+        let regions = loaded.attributes.regions().map_or(0, |regions| regions.all().len());
+        assert_eq!(regions, if told.is_some() && !of_vertices { 2 } else { 0 }, "{text}");
     }
 }

@@ -20,6 +20,7 @@ mod off;
 mod packed;
 pub(super) mod ply;
 mod polygons;
+mod regions;
 pub(super) mod stl;
 mod threemf;
 mod vtk;
@@ -34,6 +35,8 @@ use super::{MeshError, TriMesh};
 use held::{Held, Holds, Raw};
 use packed::Signature;
 use polygons::Fan;
+
+pub use regions::RegionChoice;
 
 pub use packed::limit as unpacked_limit;
 pub use packed::{Measure, UNPACKED_RATIO, are_packed, pack_for, unpack, unpacked_wrong, unpacker};
@@ -85,11 +88,11 @@ macro_rules! formats {
 }
 
 formats! {
-    /// Wavefront OBJ, text. Groups and objects are one surface; materials are left aside.
+    /// Wavefront OBJ, text. Groups and objects are one surface.
     Obj = 2, obj::CODEC;
     /// Stanford PLY. Reads ascii and both binary orders, writes little-endian binary with doubles.
     Ply = 1, ply::CODEC;
-    /// STL. Reads ascii and binary, writes binary; coordinates are rounded to single precision.
+    /// STL. Reads ascii and binary, writes binary, or ascii with regions; coordinates are rounded to single precision.
     Stl = 3, stl::CODEC;
     /// Geomview OFF, text, with the COFF and NOFF variants.
     Off = 4, off::CODEC;
@@ -156,6 +159,11 @@ impl Format {
         format!("{} or {last}", names.join(", "))
     }
 
+    /// Whether labels of facets can be chosen by a name.
+    fn has_arrays(self) -> bool {
+        matches!(self, Self::Obj | Self::Ply | Self::Vtk | Self::Vtp | Self::Vtu)
+    }
+
     /// The format of a file name, which may have `.gz` after its extension.
     pub fn of_path(path: &Path) -> Result<Self, FileError> {
         let stem = if packed::is_packed(path) { path.file_stem().map(Path::new).unwrap_or(path) } else { path };
@@ -165,6 +173,9 @@ impl Format {
     }
 }
 
+/// Which labels become regions, if attributes are wanted.
+type Wanted<'a> = Option<&'a RegionChoice>;
+
 struct Codec {
     extension: &'static str,
     /// The preferred media type first.
@@ -172,7 +183,7 @@ struct Codec {
     facet_bytes: u64,
     signature: Signature,
     /// Reads the surface, and its attributes if they are wanted.
-    decode: fn(bytes: &[u8], wanted: bool) -> Result<Soup, DataError>,
+    decode: fn(bytes: &[u8], wanted: Wanted<'_>) -> Result<Soup, DataError>,
     encode: fn(&TriMesh, &Held<'_>) -> Result<Vec<u8>, DataError>,
     counts: fn(&[u8]) -> Option<Counts>,
     holds: Holds,
@@ -293,6 +304,14 @@ pub enum DataError {
     /// The attributes are not this surface's.
     #[error(transparent)]
     Attributes(#[from] AttributeError),
+    /// The labels that were chosen to be regions are not there.
+    #[error("there is no array {name:?} of facets to make regions of; {}", regions::listed(.there))]
+    NoRegions {
+        /// The name as given, at most 40 characters of it.
+        name: String,
+        /// Names that are there, the first 32 of them.
+        there: Vec<String>,
+    },
     /// A list beside the surface does not fit it.
     #[error("{0}")]
     List(String),
@@ -321,6 +340,11 @@ pub fn read_with_attributes(path: &Path) -> Result<Loaded, FileError> {
     read_as(path, decode_with_attributes)
 }
 
+/// [`read_with_attributes`], with a choice of the labels that become regions.
+pub fn read_with_regions(path: &Path, choice: &RegionChoice) -> Result<Loaded, FileError> {
+    read_as(path, |format, bytes| decode_with_regions(format, bytes, choice))
+}
+
 /// The bytes of a surface's file. A `.gltf` takes in the data that it names, from files in its folder or below, so that the
 /// bytes are a surface by themselves.
 pub fn read_bytes(path: &Path, format: Format) -> Result<Vec<u8>, FileError> {
@@ -339,7 +363,7 @@ pub fn read_bytes(path: &Path, format: Format) -> Result<Vec<u8>, FileError> {
     })
 }
 
-fn read_as<T>(path: &Path, decode: fn(Format, &[u8]) -> Result<T, DataError>) -> Result<T, FileError> {
+fn read_as<T>(path: &Path, decode: impl FnOnce(Format, &[u8]) -> Result<T, DataError>) -> Result<T, FileError> {
     let format = Format::of_path(path)?;
     let bytes = read_bytes(path, format)?;
     decode(format, &bytes).map_err(|cause| FileError::Data { path: path.to_path_buf(), cause })
@@ -374,7 +398,7 @@ pub fn write_with_attributes(path: &Path, mesh: &TriMesh, attributes: &Attribute
 /// # Ok::<(), DataError>(())
 /// ```
 pub fn decode(format: Format, bytes: &[u8]) -> Result<TriMesh, DataError> {
-    let Soup { positions, facets, .. } = decode_soup(format, bytes, false)?;
+    let Soup { positions, facets, .. } = decode_soup(format, bytes, None)?;
     Ok(TriMesh::new(positions, facets)?)
 }
 
@@ -388,10 +412,30 @@ pub fn decode(format: Format, bytes: &[u8]) -> Result<TriMesh, DataError> {
 /// # Ok::<(), DataError>(())
 /// ```
 pub fn decode_with_attributes(format: Format, bytes: &[u8]) -> Result<Loaded, DataError> {
-    let Soup { positions, facets, mut raw, .. } = decode_soup(format, bytes, true)?;
+    decode_with_regions(format, bytes, &RegionChoice::Named)
+}
+
+/// [`decode_with_attributes`], with a choice of the labels that become regions. Labels of one kind alone are no regions, and
+/// neither are more than [`MAX_REGIONS`](super::regions::MAX_REGIONS), or such that change at most edges: these are left aside.
+/// Fails where [`decode`] does, and if an array is chosen that is not there.
+///
+/// ```
+/// use tessera::mesh::io::{DataError, Format, RegionChoice, decode_with_regions};
+/// let text = b"v 0 0 0\nv 1 0 0\nv 0 1 0\nv 1 1 0\nusemtl red\nf 1 2 3\nusemtl blue\nf 2 4 3\n";
+/// let loaded = decode_with_regions(Format::Obj, text, &RegionChoice::Named)?;
+/// assert_eq!(loaded.attributes.regions().unwrap().label(1), "blue");
+/// let other = RegionChoice::Array("g".to_owned());
+/// assert!(matches!(decode_with_regions(Format::Obj, text, &other), Err(DataError::NoRegions { .. })));
+/// # Ok::<(), DataError>(())
+/// ```
+pub fn decode_with_regions(format: Format, bytes: &[u8], choice: &RegionChoice) -> Result<Loaded, DataError> {
+    let Soup { positions, facets, mut raw, .. } = decode_soup(format, bytes, Some(choice))?;
     let mesh = TriMesh::new(positions, facets)?;
+    if let Some(name) = choice.array().filter(|_| raw.regions.is_none() || !format.has_arrays()) {
+        return Err(regions::missing(name, &raw.arrays));
+    }
     let creases = raw.edges_of(&mesh);
-    let (attributes, left_aside) = raw.onto(&mesh);
+    let (attributes, left_aside) = raw.onto(&mesh, choice);
     Ok(Loaded { mesh, attributes, creases, left_aside })
 }
 
@@ -455,7 +499,7 @@ fn syntax(line: usize, message: impl Into<String>) -> DataError {
 const ROOM_RATIO: usize = 8;
 
 /// The surface that the format's reader finds, with its polygons cut. Attributes are read only if they are `wanted`.
-fn decode_soup(format: Format, bytes: &[u8], wanted: bool) -> Result<Soup, DataError> {
+fn decode_soup(format: Format, bytes: &[u8], wanted: Wanted<'_>) -> Result<Soup, DataError> {
     let bytes = unpack(bytes, unpacked_limit(bytes.len()))?;
     let bytes = without_mark(&bytes);
     if bytes.iter().all(u8::is_ascii_whitespace) {
@@ -490,15 +534,20 @@ pub fn encode(format: Format, mesh: &TriMesh) -> Result<Vec<u8>, DataError> {
 /// glTF have single precision, which is among the others if it moves a vertex by more than 1 % of an edge. In glTF the place
 /// of a surface far from the origin is that of its node, so that nothing is lost there.
 ///
-/// | | normals | texture coordinates | colours | scalars |
-/// | --- | --- | --- | --- | --- |
-/// | OBJ | yes | yes | without opacity | no |
-/// | PLY | per vertex | yes; with seams as the face property `texcoord` | yes | yes |
-/// | OFF | per vertex | per vertex | yes | no |
-/// | VTK, `.vtk`, `.vtp` and `.vtu` | per vertex | per vertex | yes | yes |
-/// | glTF | yes | yes | yes | no |
-/// | Gmsh | no | no | no | yes |
-/// | STL, Medit, 3MF | no | no | no | no |
+/// | | normals | texture coordinates | colours | scalars | regions |
+/// | --- | --- | --- | --- | --- | --- |
+/// | OBJ | yes | yes | without opacity | no | names, as `g` and `usemtl` |
+/// | PLY | per vertex | yes; with seams as the face property `texcoord` | yes | yes | numbers, as the face property `regions` |
+/// | OFF | per vertex | per vertex | yes | no | no |
+/// | VTK, `.vtk`, `.vtp` and `.vtu` | per vertex | per vertex | yes | yes | numbers, as the cell array `regions` |
+/// | glTF | yes | yes | yes | no | names, as materials |
+/// | Gmsh | no | no | no | yes | names and numbers, as physical groups |
+/// | STL | no | no | no | no | names, as solids of text; binary without regions |
+/// | Medit | no | no | no | no | numbers, as references |
+/// | 3MF | no | no | no | no | no |
+///
+/// Facets keep their order, but in STL and glTF with regions: there those of each region follow one another. A region without a
+/// name is called by its number where a format has names alone.
 pub fn encode_with_attributes(
     format: Format,
     mesh: &TriMesh,
@@ -515,6 +564,17 @@ pub fn encode_with_attributes(
         Format::Gmsh => renamed(held.scalars, gmsh::quoted),
         _ => None,
     });
+    let quotes = |name: &str| format == Format::Gmsh && gmsh::quoted(name) != name;
+    let are_quoted = held.regions.is_some_and(|regions| regions.all().iter().any(|region| quotes(&region.name)));
+    held.left_out.extend(are_quoted.then(|| "quotes in names of regions (they are ')".to_owned()));
+    held.left_out.extend(match format {
+        Format::Obj => regions::renamed(held.regions, obj::word),
+        Format::Stl => regions::renamed(held.regions, str::to_owned),
+        Format::Gmsh => regions::renumbered(held.regions, &gmsh::GROUPS),
+        Format::Medit | Format::MeditBinary => regions::renumbered(held.regions, &medit::REFERENCES),
+        Format::Ply => regions::renumbered(held.regions, &ply::LABELS),
+        _ => None,
+    });
     Ok((bytes, held.left_out))
 }
 
@@ -525,6 +585,8 @@ struct Soup {
     facets: Vec<[u32; 3]>,
     /// Which of them are polygons' with more than three corners, all of them fans.
     fans: Vec<Fan>,
+    /// How many facets each cell has, if that is asked for.
+    cells: Option<Vec<u32>>,
     raw: Raw,
 }
 

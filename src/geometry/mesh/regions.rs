@@ -4,7 +4,7 @@
 //! Invariant: every facet has a region that is there; no two regions have one number. Must not know: files, what borders are for.
 
 use std::borrow::Cow;
-use std::collections::{BTreeMap, HashSet};
+use std::collections::{BTreeMap, HashMap, HashSet};
 
 use super::edges::{sides, undirected};
 
@@ -107,6 +107,13 @@ impl Regions {
         &self.all
     }
 
+    /// The facets of each region, in order.
+    pub(crate) fn facets_by_region(&self) -> Vec<Vec<u32>> {
+        let mut facets = vec![Vec::new(); self.all.len()];
+        self.of_facet.iter().zip(0..).for_each(|(&region, facet)| facets[region as usize].push(facet));
+        facets
+    }
+
     /// The number of the region of each facet.
     pub fn numbers(&self) -> impl ExactSizeIterator<Item = i64> + '_ {
         self.of_facet.iter().map(|&region| self.all[region as usize].number)
@@ -143,7 +150,32 @@ impl Regions {
         let borders = meet().filter(|edge| edge[0].1 != edge[edge.len() - 1].1).map(|edge| edge[0].0).collect();
         (borders, meet().count())
     }
+
+    /// How many edges [`Self::borders`] has, and at how many any two facets meet. Takes less memory than these edges.
+    pub(crate) fn count_borders(&self, facets: &[[u32; 3]], class: &[u32]) -> (usize, usize) {
+        let (mut borders, mut meet) = (0, 0);
+        for part in 0..PARTS {
+            // The first region at each edge, whether there is another facet, and another region.
+            let mut known: HashMap<[u32; 2], (u32, bool, bool), foldhash::fast::RandomState> = HashMap::default();
+            for (t, &region) in facets.iter().zip(&self.of_facet) {
+                for edge in sides(*t) {
+                    let [a, b] = undirected(edge.map(|v| class[v as usize]));
+                    if a != b && a.wrapping_add(b) % PARTS == part {
+                        let known =
+                            known.entry([a, b]).and_modify(|edge| *edge = (edge.0, true, edge.2 || edge.0 != region));
+                        known.or_insert((region, false, false));
+                    }
+                }
+            }
+            meet += known.values().filter(|edge| edge.1).count();
+            borders += known.values().filter(|edge| edge.2).count();
+        }
+        (borders, meet)
+    }
 }
+
+/// Edges are counted in so many parts.
+const PARTS: u32 = 8;
 
 #[cfg(test)]
 mod tests {
@@ -159,6 +191,9 @@ mod tests {
         let regions = Regions::of_numbers(&[7, 7, -2, -2]).unwrap();
         assert_eq!((regions.of_facet(), regions.label(0)), (&[1, 1, 0, 0][..], "-2".to_owned()));
         assert_eq!(regions.borders(&facets, &class), (vec![[2, 3]], 3));
+        assert_eq!(regions.count_borders(&facets, &class), (1, 3));
+        assert_eq!(regions.count_borders(&facets, &[0, 1, 2, 1, 4, 5]), (1, 2));
+        assert_eq!(regions.borders(&facets, &[0, 1, 2, 1, 4, 5]), (vec![[1, 2]], 2));
     }
 
     #[test]

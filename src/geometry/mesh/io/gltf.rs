@@ -3,7 +3,7 @@
 //! Purpose: the triangles, strips and fans of all nodes of the scene, in their places, with normals, texture coordinates and
 //! colours of vertices. A glTF has a vertex once for each normal and each place in the texture: vertices of a primitive with the
 //! same bits of position and colour become one, and corners keep the rest. The second texture coordinate goes up here, and down
-//! in a glTF. A mesh with a skin is where its joints place it. Materials, images, morph targets and animations are left aside.
+//! in a glTF. A mesh with a skin is where its joints place it. Materials are regions; images, morph targets and animations are left aside.
 //! Why the reading is our own, over `serde_json`: in the crate `gltf` (1.4.1, of 2024) an accessor with a stride below its
 //! elements' size, or with indices that are fractions, panics in release builds, a count of 0 or 2⁶² in debug builds; and its
 //! documents hold the places of nodes in single precision, which tears scenes far from the origin.
@@ -21,16 +21,25 @@ use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
 use glam::{DMat4, DVec2, DVec3};
 
-use self::document::{Document, Primitive, Skin, Text};
+use self::document::{Document, Names, Primitive, Skin, Text};
 use self::numbers::{Numbers, Source};
-use super::held::{By, Held, Holds, centred, check_single, eight_bit, firsts, numbered};
+use super::held::{By, Held, Holds, Labelled, centred, check_single, eight_bit, firsts, numbered};
 use super::numbers::{Cursor, Encoding, Kind, Order, cut};
 use super::packed::Room;
+use super::regions::{self, Labels};
 use super::{Codec, Counts, DataError, Soup, VertexNumbers, unpacked_limit};
 use crate::mesh::TriMesh;
 use crate::mesh::attributes::{ColourDepth, Colours, Normals, PerCorner};
+use crate::mesh::regions::Region;
 
-const HOLDS: Holds = Holds { normals: By::Corner, texture: By::Corner, colours: true, opacity: true, scalars: false };
+const HOLDS: Holds = Holds {
+    normals: By::Corner,
+    texture: By::Corner,
+    colours: true,
+    opacity: true,
+    scalars: false,
+    regions: Labelled::Name,
+};
 
 pub(super) const BINARY: Codec = Codec {
     extension: "glb",
@@ -38,7 +47,9 @@ pub(super) const BINARY: Codec = Codec {
     // Half a vertex of three floats, and three indices.
     facet_bytes: 18,
     signature: super::packed::Signature::Start(|head| head.bytes.starts_with(MAGIC)),
-    decode: |bytes, wanted| parts(bytes).and_then(|(json, binary)| surface(json, binary, bytes.len(), wanted)),
+    decode: |bytes, wanted| {
+        parts(bytes).and_then(|(json, binary)| surface(json, binary, bytes.len(), wanted.is_some()))
+    },
     encode: encode_binary,
     counts: |bytes| parts(bytes).ok().and_then(|(json, binary)| counts(json, binary, bytes.len())),
     holds: HOLDS,
@@ -51,7 +62,7 @@ pub(super) const TEXT: Codec = Codec {
     // Half a vertex of three floats, and three indices, in base64.
     facet_bytes: 24,
     signature: super::packed::Signature::Start(|head| head.is_document(b'{', b"\"asset\"")),
-    decode: |bytes, wanted| surface(bytes, None, bytes.len(), wanted),
+    decode: |bytes, wanted| surface(bytes, None, bytes.len(), wanted.is_some()),
     encode: encode_text,
     counts: |bytes| counts(bytes, None, bytes.len()),
     holds: HOLDS,
@@ -75,19 +86,28 @@ fn counts(json: &[u8], binary: Option<&[u8]>, length: usize) -> Option<Counts> {
     let count = |accessor: u32| {
         document.accessors.get(accessor as usize).map(|a| a.count as u64).filter(|count| (1..=there).contains(count))
     };
-    nodes(&document, length, |primitive, _, _| {
+    let mut last = None;
+    nodes(&document, length, |primitive, At { node, .. }| {
         let Some((mode, position)) = primitive.triangles() else { return Ok(()) };
         let vertices = count(position).ok_or(DataError::Empty)?;
         let corners = primitive.indices.map_or(Some(vertices), count).ok_or(DataError::Empty)?;
         let facets = if mode == 4 { corners / 3 } else { corners.saturating_sub(2) };
-        counts.vertices += vertices;
         counts.facets += facets;
+        counts.made_bytes += 12 * corners + 48 * facets;
+        if counts.made_bytes > most.saturating_mul(2) {
+            return Err(DataError::Empty);
+        }
+        // Primitives of a mesh that name the same vertices share them.
+        if last.replace((node, primitive.attributes)) == Some((node, primitive.attributes)) {
+            return Ok(());
+        }
+        counts.vertices += vertices;
         // Numbers of vertices, as they are read and as they are kept, and of corners, and what corners carry.
         let names = &primitive.attributes;
         let numbers = [(names.normal, 3), (names.texture, 2), (names.colour, 4)];
         let of_joints = if names.joints_0.is_some() { 8 } else { 0 };
         let numbers = 3 + of_joints + numbers.iter().filter(|(name, _)| name.is_some()).map(|(_, n)| n).sum::<u64>();
-        counts.made_bytes += (16 * numbers + 8) * vertices + 12 * corners + 48 * facets;
+        counts.made_bytes += (16 * numbers + 8) * vertices;
         // Reading refuses such files.
         if counts.made_bytes > most.saturating_mul(2) { Err(DataError::Empty) } else { Ok(()) }
     })
@@ -110,20 +130,27 @@ fn surface(json: &[u8], binary: Option<&[u8]>, length: usize, wanted: bool) -> R
         normals: None,
         texture: None,
         colours: None,
+        last: None,
+        labels: Labels::default(),
         eight: true,
         is_morphed: false,
         thin: 0,
         has_more: false,
         reported: HashSet::new(),
     };
-    nodes(&document, length, |primitive, place, skin| reader.primitive(primitive, place, skin))?;
-    let Reader { mut soup, normals, texture, colours, eight, is_morphed, thin, has_more, .. } = reader;
+    nodes(&document, length, |primitive, at| reader.primitive(primitive, at))?;
+    let Reader { mut soup, normals, texture, colours, labels, eight, is_morphed, thin, has_more, .. } = reader;
     soup.raw.normals = normals.map(Normals::PerCorner);
     soup.raw.texture = texture;
     let depth = if eight { ColourDepth::Eight } else { ColourDepth::Float };
     soup.raw.colours = colours.map(|values| Colours { values, depth });
     if wanted {
-        soup.raw.labels("materials", document.materials);
+        // Facets without a material are of region 0.
+        let number = |material: Option<u32>| material.map_or(0, |index| i64::from(index) + 1);
+        soup.raw.regions = Some(labels.finish("materials", |material, _| {
+            let name = material.and_then(|index| document.material(index)).unwrap_or_default();
+            Region { number: number(material), name: regions::name(name.as_bytes()) }
+        }));
         soup.raw.elements("primitives of points and lines", thin);
     }
     if let Some(name) = document.used.as_ref().filter(|_| wanted) {
@@ -169,11 +196,19 @@ fn parts(bytes: &[u8]) -> Result<(&[u8], Option<&[u8]>), DataError> {
 /// Ancestors of a node with further children to visit, at most. A place takes 128 bytes.
 const DEEPEST: usize = 10_000;
 
+/// Where a primitive is: its node, the place of this, and a skin.
+#[derive(Clone, Copy)]
+struct At {
+    node: usize,
+    place: DMat4,
+    skin: Option<u32>,
+}
+
 /// All primitives of the scene, in their places, with their skins; the file has `length` bytes.
 fn nodes(
     document: &Document<'_>,
     length: usize,
-    mut visit: impl FnMut(&Primitive, DMat4, Option<u32>) -> Result<(), DataError>,
+    mut visit: impl FnMut(&Primitive, At) -> Result<(), DataError>,
 ) -> Result<(), DataError> {
     // Counts primitives without triangles too, which take time and no memory.
     let mut left = length.saturating_mul(8).saturating_add(1 << 20);
@@ -195,8 +230,8 @@ fn nodes(
         if let Some(mesh) = document.mesh(index) {
             let primitives = document.primitives(mesh).ok_or_else(|| wrong("its mesh is not there"))?;
             left = left.checked_sub(primitives.len()).ok_or_else(repeated)?;
-            let skin = document.skin(index);
-            primitives.iter().try_for_each(|primitive| visit(primitive, place, skin))?;
+            let at = At { node: index, place, skin: document.skin(index) };
+            primitives.iter().try_for_each(|primitive| visit(primitive, at))?;
         }
         if open.len() > DEEPEST {
             return Err(wrong("nodes are nested too deep; export the scene flat"));
@@ -226,6 +261,10 @@ struct Reader<'a> {
     normals: Option<PerCorner<DVec3>>,
     texture: Option<PerCorner<DVec2>>,
     colours: Option<Vec<[f64; 4]>>,
+    /// Those of the last primitive.
+    last: Option<Vertices>,
+    /// Materials.
+    labels: Labels<Option<u32>>,
     /// Whether all colours came in bytes.
     eight: bool,
     is_morphed: bool,
@@ -237,16 +276,32 @@ struct Reader<'a> {
     reported: HashSet<(&'static str, u32)>,
 }
 
+/// Vertices of a primitive, as the surface has them. The next one of its mesh may share them.
+struct Vertices {
+    of: (usize, Names),
+    /// The number of each.
+    numbers: Vec<u32>,
+    is_mirrored: bool,
+    /// The value of each, if they have some.
+    normals: Option<Vec<u32>>,
+    texture: Option<Vec<u32>>,
+}
+
 impl<'a> Reader<'a> {
-    fn primitive(&mut self, primitive: &Primitive, place: DMat4, skin: Option<u32>) -> Result<(), DataError> {
+    fn primitive(&mut self, primitive: &Primitive, at: At) -> Result<(), DataError> {
         let Some((mode, position)) = primitive.triangles() else {
             self.thin += usize::from(primitive.attributes.position.is_some());
             return Ok(());
         };
         self.has_more |= primitive.attributes.has_more;
+        self.is_morphed |= primitive.is_morphed;
         let source = self.source;
-        let positions = source.numbers(position, 3)?;
-        let count = positions.count();
+        let of = (at.node, primitive.attributes);
+        let vertices = match self.last.take().filter(|last| last.of == of) {
+            Some(vertices) => vertices,
+            None => self.vertices(primitive, position, at)?,
+        };
+        let count = vertices.numbers.len();
         let indices = primitive.indices.map(|indices| source.numbers(indices, 1)).transpose()?;
         let corners = indices.as_ref().map_or(count, Numbers::count);
         if let Some(wrong) = &indices
@@ -271,8 +326,27 @@ impl<'a> Reader<'a> {
             corners.map(corner)
         };
         // Each facet has three arrays of corners.
-        source.spend(all.saturating_mul(36).saturating_add(count.saturating_mul(32)))?;
+        source.spend(all.saturating_mul(36))?;
+        let turned = |t: [u32; 3]| if vertices.is_mirrored { [t[0], t[2], t[1]] } else { t };
+        let first = self.soup.facets.len();
+        self.soup.facets.extend((0..all).map(|f| turned(facet(f)).map(|i| vertices.numbers[i as usize])));
+        if self.wanted {
+            self.labels.push(primitive.material, all);
+            let facets = (first, all, |f: usize| turned(facet(f)));
+            add(&mut self.normals, vertices.normals.as_deref(), facets);
+            add(&mut self.texture, vertices.texture.as_deref(), facets);
+        }
+        self.last = Some(vertices);
+        Ok(())
+    }
 
+    /// Adds the vertices of a primitive, and what they carry.
+    fn vertices(&mut self, primitive: &Primitive, position: u32, at: At) -> Result<Vertices, DataError> {
+        let At { node, place, skin } = at;
+        let source = self.source;
+        let positions = source.numbers(position, 3)?;
+        let count = positions.count();
+        source.spend(count.saturating_mul(32))?;
         // Read even if they are not wanted: colours part vertices, and all count against the bound.
         let [normals, texture, colours] = [
             self.carried(primitive.attributes.normal, count, 3, 3),
@@ -286,7 +360,6 @@ impl<'a> Reader<'a> {
             }
             None => [1.0; 4],
         };
-        self.is_morphed |= primitive.is_morphed;
         let moves = skin.and_then(|skin| self.moves(skin, primitive, count));
         let is_still = place == DMat4::IDENTITY && moves.is_none();
         // The place of a mesh with a skin does not count.
@@ -308,31 +381,35 @@ impl<'a> Reader<'a> {
         if self.wanted && colours.is_some() && self.colours.is_none() {
             self.colours = Some(vec![[1.0; 4]; before]);
         }
-        let vertices = numbered(firsts, before, |i| {
+        let numbers = numbered(firsts, before, |i| {
             let is_placed = is_still || moves.is_some();
             soup.positions.push(if is_placed { points[i] } else { place.transform_point3(points[i]) });
             self.colours.iter_mut().for_each(|colours| colours.push(colour_of(i)));
         });
-        let mirrored = count > 0 && place_of(0).determinant() < 0.0;
-        let turned = |t: [u32; 3]| if mirrored { [t[0], t[2], t[1]] } else { t };
-        let first = self.soup.facets.len();
-        self.soup.facets.extend((0..all).map(|f| turned(facet(f)).map(|i| vertices[i as usize])));
-        drop((vertices, points));
-        if !self.wanted {
-            return Ok(());
-        }
+        drop(points);
+        let facets = soup.facets.len();
         let normal = |i: usize| {
             let n = normals.as_ref().map_or(DVec3::ZERO, |n| DVec3::new(n.at(i, 0), n.at(i, 1), n.at(i, 2)));
             let map = || place_of(i).inverse().transpose();
             if is_still { n } else { map().transform_vector3(n).normalize_or_zero() }
         };
-        let facets = (first, all, |f: usize| turned(facet(f)));
-        add(&mut self.normals, normals.is_some().then_some((count, normal)), facets, |n| {
-            n.to_array().map(f64::to_bits)
-        });
         let uv = |i: usize| texture.as_ref().map_or(DVec2::ZERO, |uv| DVec2::new(uv.at(i, 0), 1.0 - uv.at(i, 1)));
-        add(&mut self.texture, texture.is_some().then_some((count, uv)), facets, |uv| uv.to_array().map(f64::to_bits));
-        Ok(())
+        let mut vertices = Vertices {
+            of: (node, primitive.attributes),
+            numbers,
+            is_mirrored: count > 0 && place_of(0).determinant() < 0.0,
+            normals: None,
+            texture: None,
+        };
+        if self.wanted && normals.is_some() {
+            let key = |n: DVec3| n.to_array().map(f64::to_bits);
+            vertices.normals = Some(values(&mut self.normals, count, normal, facets, key));
+        }
+        if self.wanted && texture.is_some() {
+            let key = |uv: DVec2| uv.to_array().map(f64::to_bits);
+            vertices.texture = Some(values(&mut self.texture, count, uv, facets, key));
+        }
+        Ok(vertices)
     }
 
     /// Numbers that vertices carry, `few` to `most` each; what is wrong is left aside.
@@ -431,28 +508,32 @@ impl Moves<'_> {
     }
 }
 
-/// Adds the values of a primitive's vertices to the corners of its facets, each value once: how many values and which, and the
-/// first facet, how many and which. Without values all corners have the default, once any primitive has values.
-fn add<T: Copy + Default + Sync, K: Ord>(
+/// Adds the values of so many vertices, each once, after facets without values. Returns which value each vertex has.
+fn values<T: Copy + Default + Sync, K: Ord>(
     to: &mut Option<PerCorner<T>>,
-    values: Option<(usize, impl Fn(usize) -> T + Sync)>,
-    (first_facet, count, facet): (usize, usize, impl Fn(usize) -> [u32; 3]),
+    vertices: usize,
+    value: impl Fn(usize) -> T + Sync,
+    facets: usize,
     key: impl Fn(T) -> K + Sync,
+) -> Vec<u32> {
+    // The first value is the default.
+    let to = to.get_or_insert_with(|| PerCorner { values: vec![T::default()], corners: vec![[0; 3]; facets] });
+    let first = to.values.len();
+    let firsts = firsts(vertices, |i| key(value(i)));
+    numbered(firsts, first, |i| to.values.push(value(i)))
+}
+
+/// Adds the corners of facets, whose vertices have these values: the first facet, how many and which. Without values all corners
+/// have the default, once any primitive has values.
+fn add<T>(
+    to: &mut Option<PerCorner<T>>,
+    values: Option<&[u32]>,
+    (first_facet, count, facet): (usize, usize, impl Fn(usize) -> [u32; 3]),
 ) {
-    if values.is_none() && to.is_none() {
-        return;
-    }
-    let default = || PerCorner { values: vec![T::default()], corners: vec![[0; 3]; first_facet] };
-    let to = to.get_or_insert_with(default);
+    let Some(to) = to else { return };
     match values {
-        // The first value is the default.
         None => to.corners.resize(first_facet + count, [0; 3]),
-        Some((vertices, value)) => {
-            let first = to.values.len();
-            let firsts = firsts(vertices, |i| key(value(i)));
-            let index = numbered(firsts, first, |i| to.values.push(value(i)));
-            to.corners.extend((0..count).map(|f| facet(f).map(|i| index[i as usize])));
-        }
+        Some(values) => to.corners.extend((0..count).map(|f| facet(f).map(|i| values[i as usize]))),
     }
 }
 
@@ -537,12 +618,31 @@ fn scene(mesh: &TriMesh, held: &Held<'_>) -> Result<(String, Vec<u8>), DataError
         names.push(format!("\"COLOR_0\":{}", add(34962, component, total, "\"VEC4\"", &colour)));
     }
     let index = |out: &mut Vec<u8>, i: usize| out.extend_from_slice(&u32::to_le_bytes(indices[i]));
-    let number = add(34963, "5125", indices.len(), "\"SCALAR\"", &index);
+    // Facets of each region follow one another.
+    let regions =
+        held.regions.map(|regions| regions.facets_by_region().into_iter().enumerate().filter(|(_, f)| !f.is_empty()));
+    let (mut primitives, mut materials) = (Vec::new(), Vec::new());
+    let attributes = names.join(",");
+    let mut primitive = |number: usize, material: &str| {
+        primitives.push(format!("{{\"attributes\":{{{attributes}}},\"indices\":{number},{material}\"mode\":4}}"));
+    };
+    if regions.is_none() {
+        primitive(add(34963, "5125", indices.len(), "\"SCALAR\"", &index), "");
+    }
+    for (region, facets) in regions.into_iter().flatten() {
+        let of_region = |out: &mut Vec<u8>, i: usize| index(out, 3 * facets[i / 3] as usize + i % 3);
+        let number = add(34963, "5125", 3 * facets.len(), "\"SCALAR\"", &of_region);
+        primitive(number, &format!("\"material\":{},", materials.len()));
+        let label = held.regions.map_or_else(String::new, |regions| regions.label(region));
+        materials.push(format!("{{\"name\":{}}}", serde_json::Value::from(label)));
+    }
+    let materials =
+        if materials.is_empty() { String::new() } else { format!("\"materials\":[{}],", materials.join(",")) };
     let json = format!(
         "{{\"asset\":{{\"version\":\"2.0\",\"generator\":\"tessera\"}},\"scene\":0,\"scenes\":[{{\"nodes\":[0]}}],\
-         \"nodes\":[{{\"mesh\":0{node}}}],\"meshes\":[{{\"primitives\":[{{\"attributes\":{{{}}},\"indices\":{number},\
-         \"mode\":4}}]}}],\"accessors\":[{}],\"bufferViews\":[{}],\"buffers\":[{{\"byteLength\":{}",
-        names.join(","),
+         \"nodes\":[{{\"mesh\":0{node}}}],\"meshes\":[{{\"primitives\":[{}]}}],{materials}\"accessors\":[{}],\
+         \"bufferViews\":[{}],\"buffers\":[{{\"byteLength\":{}",
+        primitives.join(","),
         accessors.join(","),
         views.join(","),
         data.len()

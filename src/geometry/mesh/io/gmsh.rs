@@ -5,15 +5,18 @@
 //! their tags. Our own reader: the crate `mshio` (0.4) reads version 4.1 without data of nodes, and writes nothing.
 //! Must not know: other formats.
 
-use std::collections::HashSet;
+use std::collections::HashMap;
+use std::ops::RangeInclusive;
 
 use glam::DVec3;
 
-use super::held::{By, Held, Holds, note};
+use super::held::{By, Held, Holds, Labelled};
 use super::numbers::{Cursor, Encoding, Kind, Order, cut, shown};
+use super::regions::{self, Labels, numbers};
 use super::{Codec, Counts, DataError, Others, Soup, VertexNumbers};
 use crate::mesh::TriMesh;
 use crate::mesh::attributes::{MAX_COMPONENTS, Scalar};
+use crate::mesh::regions::{MAX_REGIONS, Region};
 
 pub(super) const CODEC: Codec = Codec {
     extension: "msh",
@@ -21,10 +24,17 @@ pub(super) const CODEC: Codec = Codec {
     // Half a node of three doubles and its number, and an element of three nodes with its own and its tags.
     facet_bytes: 30,
     signature: super::packed::Signature::Words(&["$MeshFormat"]),
-    decode,
+    decode: |bytes, wanted| decode(bytes, wanted.is_some()),
     encode,
     counts: |bytes| read(bytes, false, true).ok().map(|reader| reader.counts),
-    holds: Holds { normals: By::None, texture: By::None, colours: false, opacity: false, scalars: true },
+    holds: Holds {
+        normals: By::None,
+        texture: By::None,
+        colours: false,
+        opacity: false,
+        scalars: true,
+        regions: Labelled::Name,
+    },
     vertices: VertexNumbers::Kept,
 };
 
@@ -32,12 +42,14 @@ pub(super) const CODEC: Codec = Codec {
 const NODE: usize = 28;
 
 fn decode(bytes: &[u8], wanted: bool) -> Result<Soup, DataError> {
-    let Reader { mut soup, others, groups, parts, .. } = read(bytes, wanted, false)?;
-    if wanted {
-        let (kinds, count) =
-            if groups.len() > 1 { ("physical groups", groups.len()) } else { ("parts of the model", parts.len()) };
-        soup.raw.labels(kinds, count);
-    }
+    let Reader { mut soup, others, groups, parts, names, .. } = read(bytes, wanted, false)?;
+    soup.raw.regions = Some(match groups.count() {
+        ..=1 => parts.numbered("parts of the model"),
+        _ => groups.finish("physical groups", |number, _| {
+            let name = names.get(&number).map_or_else(String::new, |name| regions::name(name));
+            Region { number, name }
+        }),
+    });
     others.leave(&mut soup, "mesh the surface alone (gmsh -2), or save its triangles too (Mesh.SaveAll)")?;
     Ok(soup)
 }
@@ -72,13 +84,26 @@ fn read(bytes: &[u8], wanted: bool, counted: bool) -> Result<Reader<'_>, DataErr
                 }
                 continue;
             }
+            b"$PhysicalNames" | b"$Entities" if wanted => {
+                // Both say what labels mean, and no more: what is wrong with them is left aside.
+                let mut section = reader.cursor.clone();
+                reader.pass_section(word, word.get(1..).unwrap_or_default())?;
+                section.rest = &section.rest[..section.rest.len() - reader.cursor.rest.len()];
+                let after = std::mem::replace(&mut reader.cursor, section);
+                let read = if word == b"$Entities" { reader.entities() } else { reader.physical_names() };
+                reader.cursor = after;
+                if let Err(error) = read {
+                    reader.soup.raw.unreadable(&shown(word), error.to_string());
+                }
+                continue;
+            }
             _ => {
                 let Some(name) = word.strip_prefix(b"$") else {
                     let text = format!("\"{}\" is not the begin of a section", shown(word));
                     return Err(reader.cursor.syntax(text));
                 };
                 reader.pass_section(word, name)?;
-                if wanted && matches!(name, b"ElementData" | b"ElementNodeData" | b"PhysicalNames") {
+                if wanted && matches!(name, b"ElementData" | b"ElementNodeData") {
                     let text = "a surface carries numbers of nodes".to_owned();
                     reader.soup.raw.unreadable(&shown(word), text);
                 }
@@ -160,8 +185,11 @@ struct Reader<'a> {
     soup: Soup,
     others: Others,
     /// Physical groups of facets, and their parts of the model.
-    groups: HashSet<i64>,
-    parts: HashSet<i64>,
+    groups: Labels<i64>,
+    parts: Labels<i64>,
+    /// Names of physical groups of surfaces, and the groups of parts in version 4.
+    names: HashMap<i64, &'a [u8]>,
+    groups_of_parts: HashMap<i64, i64>,
 }
 
 impl Reader<'_> {
@@ -289,14 +317,52 @@ impl Reader<'_> {
         self.tags.finish()
     }
 
-    /// Elements of one type, each with `head` numbers before its nodes, the last `tags` of them tags. The first has the number
-    /// `index`; returns the next one.
+    /// Names of physical groups: a line each, with a dimension, a number and the name in quotes.
+    fn physical_names(&mut self) -> Result<(), DataError> {
+        for _ in 0..self.cursor.parsed::<usize>("a number of names")? {
+            let (dimension, tag): (i64, i64) = (self.cursor.parsed("a dimension")?, self.cursor.parsed("a group")?);
+            let name = self.cursor.end_line();
+            let name = name.strip_prefix(b"\"").unwrap_or(name);
+            if dimension == 2 && self.names.len() < MAX_REGIONS {
+                self.names.insert(tag.saturating_abs(), name.strip_suffix(b"\"").unwrap_or(name));
+            }
+        }
+        Ok(())
+    }
+
+    /// The first physical group of each surface of the model, in version 4.
+    fn entities(&mut self) -> Result<(), DataError> {
+        self.cursor.begin_data();
+        let mut counts = [0; 4];
+        for count in &mut counts {
+            *count = self.size("a number of entities")?;
+        }
+        for (dimension, count) in counts.into_iter().enumerate().take(3) {
+            for _ in 0..count {
+                let tag = self.int("an entity")?;
+                self.cursor.pass(if dimension == 0 { 3 } else { 6 }, Kind::F64, "entities")?;
+                let groups = self.size("a number of groups")?;
+                let groups = self.cursor.integers(groups, Kind::I32, "groups")?;
+                if let Some(group) = groups.first().filter(|_| dimension == 2) {
+                    self.groups_of_parts.insert(tag, group.saturating_abs());
+                }
+                if dimension > 0 {
+                    let borders = self.size("a number of borders")?;
+                    self.cursor.pass(borders, Kind::I32, "borders")?;
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// Elements of one type, each with `head` numbers before its nodes, the last of them tags: their physical group and part of
+    /// the model, unless `label` has them. The first has the number `index`; returns the next one.
     fn block(
         &mut self,
         index: usize,
         count: usize,
         (kind, head, tags): (i64, usize, usize),
-        int: Kind,
+        (int, label): (Kind, Option<[i64; 2]>),
     ) -> Result<usize, DataError> {
         let Some((nodes, corners)) = element(kind) else {
             if self.cursor.encoding != Encoding::Text {
@@ -326,11 +392,15 @@ impl Reader<'_> {
         } else {
             let numbers = self.cursor.integers(all, int, "elements")?;
             for (k, record) in numbers.chunks_exact(each).enumerate() {
+                let before = self.soup.facets.len();
                 self.push(index + k, corners, &record[head..])?;
-                if self.wanted && tags > 0 && corners.is_some_and(|corners| corners > 0) {
+                let more = self.soup.facets.len() - before;
+                if self.wanted && more > 0 {
                     let tags = &record[head - tags..head];
-                    note(&mut self.groups, tags.first().copied());
-                    note(&mut self.parts, tags.get(1).copied());
+                    let tag = |k: usize| tags.get(k).copied().unwrap_or(0);
+                    let [group, part] = label.unwrap_or_else(|| [tag(0).saturating_abs(), tag(1)]);
+                    self.groups.push(group, more);
+                    self.parts.push(part, more);
                 }
             }
         }
@@ -373,7 +443,7 @@ impl Reader<'_> {
                 return Err(self.cursor.syntax("a block of elements is empty"));
             }
             let head = tags.saturating_add(usize::from(!is_text));
-            index = self.block(index, block, (kind, head, tags), Kind::I32)?;
+            index = self.block(index, block, (kind, head, tags), (Kind::I32, None))?;
         }
         Ok(())
     }
@@ -381,12 +451,12 @@ impl Reader<'_> {
     fn elements_4(&mut self) -> Result<(), DataError> {
         let mut index = 0;
         for _ in 0..self.blocks()? {
-            let dimension = self.int("a dimension")?;
+            self.int("a dimension")?;
             let part = self.int("an entity")?;
-            note(&mut self.parts, Some(part).filter(|_| self.wanted && dimension == 2));
+            let group = self.groups_of_parts.get(&part).copied().unwrap_or(0);
             let kind = self.int("an element's type")?;
             let count = self.size("a number of elements")?;
-            index = self.block(index, count, (kind, 1, 0), self.size)?;
+            index = self.block(index, count, (kind, 1, 0), (self.size, Some([group, part])))?;
         }
         Ok(())
     }
@@ -446,6 +516,9 @@ pub(super) fn quoted(name: &str) -> String {
     name.replace('"', "'")
 }
 
+/// Physical groups have positive numbers of 32 bits.
+pub(super) const GROUPS: RangeInclusive<i64> = 1..=i32::MAX as i64;
+
 fn encode(mesh: &TriMesh, held: &Held<'_>) -> Result<Vec<u8>, DataError> {
     let (vertices, facets) = (mesh.positions().len(), mesh.facets().len());
     let mut out = Vec::with_capacity(
@@ -454,7 +527,18 @@ fn encode(mesh: &TriMesh, held: &Held<'_>) -> Result<Vec<u8>, DataError> {
     let int = |out: &mut Vec<u8>, n: u32| out.extend_from_slice(&n.to_le_bytes());
     out.extend_from_slice(b"$MeshFormat\n2.2 1 8\n");
     int(&mut out, 1);
-    out.extend_from_slice(format!("\n$EndMeshFormat\n$Nodes\n{vertices}\n").as_bytes());
+    out.extend_from_slice(b"\n$EndMeshFormat\n");
+    let groups = held.regions.map_or_else(Vec::new, |regions| numbers(regions, &GROUPS));
+    let regions = held.regions.map_or_else(Default::default, |regions| regions.all());
+    let named: Vec<_> = groups.iter().zip(regions).filter(|(_, region)| !region.name.is_empty()).collect();
+    if !named.is_empty() {
+        out.extend_from_slice(format!("$PhysicalNames\n{}\n", named.len()).as_bytes());
+        for (group, region) in named {
+            out.extend_from_slice(format!("2 {group} \"{}\"\n", quoted(&region.name)).as_bytes());
+        }
+        out.extend_from_slice(b"$EndPhysicalNames\n");
+    }
+    out.extend_from_slice(format!("$Nodes\n{vertices}\n").as_bytes());
     for (tag, p) in (1..).zip(mesh.positions()) {
         int(&mut out, tag);
         p.to_array().iter().for_each(|x| out.extend_from_slice(&x.to_le_bytes()));
@@ -463,7 +547,10 @@ fn encode(mesh: &TriMesh, held: &Held<'_>) -> Result<Vec<u8>, DataError> {
     // Triangles, all in one block, with two tags each: of the physical group and of the part of the model.
     [2, facets as u32, 2].iter().for_each(|&n| int(&mut out, n));
     for (tag, facet) in (1..).zip(mesh.facets()) {
-        [tag, 1, 1].iter().for_each(|&n| int(&mut out, n));
+        let region = held.regions.map(|regions| regions.of_facet()[tag as usize - 1]);
+        // A part of its own for each group: Gmsh gives all facets of a part the same groups.
+        let group = region.map_or(1, |region| groups[region as usize] as u32);
+        [tag, group, group].iter().for_each(|&n| int(&mut out, n));
         facet.iter().for_each(|v| int(&mut out, v + 1));
     }
     out.extend_from_slice(b"\n$EndElements");

@@ -8,7 +8,9 @@ use std::collections::HashSet;
 use std::hash::Hash;
 
 use super::DataError;
+use super::regions::{Found, RegionChoice};
 use crate::mesh::attributes::{AttributeError, Attributes, Colours, Normals, PerCorner, Scalar};
+use crate::mesh::regions::{MAX_REGIONS, Regions};
 use crate::mesh::{TriMesh, normal};
 use glam::{DVec2, DVec3};
 use rayon::prelude::*;
@@ -23,6 +25,10 @@ pub(super) struct Raw {
     pub(super) texture: Option<PerCorner<DVec2>>,
     pub(super) colours: Option<Colours>,
     pub(super) scalars: Vec<Scalar>,
+    /// Labels of facets that may be regions.
+    pub(super) regions: Option<Found>,
+    /// Names of arrays that can be chosen to be regions.
+    pub(super) arrays: Vec<String>,
     /// Edges that the file names; some may be none of the surface's.
     pub(super) creases: Vec<[u32; 2]>,
     pub(super) unreadable: Vec<AttributeError>,
@@ -33,7 +39,7 @@ pub(super) struct Raw {
 /// The most attributes that are reported one by one.
 const MOST_UNREADABLE: usize = 1024;
 /// The most labels that are told apart: a set of them takes more than the file has for them.
-const MOST_LABELS: usize = 1 << 16;
+const MOST_LABELS: usize = MAX_REGIONS;
 
 /// Notes a label, if there are not too many.
 pub(super) fn note<T: Eq + Hash>(labels: &mut HashSet<T>, label: Option<T>) {
@@ -48,11 +54,16 @@ impl Raw {
         }
     }
 
-    /// Names several kinds of facets or vertices, such as materials, that the file tells apart and a surface does not.
+    /// Names several kinds of facets or vertices, such as materials, that the file tells apart and the surface does not.
     pub(super) fn labels(&mut self, kinds: &str, count: usize) {
+        self.labels_beside(kinds, count, "labels are not carried");
+    }
+
+    /// As [`Self::labels`], with the reason.
+    pub(super) fn labels_beside(&mut self, kinds: &str, count: usize, reason: &str) {
         if count > 1 {
             let more = if count < MOST_LABELS { "" } else { " or more" };
-            self.unreadable(&format!("{count}{more} {kinds}"), "labels are not carried".to_owned());
+            self.unreadable(&format!("{count}{more} {kinds}"), reason.to_owned());
         }
     }
 
@@ -105,8 +116,13 @@ impl Raw {
     }
 
     /// Checks each attribute by itself.
-    pub(super) fn onto(self, mesh: &TriMesh) -> (Attributes, Vec<AttributeError>) {
+    pub(super) fn onto(mut self, mesh: &TriMesh, choice: &RegionChoice) -> (Attributes, Vec<AttributeError>) {
         let mut attributes = Attributes::new(mesh);
+        let found = self.regions.take();
+        if let Some(found) = found.as_ref().filter(|_| *choice == RegionChoice::Ignore) {
+            found.ignored(&mut self);
+        }
+        let regions = found.filter(|_| *choice != RegionChoice::Ignore).map(|found| found.regions(mesh));
         let mut left_aside = self.unreadable;
         if self.more > 0 {
             let message = format!("{} more cannot be read", self.more);
@@ -123,6 +139,8 @@ impl Raw {
             left_aside.push(AttributeError::Unreadable { attribute: "scalars".to_owned(), message });
         }
         left_aside.extend(self.scalars.into_iter().take(MOST_SCALARS).filter_map(|s| attributes.add_scalar(s).err()));
+        let set = |regions: Option<Regions>| regions.map_or(Ok(()), |regions| attributes.set_regions(regions));
+        left_aside.extend(regions.and_then(|found| found.and_then(set).err()));
         (attributes, left_aside)
     }
 }
@@ -133,6 +151,15 @@ pub(super) struct Holds {
     pub(super) colours: bool,
     pub(super) opacity: bool,
     pub(super) scalars: bool,
+    pub(super) regions: Labelled,
+}
+
+/// How facets have labels.
+pub(super) enum Labelled {
+    None,
+    /// By numbers, without names.
+    Number,
+    Name,
 }
 
 pub(super) enum By {
@@ -152,6 +179,7 @@ pub(super) struct Held<'a> {
     pub(super) corner_uv: Option<&'a PerCorner<DVec2>>,
     pub(super) colours: Option<&'a Colours>,
     pub(super) scalars: &'a [Scalar],
+    pub(super) regions: Option<&'a Regions>,
     pub(super) left_out: Vec<String>,
 }
 
@@ -190,6 +218,16 @@ impl<'a> Held<'a> {
         match holds.scalars {
             true => held.scalars = attributes.scalars(),
             false => attributes.scalars().iter().for_each(|s| held.leave_out(&format!("scalar {}", s.name))),
+        }
+        match (attributes.regions(), &holds.regions) {
+            (None, _) => {}
+            (Some(_), Labelled::None) => held.leave_out("regions"),
+            (regions @ Some(found), labelled) => {
+                held.regions = regions;
+                if matches!(labelled, Labelled::Number) && found.all().iter().any(|region| !region.name.is_empty()) {
+                    held.leave_out("names of regions");
+                }
+            }
         }
         held
     }

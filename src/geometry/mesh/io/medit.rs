@@ -6,15 +6,24 @@
 
 use std::collections::HashSet;
 use std::fmt::Write as _;
+use std::ops::RangeInclusive;
 
 use glam::DVec3;
 
-use super::held::{By, Held, Holds, note};
+use super::held::{By, Held, Holds, Labelled, note};
 use super::numbers::{Cursor, Encoding, Kind, Order, shown};
+use super::regions::{Labels, numbers};
 use super::{Codec, Counts, DataError, Others, Soup, VertexNumbers};
 use crate::mesh::TriMesh;
 
-const NOTHING: Holds = Holds { normals: By::None, texture: By::None, colours: false, opacity: false, scalars: false };
+const NOTHING: Holds = Holds {
+    normals: By::None,
+    texture: By::None,
+    colours: false,
+    opacity: false,
+    scalars: false,
+    regions: Labelled::Number,
+};
 
 pub(super) const TEXT: Codec = Codec {
     extension: "mesh",
@@ -22,7 +31,7 @@ pub(super) const TEXT: Codec = Codec {
     // Half a vertex of three short numbers, and a face of three indices.
     facet_bytes: 30,
     signature: super::packed::Signature::Start(|head| head.word().eq_ignore_ascii_case(VERSION)),
-    decode: |bytes, wanted| surface(read_text(bytes, Mode { wanted, counted: false })?),
+    decode: |bytes, wanted| surface(read_text(bytes, Mode { wanted: wanted.is_some(), counted: false })?),
     encode: encode_text,
     counts: |bytes| read_text(bytes, Mode { wanted: false, counted: true }).ok().map(|reader| reader.counts),
     holds: NOTHING,
@@ -35,7 +44,7 @@ pub(super) const BINARY: Codec = Codec {
     // Half a vertex of three floats, and a face of four numbers.
     facet_bytes: 22,
     signature: super::packed::Signature::Start(is_binary),
-    decode: |bytes, wanted| surface(read_binary(bytes, Mode { wanted, counted: false })?),
+    decode: |bytes, wanted| surface(read_binary(bytes, Mode { wanted: wanted.is_some(), counted: false })?),
     encode: encode_binary,
     counts: |bytes| read_binary(bytes, Mode { wanted: false, counted: true }).ok().map(|reader| reader.counts),
     holds: NOTHING,
@@ -170,9 +179,8 @@ fn surface(reader: Reader<'_>) -> Result<Soup, DataError> {
             soup.raw.unreadable(&passed.join(", "), "a surface has facets and creases alone".to_owned());
         }
         soup.raw.labels("references of vertices", parts.len());
-        let parts = lists.iter().flat_map(|(list, corners)| list.chunks_exact(corners + 1).map(|face| face[*corners]));
-        soup.raw.labels("references of facets", parts.collect::<HashSet<i64>>().len());
     }
+    let mut labels = Labels::default();
     // Faces may stand before the vertices that they name.
     for (list, corners) in lists {
         for (index, face) in list.chunks_exact(corners + 1).enumerate() {
@@ -185,8 +193,10 @@ fn surface(reader: Reader<'_>) -> Result<Soup, DataError> {
                 })?;
             }
             soup.push_polygon(&from_0[..corners]).map_err(wrong)?;
+            labels.push(face[corners], if mode.wanted { corners - 2 } else { 0 });
         }
     }
+    soup.raw.regions = Some(labels.numbered("references of facets"));
     named.sort_unstable();
     named.dedup();
     let thin = if mode.wanted { (edges.len() / 3).saturating_sub(named.len()) } else { 0 };
@@ -305,7 +315,16 @@ impl<'a> Reader<'a> {
     }
 }
 
-fn encode_text(mesh: &TriMesh, _held: &Held<'_>) -> Result<Vec<u8>, DataError> {
+/// References of facets are whole numbers of 32 bits.
+pub(super) const REFERENCES: RangeInclusive<i64> = i32::MIN as i64..=i32::MAX as i64;
+
+/// The reference of each facet.
+fn references(held: &Held<'_>) -> impl Fn(usize) -> i32 {
+    let found = held.regions.map(|regions| (regions, numbers(regions, &REFERENCES)));
+    move |facet| found.as_ref().map_or(0, |(regions, numbers)| numbers[regions.of_facet()[facet] as usize] as i32)
+}
+
+fn encode_text(mesh: &TriMesh, held: &Held<'_>) -> Result<Vec<u8>, DataError> {
     let (vertices, facets) = (mesh.positions().len(), mesh.facets().len());
     let mut text = String::with_capacity(64 + 70 * vertices + 26 * facets);
     let _ = writeln!(text, "MeshVersionFormatted 2\nDimension 3\nVertices\n{vertices}");
@@ -314,15 +333,16 @@ fn encode_text(mesh: &TriMesh, _held: &Held<'_>) -> Result<Vec<u8>, DataError> {
         let _ = writeln!(text, "{:?} {:?} {:?} 0", p.x, p.y, p.z);
     }
     let _ = writeln!(text, "Triangles\n{facets}");
-    for facet in mesh.facets() {
+    let reference = references(held);
+    for (index, facet) in mesh.facets().iter().enumerate() {
         let [a, b, c] = facet.map(|v| v + 1);
-        let _ = writeln!(text, "{a} {b} {c} 0");
+        let _ = writeln!(text, "{a} {b} {c} {}", reference(index));
     }
     text.push_str("End\n");
     Ok(text.into_bytes())
 }
 
-fn encode_binary(mesh: &TriMesh, _held: &Held<'_>) -> Result<Vec<u8>, DataError> {
+fn encode_binary(mesh: &TriMesh, held: &Held<'_>) -> Result<Vec<u8>, DataError> {
     let (vertices, facets) = (mesh.positions().len(), mesh.facets().len());
     let most = 64 + 28 * vertices + 16 * facets;
     let is_long = i32::try_from(most).is_err();
@@ -345,9 +365,10 @@ fn encode_binary(mesh: &TriMesh, _held: &Held<'_>) -> Result<Vec<u8>, DataError>
         int(&mut out, 0);
     }
     keyword(&mut out, TRIANGLES, facets, 16 * facets);
-    for facet in mesh.facets() {
+    let reference = references(held);
+    for (index, facet) in mesh.facets().iter().enumerate() {
         facet.iter().for_each(|v| int(&mut out, v + 1));
-        int(&mut out, 0);
+        int(&mut out, reference(index).cast_unsigned());
     }
     int(&mut out, END as u32);
     out.extend_from_slice(&[0; 8][..size]);

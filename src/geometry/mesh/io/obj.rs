@@ -14,9 +14,10 @@ use std::fmt::Write as _;
 use glam::{DVec2, DVec3};
 use rayon::prelude::*;
 
-use super::held::{By, Held, Holds, Raw};
+use super::held::{By, Held, Holds, Labelled, Raw};
 use super::polygons::Fan;
-use super::{Codec, Counts, DataError, Soup, VertexNumbers, VertexOrder};
+use super::regions::{Labels, RegionChoice, by_name, missing, names};
+use super::{Codec, Counts, DataError, Soup, VertexNumbers, VertexOrder, Wanted};
 use crate::mesh::TriMesh;
 use crate::mesh::attributes::{ColourDepth, Colours, Normals, PerCorner};
 
@@ -29,7 +30,14 @@ pub(super) const CODEC: Codec = Codec {
     decode,
     encode,
     counts,
-    holds: Holds { normals: By::Corner, texture: By::Corner, colours: true, opacity: false, scalars: false },
+    holds: Holds {
+        normals: By::Corner,
+        texture: By::Corner,
+        colours: true,
+        opacity: false,
+        scalars: false,
+        regions: Labelled::Name,
+    },
     vertices: VertexNumbers::Reordered(vertex_order),
 };
 
@@ -41,16 +49,83 @@ const TEXTURE: &str = "texture coordinates";
 const COLOURS: &str = "colours";
 
 /// Reads a surface; what it carries only if it is `wanted`.
-fn decode(bytes: &[u8], wanted: bool) -> Result<Soup, DataError> {
-    let surface = common::read(bytes, wanted).and_then(|all| all.surface(Raw::default()));
-    let mut soup = surface.map_or_else(|| dialects::decode(bytes, wanted), Ok)?;
-    if wanted {
-        let [materials, groups] = labels(bytes);
-        soup.raw.labels("materials", materials);
-        soup.raw.labels("groups", groups);
+fn decode(bytes: &[u8], wanted: Wanted<'_>) -> Result<Soup, DataError> {
+    let surface = common::read(bytes, wanted.is_some()).and_then(|all| all.surface(Raw::default()));
+    let mut soup = surface.map_or_else(|| dialects::decode(bytes, wanted.is_some()), Ok)?;
+    if let Some(choice) = wanted {
+        regions(bytes, choice, soup.facets.len(), &mut soup.raw)?;
         others(bytes, &mut soup.raw);
     }
     Ok(soup)
+}
+
+/// Statements that label the faces after them.
+const LABELS: [&str; 3] = ["usemtl", "g", "o"];
+
+/// Finds the labels that become regions, and names the others.
+fn regions(bytes: &[u8], choice: &RegionChoice, facets: usize, raw: &mut Raw) -> Result<(), DataError> {
+    let [materials, groups] = labels(bytes);
+    let of_materials = match choice {
+        RegionChoice::Ignore => {
+            raw.labels("materials", materials);
+            raw.labels("groups", groups);
+            return Ok(());
+        }
+        RegionChoice::Named => materials > 1,
+        RegionChoice::Array(name) => name == LABELS[0],
+    };
+    // Without another choice groups and objects label alike.
+    let statements = match choice.array() {
+        Some(name) => {
+            let found = |label: &&str| {
+                dialects::statements(bytes).any(|(_, text)| dialects::Words(text).next() == Some(label.as_bytes()))
+            };
+            let there: Vec<&str> = LABELS.into_iter().filter(found).collect();
+            let chosen: Vec<&str> = there.iter().copied().filter(|label| *label == name).collect();
+            if chosen.is_empty() {
+                return Err(missing(name, &there.into_iter().map(str::to_owned).collect::<Vec<_>>()));
+            }
+            chosen
+        }
+        None if of_materials => LABELS[..1].to_vec(),
+        None => LABELS[1..].to_vec(),
+    };
+    let others = if of_materials { groups } else { materials };
+    let mut are_others_lost = others > 1;
+    if choice.array().is_some() || materials > 1 || groups > 1 {
+        let labels = labels_of(bytes, &statements, facets);
+        if of_materials && are_others_lost {
+            are_others_lost = !labels.are_alike(&labels_of(bytes, &LABELS[1..], facets));
+        }
+        let kinds = if of_materials { "materials" } else { "groups" };
+        raw.regions = Some(labels.finish(kinds, by_name));
+    }
+    match of_materials {
+        _ if !are_others_lost => {}
+        true => raw.labels_beside("groups", others, "the regions are those of the materials; --regions g takes these"),
+        false => raw.labels_beside("materials", others, "the regions are the groups; --regions usemtl takes these"),
+    }
+    Ok(())
+}
+
+/// The label of each of so many facets: what the last of these statements before its face says.
+fn labels_of<'a>(bytes: &'a [u8], statements: &[&str], facets: usize) -> Labels<&'a [u8]> {
+    let mut labels = Labels::with_room(facets);
+    let mut last: &[u8] = b"";
+    for (_, text) in dialects::statements(bytes) {
+        let mut words = dialects::Words(text);
+        match words.next() {
+            Some(b"f") => labels.push(last, words.count().saturating_sub(2)),
+            Some(word) if statements.iter().any(|name| name.as_bytes() == word) => last = words.0.trim_ascii(),
+            _ => {}
+        }
+    }
+    labels
+}
+
+/// A name as a statement has it: a word.
+pub(super) fn word(name: &str) -> String {
+    name.chars().map(|c| if c.is_whitespace() || c == '\\' { '_' } else { c }).collect()
 }
 
 /// How many materials, and how many groups and objects, facets have.
@@ -213,7 +288,7 @@ impl Statements {
         let colours = (!self.colours.is_empty()).then(|| order.iter().map(colour).collect());
         let (facets, fans) = (std::mem::take(&mut self.facets), std::mem::take(&mut self.fans));
         let raw = self.carried(&facets, order.len(), colours, raw);
-        Some(Soup { positions, facets, fans, raw })
+        Some(Soup { positions, facets, fans, cells: None, raw })
     }
 
     /// What a surface of these facets and so many vertices carries.
@@ -314,7 +389,15 @@ fn encode(mesh: &TriMesh, held: &Held<'_>) -> Result<Vec<u8>, DataError> {
     for n in normals.into_iter().flatten() {
         let _ = writeln!(text, "vn {:?} {:?} {:?}", n.x, n.y, n.z);
     }
+    let names = held.regions.map_or_else(Vec::new, |regions| names(regions, word));
+    let mut last = None;
     for (facet, vertices) in mesh.facets().iter().enumerate() {
+        if let Some(&region) = held.regions.and_then(|regions| regions.of_facet().get(facet))
+            && last.replace(region) != Some(region)
+        {
+            let name = &names[region as usize];
+            let _ = writeln!(text, "g {name}\nusemtl {name}");
+        }
         text.push('f');
         for (corner, &vertex) in vertices.iter().enumerate() {
             let texture = held.corner_uv.map(|t| u64::from(t.corners[facet][corner]) + 1);

@@ -8,7 +8,7 @@ use std::fmt::Write as _;
 
 use glam::{DVec2, DVec3};
 
-use super::held::{By, Held, Holds, Raw, eight_bit};
+use super::held::{By, Held, Holds, Labelled, Raw, eight_bit};
 use super::numbers::plain;
 use super::{Codec, Counts, DataError, Soup, VertexNumbers, syntax};
 use crate::mesh::TriMesh;
@@ -20,10 +20,17 @@ pub(super) const CODEC: Codec = Codec {
     // Half a vertex of three short numbers, and a face of three indices.
     facet_bytes: 30,
     signature: super::packed::Signature::Words(&["OFF", "COFF", "NOFF", "CNOFF", "STOFF"]),
-    decode,
+    decode: |bytes, wanted| decode(bytes, wanted.is_some()),
     encode,
     counts,
-    holds: Holds { normals: By::Vertex, texture: By::Vertex, colours: true, opacity: true, scalars: false },
+    holds: Holds {
+        normals: By::Vertex,
+        texture: By::Vertex,
+        colours: true,
+        opacity: true,
+        scalars: false,
+        regions: Labelled::None,
+    },
     vertices: VertexNumbers::Kept,
 };
 

@@ -3,7 +3,7 @@
 //! Purpose: bytes to triangles with what they carry, in one pass over the data, and back. `vertex` needs scalar properties x,
 //! y, z; `face` a list property `vertex_indices` or `vertex_index`, or so `tristrips`, whose strips end at negative numbers. Other
 //! scalar properties of vertices are attributes, and so is `texcoord`, six numbers for a triangle, of faces, which is how seams are
-//! stored. All else is skipped. Invariant: declared counts are checked against the bytes that are there before anything is read.
+//! stored. A scalar property of faces gives regions if it is chosen. All else is skipped. Invariant: declared counts are checked against the bytes that are there before anything is read.
 //! Must not know: other formats.
 
 mod carried;
@@ -11,9 +11,12 @@ mod data;
 mod header;
 mod places;
 
-use super::held::{By, Held, Holds, eight_bit};
-use super::numbers::{Encoding, Order};
-use super::{Codec, Counts, DataError, Signature, Soup, VertexNumbers};
+use std::ops::RangeInclusive;
+
+use super::held::{By, Held, Holds, Labelled, eight_bit};
+use super::numbers::{Encoding, Kind, Order};
+use super::regions::numbers;
+use super::{Codec, Counts, DataError, RegionChoice, Signature, Soup, VertexNumbers, Wanted};
 use crate::mesh::TriMesh;
 use crate::mesh::attributes::{ColourDepth, Colours, Scalar};
 use carried::{Carried, PREFIX, TAKEN};
@@ -29,18 +32,26 @@ pub(super) const CODEC: Codec = Codec {
     decode,
     encode,
     counts,
-    holds: Holds { normals: By::Vertex, texture: By::VertexOrCorner, colours: true, opacity: true, scalars: true },
+    holds: Holds {
+        normals: By::Vertex,
+        texture: By::VertexOrCorner,
+        colours: true,
+        opacity: true,
+        scalars: true,
+        regions: Labelled::Number,
+    },
     vertices: VertexNumbers::Kept,
 };
 
-fn decode(bytes: &[u8], wanted: bool) -> Result<Soup, DataError> {
+fn decode(bytes: &[u8], wanted: Wanted<'_>) -> Result<Soup, DataError> {
     let header = header::read(bytes)?;
     check_header(&header)?;
-    let mut carried = if wanted { Carried::of(&header) } else { Carried::default() };
+    let chosen = wanted.and_then(RegionChoice::array);
+    let mut carried = if wanted.is_some() { Carried::of(&header, chosen) } else { Carried::default() };
     let mut soup = data::read(&header, &mut carried)?;
     soup.raw = carried.finish(&soup.facets);
-    if wanted {
-        carried::left_aside(&header, &mut soup.raw);
+    if wanted.is_some() {
+        carried::left_aside(&header, chosen, &mut soup.raw);
     }
     Ok(soup)
 }
@@ -97,6 +108,12 @@ pub(super) fn word(name: &str) -> String {
     name.chars().map(|c| if c.is_ascii_graphic() { c } else { '_' }).collect()
 }
 
+/// Labels of faces are whole numbers that doubles hold.
+pub(super) const LABELS: RangeInclusive<i64> = 1 - (1 << 53)..=(1 << 53) - 1;
+
+/// The name of the property of faces that is written.
+const REGIONS: &str = "regions";
+
 /// Properties of the vertices: their names, their type, and a function that writes them.
 type Column<'a> = (&'a str, &'a str, Box<dyn Fn(&mut Vec<u8>, usize) + 'a>);
 
@@ -145,6 +162,12 @@ fn encode(mesh: &TriMesh, held: &Held<'_>) -> Result<Vec<u8>, DataError> {
     if held.corner_uv.is_some() {
         head.push_str("property list uchar double texcoord\n");
     }
+    let labels = held.regions.map_or_else(Vec::new, |regions| numbers(regions, &LABELS));
+    let fit = labels.iter().all(|&number| i32::try_from(number).is_ok());
+    let kind = if fit { Kind::I32 } else { Kind::F64 };
+    if held.regions.is_some() {
+        head.push_str(&format!("property {} {REGIONS}\n", header::name(kind)));
+    }
     head.push_str("end_header\n");
     let mut out = head.into_bytes();
     out.reserve((24 + 8 * held.components()) * vertices + 13 * faces);
@@ -159,6 +182,9 @@ fn encode(mesh: &TriMesh, held: &Held<'_>) -> Result<Vec<u8>, DataError> {
             for corner in texture.corners[index] {
                 doubles(&mut out, &texture.values[corner as usize].to_array());
             }
+        }
+        if let Some(regions) = held.regions {
+            kind.put(labels[regions.of_facet()[index] as usize] as f64, Order::Little, &mut out);
         }
     }
     Ok(out)

@@ -6,15 +6,18 @@
 //! binary ones do, so the records of binary files are read here; of several solids it reads the first; it wants keywords in
 //! lower case and a name after "solid"; and it refuses normals that are no numbers. Must not know: other formats.
 
-use std::collections::{HashMap, HashSet};
+use std::collections::HashMap;
+use std::fmt::Write as _;
 use std::io::{Cursor, ErrorKind, Read, Seek};
 
 use glam::DVec3;
 use stl_io::{Normal, Triangle, Vertex};
 
-use super::held::{By, Held, Holds, check_single};
+use super::held::{By, Held, Holds, Labelled, check_single};
+use super::regions::{Labels, by_name, names};
 use super::{Codec, Counts, DataError, Soup, Unfit, VertexNumbers};
 use crate::mesh::TriMesh;
+use crate::mesh::regions::Regions;
 
 pub(super) const CODEC: Codec = Codec {
     extension: "stl",
@@ -27,10 +30,17 @@ pub(super) const CODEC: Codec = Codec {
     ],
     facet_bytes: RECORD as u64,
     signature: super::packed::Signature::Start(|head| is_binary(head) || is_solid(head.text())),
-    decode,
+    decode: |bytes, wanted| decode(bytes, wanted.is_some()),
     encode,
     counts,
-    holds: Holds { normals: By::None, texture: By::None, colours: false, opacity: false, scalars: false },
+    holds: Holds {
+        normals: By::None,
+        texture: By::None,
+        colours: false,
+        opacity: false,
+        scalars: false,
+        regions: Labelled::Name,
+    },
     vertices: VertexNumbers::Absent,
 };
 
@@ -50,14 +60,17 @@ fn decode(bytes: &[u8], wanted: bool) -> Result<Soup, DataError> {
     let mut welder = Welder::default();
     if is_ascii(bytes) {
         let text = bytes.to_ascii_lowercase();
-        let mut count = 0;
-        each_solid(&text, |solid| {
-            count += 1;
-            welder.read(&mut Cursor::new(solid))
+        let (mut labels, mut solids) = (Labels::default(), 0);
+        each_solid(&text, bytes, |solid, name| {
+            let before = welder.soup.facets.len();
+            welder.read(&mut Cursor::new(solid))?;
+            // Solids without a name are one each.
+            solids += 1;
+            let label = (name, if name.is_empty() { solids } else { 0 });
+            labels.push(label, if wanted { welder.soup.facets.len() - before } else { 0 });
+            Ok(())
         })?;
-        if wanted {
-            welder.soup.raw.labels("solids", count);
-        }
+        welder.soup.raw.regions = Some(labels.finish("solids", |(name, _), rank| by_name(name, rank)));
     } else {
         if wanted && bytes.get(..80).is_some_and(|head| head.windows(6).any(|word| word == b"COLOR=")) {
             welder.soup.raw.unreadable("the colour in the header", "a surface carries colours of vertices".to_owned());
@@ -68,10 +81,9 @@ fn decode(bytes: &[u8], wanted: bool) -> Result<Soup, DataError> {
             Layout::Plain(count) => {
                 let records = &bytes[HEADER..].as_chunks::<RECORD>().0[..count];
                 records.iter().for_each(|record| welder.take(record));
-                if wanted {
-                    let values: HashSet<usize> = records.iter().map(trailing).collect();
-                    welder.soup.raw.labels("colours or attributes of facets", values.len());
-                }
+                let mut labels = Labels::default();
+                records.iter().filter(|_| wanted).for_each(|record| labels.push(trailing(record) as i64, 1));
+                welder.soup.raw.regions = Some(labels.numbered("colours or attributes of facets"));
             }
             Layout::Extended => extended(bytes).for_each(|record| welder.take(record)),
             Layout::Short(held) => {
@@ -98,23 +110,49 @@ fn counts(bytes: &[u8]) -> Option<Counts> {
     Some(Counts { vertices: 3 * facets, facets, made_bytes: 0 })
 }
 
-fn encode(mesh: &TriMesh, _held: &Held<'_>) -> Result<Vec<u8>, DataError> {
+/// Text with a solid for each region, binary without regions.
+fn encode(mesh: &TriMesh, held: &Held<'_>) -> Result<Vec<u8>, DataError> {
     check_single(mesh)?;
-    let triangles: Vec<Triangle> = (0..mesh.facets().len())
-        .map(|facet| {
-            let [a, b, c] = mesh.corners(facet);
-            // Scaled first, so that a small surface keeps its normals.
-            let (ab, ac) = (b - a, c - a);
-            let size = ab.abs().max(ac.abs()).max_element();
-            let scale = if size > 0.0 { size } else { 1.0 };
-            let normal = (ab / scale).cross(ac / scale).normalize_or_zero();
-            let single = |p: DVec3| p.as_vec3().to_array();
-            Triangle { normal: Normal::new(single(normal)), vertices: [a, b, c].map(|p| Vertex::new(single(p))) }
-        })
-        .collect();
+    if let Some(regions) = held.regions {
+        return Ok(solids(mesh, regions).into_bytes());
+    }
+    let triangles: Vec<Triangle> = (0..mesh.facets().len()).map(|facet| triangle(mesh, facet)).collect();
     let mut out = Vec::with_capacity(HEADER + RECORD * triangles.len());
     stl_io::write_stl(&mut out, triangles.iter()).map_err(|error| DataError::Header(error.to_string()))?;
     Ok(out)
+}
+
+fn triangle(mesh: &TriMesh, facet: usize) -> Triangle {
+    let [a, b, c] = mesh.corners(facet);
+    // Scaled first, so that a small surface keeps its normals.
+    let (ab, ac) = (b - a, c - a);
+    let size = ab.abs().max(ac.abs()).max_element();
+    let scale = if size > 0.0 { size } else { 1.0 };
+    let normal = (ab / scale).cross(ac / scale).normalize_or_zero();
+    let single = |p: DVec3| p.as_vec3().to_array();
+    Triangle { normal: Normal::new(single(normal)), vertices: [a, b, c].map(|p| Vertex::new(single(p))) }
+}
+
+/// One solid for each region with facets.
+fn solids(mesh: &TriMesh, regions: &Regions) -> String {
+    let names = names(regions, str::to_owned);
+    let mut text = String::with_capacity(240 * mesh.facets().len());
+    // The shortest digits that read back as the same bits.
+    let vector = |text: &mut String, word: &str, [x, y, z]: [f32; 3]| {
+        let _ = writeln!(text, "{word} {x:e} {y:e} {z:e}");
+    };
+    for (name, facets) in names.iter().zip(regions.facets_by_region()).filter(|(_, facets)| !facets.is_empty()) {
+        let _ = writeln!(text, "solid {name}");
+        for facet in facets {
+            let Triangle { normal, vertices } = triangle(mesh, facet as usize);
+            vector(&mut text, "facet normal", normal.0);
+            text.push_str("outer loop\n");
+            vertices.iter().for_each(|vertex| vector(&mut text, "vertex", vertex.0));
+            text.push_str("endloop\nendfacet\n");
+        }
+        let _ = writeln!(text, "endsolid {name}");
+    }
+    text
 }
 
 /// The facets of a binary file of this length with these first bytes, which [`RECORD`] bytes each follow one another.
@@ -198,11 +236,16 @@ fn is_ascii(bytes: &[u8]) -> bool {
         && !bytes[..bytes.len().min(512)].contains(&0)
 }
 
-/// Visits each solid of an ascii file, under a title that the crate takes.
-fn each_solid(text: &[u8], mut visit: impl FnMut(&[u8]) -> Result<(), DataError>) -> Result<(), DataError> {
+/// Visits each solid of an ascii file, under a title that the crate takes, with its name. `text` is the file in lower case.
+fn each_solid<'a>(
+    text: &[u8],
+    file: &'a [u8],
+    mut visit: impl FnMut(&[u8], &'a [u8]) -> Result<(), DataError>,
+) -> Result<(), DataError> {
     let mut solid: Vec<u8> = Vec::new();
+    let mut name: &[u8] = b"";
     let mut open = false;
-    for line in text.split(|&b| b == b'\n') {
+    for (line, written) in text.split(|&b| b == b'\n').zip(file.split(|&b| b == b'\n')) {
         let word = line.trim_ascii();
         if word.is_empty() {
             continue;
@@ -211,7 +254,9 @@ fn each_solid(text: &[u8], mut visit: impl FnMut(&[u8]) -> Result<(), DataError>
             solid.clear();
             solid.extend_from_slice(b"solid -\n");
             open = true;
+            name = b"";
             if word.starts_with(b"solid") {
+                name = written.trim_ascii().get(5..).unwrap_or_default().trim_ascii();
                 continue;
             }
         }
@@ -219,11 +264,11 @@ fn each_solid(text: &[u8], mut visit: impl FnMut(&[u8]) -> Result<(), DataError>
         solid.extend_from_slice(if word.starts_with(b"facet") { b"facet normal 0 0 0" } else { word });
         solid.push(b'\n');
         if word.starts_with(b"endsolid") {
-            visit(&solid)?;
+            visit(&solid, name)?;
             open = false;
         }
     }
-    if open { visit(&solid) } else { Ok(()) }
+    if open { visit(&solid, name) } else { Ok(()) }
 }
 
 #[derive(Default)]
@@ -248,7 +293,7 @@ impl Welder {
         Ok(())
     }
 
-    /// A binary file's facet: its normal, its corners, two bytes that mean nothing.
+    /// A binary file's facet: its normal, its corners, two bytes that are a colour or mean nothing.
     fn take(&mut self, record: &[u8; RECORD]) {
         let facet = corners(record).map(|position| self.number(position));
         self.soup.facets.push(facet);

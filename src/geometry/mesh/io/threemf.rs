@@ -17,7 +17,7 @@ use quick_xml::events::{BytesStart, Event};
 use zip::write::SimpleFileOptions;
 use zip::{CompressionMethod, ZipArchive, ZipWriter};
 
-use super::held::{By, Held, Holds};
+use super::held::{By, Held, Holds, Labelled};
 use super::numbers::{parse, plain, shown};
 use super::packed::{Room, Signature};
 use super::{Codec, Counts, DataError, Soup, VertexNumbers, unpacked_limit};
@@ -31,11 +31,18 @@ pub(super) const CODEC: Codec = Codec {
     signature: Signature::Start(|head| head.bytes.starts_with(b"PK\x03\x04")),
     decode: |bytes, wanted| {
         let mut package = Package::read(bytes, false)?;
-        package.build(bytes.len(), wanted)
+        package.build(bytes.len(), wanted.is_some())
     },
     encode,
     counts: |bytes| Package::read(bytes, true).ok()?.counts(bytes.len()),
-    holds: Holds { normals: By::None, texture: By::None, colours: false, opacity: false, scalars: false },
+    holds: Holds {
+        normals: By::None,
+        texture: By::None,
+        colours: false,
+        opacity: false,
+        scalars: false,
+        regions: Labelled::None,
+    },
     vertices: VertexNumbers::Kept,
 };
 

@@ -2,7 +2,7 @@
 //!
 //! Purpose: what they have in common: types of cells and of numbers, and what arrays of points are as attributes. An
 //! array of three or four bytes is a colour, and so is one of numbers that is named like one; others of points are scalars.
-//! Arrays of cells are left aside. Must not know: how arrays are written.
+//! An array of cells gives regions if it is chosen; others are left aside. Must not know: how arrays are written.
 
 pub(super) mod legacy;
 pub(super) mod xml;
@@ -11,8 +11,10 @@ use glam::{DVec2, DVec3};
 
 use super::held::{Held, eight_bit};
 use super::numbers::Kind;
+use super::regions::Labels;
 use super::{DataError, Others, Soup};
 use crate::mesh::attributes::{ColourDepth, Colours, Normals, PerCorner, Scalar};
+use crate::mesh::regions::Regions;
 
 /// Names of numbers' types: legacy, in lower case, the first of which is written, and XML. In binary legacy files a `vtkIdType` has 4 bytes.
 const KINDS: [(&[&str], &str, Kind); 10] = [
@@ -35,7 +37,30 @@ fn names(kind: Kind) -> (&'static str, &'static str) {
 }
 
 /// Why arrays of cells are left aside.
-const ON_POINTS: &str = "a surface carries numbers of points";
+const ON_POINTS: &str = "a surface carries numbers of points; --regions NAME makes regions of an array of cells";
+
+/// The name of the array of cells that is written.
+const REGIONS: &str = "regions";
+
+/// The numbers of the facets' regions, and their type.
+fn labels(regions: &Regions) -> (Kind, Vec<i64>) {
+    let fit = regions.all().iter().all(|region| i32::try_from(region.number).is_ok());
+    (if fit { Kind::I32 } else { Kind::I64 }, regions.numbers().collect())
+}
+
+/// A number's bytes.
+fn put_label(kind: Kind, number: i64, is_big: bool, out: &mut Vec<u8>) {
+    // The lowest bytes of a number of 64 bits are one of 32 bits, if it fits.
+    match is_big {
+        true => out.extend_from_slice(&number.to_be_bytes()[8 - kind.bytes()..]),
+        false => out.extend_from_slice(&number.to_le_bytes()[..kind.bytes()]),
+    }
+}
+
+/// Labels facets by the values of their cells, which have so many facets each.
+fn label(labels: &mut Labels<i64>, values: &[i64], cells: &[u32]) {
+    values.iter().zip(cells).for_each(|(&value, &facets)| labels.push(value, facets as usize));
+}
 
 /// What to do with a file of volume elements alone.
 const SURFACE_FIRST: &str = "extract the surface first, as ParaView's filter \"Extract Surface\" does";
@@ -211,7 +236,10 @@ fn push_cells(
             let there = points.len();
             return Err(wrong(format!("it goes from point {start} to {end} of a list of {there}")));
         };
+        let before = soup.facets.len();
         others += cell(index).push(soup, corners, &mut scratch).map_err(wrong)?;
+        let facets = (soup.facets.len() - before) as u32;
+        soup.cells.iter_mut().for_each(|cells| cells.push(facets));
         start += corners.len();
     }
     Ok(others)

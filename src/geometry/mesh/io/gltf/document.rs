@@ -13,7 +13,9 @@ use serde::de::{DeserializeSeed, Deserializer, Error, IgnoredAny, MapAccess, Seq
 
 use crate::mesh::io::numbers::plain;
 use crate::mesh::io::packed::Room;
+use crate::mesh::io::regions;
 use crate::mesh::io::{DataError, syntax};
+use crate::mesh::regions::MAX_REGIONS;
 
 /// No element.
 const NONE: u32 = u32::MAX;
@@ -36,7 +38,9 @@ pub(super) struct Document<'a> {
     pub(super) accessors: Vec<Accessor>,
     pub(super) views: Vec<View>,
     pub(super) buffers: Vec<Buffer<'a>>,
-    pub(super) materials: usize,
+    /// Materials with a name.
+    materials: Vec<(u32, String)>,
+    count_of_materials: u32,
     /// The first extension that the surface needs and that is not read, and the first that it could do with.
     required: Option<String>,
     pub(super) used: Option<String>,
@@ -80,13 +84,15 @@ pub(super) struct Primitive {
     pub(super) attributes: Names,
     pub(super) indices: Option<u32>,
     mode: Option<u32>,
+    #[serde(deserialize_with = "loose")]
+    pub(super) material: Option<u32>,
     /// Whether it has morph targets.
     #[serde(rename = "targets", deserialize_with = "is_there")]
     pub(super) is_morphed: bool,
 }
 
 /// Accessors of what vertices carry.
-#[derive(Debug, Default)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct Names {
     pub(super) position: Option<u32>,
     pub(super) normal: Option<u32>,
@@ -275,6 +281,69 @@ fn loose_or_0<'a, D: Deserializer<'a>, T: TryFrom<u64> + Default>(reader: D) -> 
     Ok(loose(reader)?.unwrap_or_default())
 }
 
+/// Reads a name, or that of an object. Any other value has none.
+#[derive(Clone, Copy)]
+struct Name {
+    /// Whether the name is that of an object.
+    is_within: bool,
+}
+
+impl<'a> DeserializeSeed<'a> for Name {
+    type Value = String;
+
+    fn deserialize<D: Deserializer<'a>>(self, reader: D) -> Result<String, D::Error> {
+        reader.deserialize_any(self)
+    }
+}
+
+impl<'a> Visitor<'a> for Name {
+    type Value = String;
+
+    fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("a name")
+    }
+
+    fn visit_u64<E>(self, _: u64) -> Result<String, E> {
+        Ok(String::new())
+    }
+
+    fn visit_i64<E>(self, _: i64) -> Result<String, E> {
+        Ok(String::new())
+    }
+
+    fn visit_f64<E>(self, _: f64) -> Result<String, E> {
+        Ok(String::new())
+    }
+
+    fn visit_bool<E>(self, _: bool) -> Result<String, E> {
+        Ok(String::new())
+    }
+
+    fn visit_unit<E>(self) -> Result<String, E> {
+        Ok(String::new())
+    }
+
+    fn visit_str<E>(self, name: &str) -> Result<String, E> {
+        Ok(if self.is_within { String::new() } else { regions::name(name.as_bytes()) })
+    }
+
+    fn visit_seq<A: SeqAccess<'a>>(self, mut seq: A) -> Result<String, A::Error> {
+        while seq.next_element::<IgnoredAny>()?.is_some() {}
+        Ok(String::new())
+    }
+
+    fn visit_map<A: MapAccess<'a>>(self, mut map: A) -> Result<String, A::Error> {
+        let mut found = String::new();
+        while let Some(Text(key)) = map.next_key()? {
+            match self.is_within && key == "name" {
+                true => found = map.next_value_seed(Self { is_within: false })?,
+                false => drop(map.next_value::<IgnoredAny>()?),
+            }
+        }
+        Ok(found)
+    }
+}
+
 fn is_there<'a, D: Deserializer<'a>>(reader: D) -> Result<bool, D::Error> {
     IgnoredAny::deserialize(reader).map(|_| true)
 }
@@ -301,6 +370,12 @@ impl<'a> Document<'a> {
         })?;
         let Some(by) = document.required else { return Ok(document) };
         Err(DataError::Header(format!("it requires the extension {by}, which is not read; export it without")))
+    }
+
+    /// The name of a material.
+    pub(super) fn material(&self, index: u32) -> Option<&str> {
+        let at = self.materials.binary_search_by_key(&index, |&(index, _)| index).ok()?;
+        Some(&self.materials[at].1)
     }
 
     pub(super) fn bytes(&self) -> usize {
@@ -538,7 +613,7 @@ impl<'a> Visitor<'a> for Reading<'_, 'a> {
         let Self { document, at } = self;
         loop {
             let Document { scenes, children, primitives, joints, accessors, views, buffers, .. } = document;
-            let Document { materials, required, used, room, .. } = document;
+            let Document { materials, count_of_materials, required, used, room, .. } = document;
             macro_rules! element {
                 ($list:expr) => {
                     seq.next_element()?.map(|element| room.push($list, element))
@@ -559,9 +634,14 @@ impl<'a> Visitor<'a> for Reading<'_, 'a> {
                 }),
                 At::Views => element!(views),
                 At::Buffers => element!(buffers),
-                At::Materials => seq.next_element::<IgnoredAny>()?.map(|_| {
-                    *materials += 1;
-                    Ok(())
+                At::Materials => seq.next_element_seed(Name { is_within: true })?.map(|name| {
+                    let index = *count_of_materials;
+                    *count_of_materials = index.saturating_add(1);
+                    if name.is_empty() || materials.len() == MAX_REGIONS {
+                        return Ok(());
+                    }
+                    room.take(name.len())?;
+                    room.push(materials, (index, name))
                 }),
                 _ => seq.next_element::<Text<'_>>()?.map(|Text(name)| {
                     note(if at == At::Required { &mut *required } else { &mut *used }, &name);

@@ -9,6 +9,7 @@ use super::header::{Element, FACES, Header, Property};
 use crate::mesh::attributes::{ColourDepth, Colours, Normals, PerCorner, Scalar};
 use crate::mesh::io::held::{Raw, firsts, numbered};
 use crate::mesh::io::numbers::{Encoding, Kind, Order, numbers, plain};
+use crate::mesh::io::regions::Labels;
 
 /// Names of what is no scalar; a scalar of such a name is written with [`PREFIX`].
 pub(super) const TAKEN: [&str; 16] =
@@ -22,6 +23,8 @@ pub(super) enum Role {
     Column(usize),
     /// Texture coordinates of a face's corners.
     Wedges,
+    /// The label of a face.
+    Label,
     Skipped,
 }
 
@@ -37,10 +40,25 @@ pub(super) struct Carried {
     /// All scalar properties but the position.
     columns: Vec<Column>,
     wedges: Option<Wedges>,
+    labels: Option<FaceLabels>,
+}
+
+/// Labels of faces, by the property of this name.
+struct FaceLabels {
+    name: String,
+    /// That of the current face.
+    next: Option<f64>,
+    of_facets: Labels<i64>,
+}
+
+/// Scalar properties of faces, which may be labels.
+fn of_faces<'a>(header: &'a Header<'_>) -> impl Iterator<Item = &'a Property> {
+    let properties = header.element("face").into_iter().flat_map(|face| &face.properties);
+    properties.filter(|p| p.length.is_none() && p.odd.is_none())
 }
 
 impl Carried {
-    pub(super) fn of(header: &Header<'_>) -> Self {
+    pub(super) fn of(header: &Header<'_>, chosen: Option<&str>) -> Self {
         let column = |p: &Property| Column { name: p.name.clone(), kind: p.item, values: Vec::new() };
         let is_column =
             |p: &&Property| p.length.is_none() && p.odd.is_none() && !matches!(p.name.as_str(), "x" | "y" | "z");
@@ -49,7 +67,9 @@ impl Carried {
         // A text may have more digits than its type holds.
         let kind = |p: &Property| if header.encoding == Encoding::Text { Kind::F64 } else { p.item };
         let wedges = wedges.map(|p| Wedges { kind: kind(p), ..Wedges::default() });
-        Self { columns: columns.into_iter().flatten().collect(), wedges }
+        let label = of_faces(header).find(|p| Some(p.name.as_str()) == chosen);
+        let labels = label.map(|p| FaceLabels { name: p.name.clone(), next: None, of_facets: Labels::default() });
+        Self { columns: columns.into_iter().flatten().collect(), wedges, labels }
     }
 
     pub(super) fn role(&self, element: &Element, property: &Property) -> Role {
@@ -60,6 +80,7 @@ impl Carried {
                 None => self.find(name).map_or(Role::Skipped, Role::Column),
             },
             (name, Some(_)) if FACES.contains(&name) && property.is_corners() => Role::Corners,
+            ("face", None) if self.label() == Some(name) => Role::Label,
             ("face", Some(_)) if self.wedges.is_some() && is_wedges(property) => Role::Wedges,
             _ => Role::Skipped,
         }
@@ -83,7 +104,23 @@ impl Carried {
         })
     }
 
+    /// The name of the property that labels faces.
+    pub(super) fn label(&self) -> Option<&str> {
+        self.labels.as_ref().map(|labels| labels.name.as_str())
+    }
+
+    /// Takes the label of the current face.
+    pub(super) fn label_face(&mut self, label: f64) {
+        self.labels.iter_mut().for_each(|labels| labels.next = Some(label));
+    }
+
+    /// Ends the current face, or a triangle of a strip.
     pub(super) fn end_face(&mut self, corners: usize) {
+        if let Some(FaceLabels { next, of_facets, .. }) = &mut self.labels
+            && let Some(label) = next.take()
+        {
+            of_facets.push_number(label, corners.saturating_sub(2));
+        }
         if let Some(wedges) = &mut self.wedges {
             wedges.end_face(corners);
         }
@@ -126,11 +163,14 @@ impl Carried {
             PerCorner { values: values.collect(), corners: facets.to_vec() }
         });
         raw.texture = self.wedges.and_then(|wedges| wedges.finish(facets)).or(per_vertex);
-        let plain = |name: String| match name.strip_prefix(PREFIX) {
+        let unprefixed = |name: String| match name.strip_prefix(PREFIX) {
             Some(rest) if TAKEN.contains(&rest) => rest.to_owned(),
             _ => name,
         };
-        let scalar = |c: Column| Scalar { number: c.kind, ..Scalar::new(plain(c.name), c.values) };
+        if let Some(FaceLabels { name, of_facets, .. }) = self.labels {
+            raw.regions = Some(of_facets.numbered(format!("values of the property {:?}", plain(&name, 40))));
+        }
+        let scalar = |c: Column| Scalar { number: c.kind, ..Scalar::new(unprefixed(c.name), c.values) };
         raw.scalars = self.columns.into_iter().map(scalar).collect();
         raw
     }
@@ -141,7 +181,10 @@ fn is_wedges(property: &Property) -> bool {
 }
 
 /// Says what no surface carries.
-pub(super) fn left_aside(header: &Header<'_>, raw: &mut Raw) {
+pub(super) fn left_aside(header: &Header<'_>, chosen: Option<&str>, raw: &mut Raw) {
+    if chosen.is_some() {
+        raw.arrays = of_faces(header).map(|p| p.name.clone()).collect();
+    }
     let is_surface = |element: &&Element| element.name == "vertex" || FACES.contains(&element.name.as_str());
     for element in header.elements.iter().chain(&header.unread).filter(|element| !is_surface(element)) {
         raw.elements(&plain(&format!("elements {:?}", element.name), 100), element.count);
@@ -157,12 +200,16 @@ pub(super) fn left_aside(header: &Header<'_>, raw: &mut Raw) {
             }
         }
         let is_left = |p: &&Property| {
-            let is_read = if is_vertex { p.length.is_none() } else { p.is_corners() || is_wedges(p) };
+            let is_label = element.name == "face" && p.length.is_none() && Some(p.name.as_str()) == chosen;
+            let is_read = if is_vertex { p.length.is_none() } else { p.is_corners() || is_wedges(p) || is_label };
             !is_read && p.odd.is_none()
         };
         let names: Vec<&str> = element.properties.iter().filter(is_left).map(|p| p.name.as_str()).collect();
         if !names.is_empty() {
-            let text = "a surface carries a number for each vertex, and texture coordinates of faces".to_owned();
+            let may_label =
+                element.name == "face" && element.properties.iter().any(|p| p.length.is_none() && is_left(&p));
+            let more = if may_label { "; --regions NAME makes regions of a number of faces" } else { "" };
+            let text = format!("a surface carries a number for each vertex, and texture coordinates of faces{more}");
             raw.unreadable(&plain(&format!("properties of {:?}: {}", element.name, names.join(", ")), 200), text);
         }
     }

@@ -115,6 +115,7 @@ impl Rows<'_> {
                     cursor.check(count, property.item, "texture coordinates")?;
                     carried.wedges(count, || cursor.any_float(property.item, "a property"))?;
                 }
+                Role::Label => carried.label_face(cursor.any_float(property.item, "a property")?),
                 Role::Skipped => cursor.pass(count, property.item, "a property")?,
             }
         }
@@ -181,7 +182,7 @@ fn records(header: &Header<'_>, carried: &mut Carried) -> Option<Soup> {
     }
     let vertices = header.element("vertex")?.count;
     let mut soup = Soup::default();
-    let mut columns = Vec::new();
+    let (mut columns, mut labels) = (Vec::new(), Vec::new());
     let mut rest = header.data;
     for element in header.elements.iter().filter(|element| !element.properties.is_empty()) {
         let layout = Layout::of(element)?;
@@ -196,11 +197,20 @@ fn records(header: &Header<'_>, carried: &mut Carried) -> Option<Soup> {
                 };
                 columns = carried.columns().map(column).collect::<Option<_>>()?;
             }
-            "face" => soup.facets = layout.facets(records, vertices)?,
+            "face" => {
+                soup.facets = layout.facets(records, vertices)?;
+                if let Some((at, kind)) = carried.label().and_then(|name| layout.scalar(name)) {
+                    labels = numbers!(kind, f64, column(records, layout.stride, at));
+                }
+            }
             _ => {}
         }
     }
     carried.take_columns(columns);
+    for label in labels {
+        carried.label_face(label);
+        carried.end_face(3);
+    }
     Some(soup)
 }
 

@@ -5,11 +5,15 @@
 
 use glam::DVec3;
 
-use super::{Array, Cell, KINDS, ON_POINTS, Role, SURFACE_FIRST, carried, facets, names, push_cells, written};
+use super::{
+    Array, Cell, KINDS, ON_POINTS, REGIONS, Role, SURFACE_FIRST, carried, facets, label, labels, names, push_cells,
+    put_label, written,
+};
 use crate::mesh::TriMesh;
-use crate::mesh::io::held::{By, Held, Holds, Raw};
+use crate::mesh::io::held::{By, Held, Holds, Labelled, Raw};
 use crate::mesh::io::numbers::{Cursor, Encoding, Kind, Order, cut, parse, plain, shown};
-use crate::mesh::io::{Codec, Counts, DataError, Soup, VertexNumbers};
+use crate::mesh::io::regions::{Labels, whole_numbers};
+use crate::mesh::io::{Codec, Counts, DataError, RegionChoice, Soup, VertexNumbers, Wanted};
 
 pub(in crate::mesh::io) const CODEC: Codec = Codec {
     extension: "vtk",
@@ -19,13 +23,20 @@ pub(in crate::mesh::io) const CODEC: Codec = Codec {
     signature: crate::mesh::io::packed::Signature::Start(|head| head.text().starts_with(b"# vtk DataFile")),
     decode: |bytes, wanted| read(bytes, wanted, false).map(|(soup, _)| soup),
     encode,
-    counts: |bytes| read(bytes, false, true).ok().map(|(_, counts)| counts),
-    holds: Holds { normals: By::Vertex, texture: By::Vertex, colours: true, opacity: true, scalars: true },
+    counts: |bytes| read(bytes, None, true).ok().map(|(_, counts)| counts),
+    holds: Holds {
+        normals: By::Vertex,
+        texture: By::Vertex,
+        colours: true,
+        opacity: true,
+        scalars: true,
+        regions: Labelled::Number,
+    },
     vertices: VertexNumbers::Kept,
 };
 
 /// Reads all sections; if they are counted, how much is in them alone.
-fn read(bytes: &[u8], wanted: bool, counted: bool) -> Result<(Soup, Counts), DataError> {
+fn read(bytes: &[u8], wanted: Wanted<'_>, counted: bool) -> Result<(Soup, Counts), DataError> {
     let mut cursor = Cursor::new(bytes);
     if !cursor.end_line().starts_with(b"# vtk DataFile Version") {
         return Err(DataError::Header("it does not begin with \"# vtk DataFile Version\"".to_owned()));
@@ -37,7 +48,10 @@ fn read(bytes: &[u8], wanted: bool, counted: bool) -> Result<(Soup, Counts), Dat
         word if word.eq_ignore_ascii_case(b"BINARY") => Encoding::Binary(Order::Big),
         word => return Err(cursor.syntax(format!("\"{}\" is not ASCII or BINARY", shown(word)))),
     };
-    let mut reader = Reader { cursor, wanted, counted, ..Reader::default() };
+    let chosen = wanted.and_then(RegionChoice::array);
+    let wanted = wanted.is_some();
+    let mut reader = Reader { cursor, wanted, chosen, counted, ..Reader::default() };
+    reader.soup.cells = chosen.map(|_| Vec::new());
     let mut counts = Counts::default();
     let (mut cells, mut thin) = (None, 0);
     let mut kinds = Vec::new();
@@ -52,7 +66,11 @@ fn read(bytes: &[u8], wanted: bool, counted: bool) -> Result<(Soup, Counts), Dat
                 }
             }
             b"POINTS" => counts.vertices = counts.vertices.max(reader.points()?),
-            b"VERTICES" | b"LINES" => thin += reader.lists()?.0.len(),
+            b"VERTICES" | b"LINES" => {
+                let cells = reader.lists()?.0.len();
+                thin += cells;
+                reader.end_section(if keyword == b"VERTICES" { 0 } else { 1 }, cells);
+            }
             b"POLYGONS" | b"TRIANGLE_STRIPS" => {
                 let cell = |_: usize| if keyword == b"POLYGONS" { Cell::Polygon } else { Cell::Strip };
                 let (ends, points) = reader.lists()?;
@@ -60,6 +78,7 @@ fn read(bytes: &[u8], wanted: bool, counted: bool) -> Result<(Soup, Counts), Dat
                     true => counts.facets += facets(cell, &ends),
                     false => _ = push_cells(&mut reader.soup, cell, &ends, &points)?,
                 }
+                reader.end_section(if keyword == b"POLYGONS" { 2 } else { 3 }, 0);
             }
             b"CELLS" => cells = Some(reader.lists()?),
             b"CELL_TYPES" => {
@@ -82,20 +101,47 @@ fn read(bytes: &[u8], wanted: bool, counted: bool) -> Result<(Soup, Counts), Dat
             _ => return Err(reader.cursor.syntax(format!("\"{}\" is no section of a surface", shown(word)))),
         }
     }
-    let Reader { mut soup, arrays, left, numbers, .. } = reader;
+    let Reader { mut soup, arrays, left, numbers, sections, labels, names, .. } = reader;
     counts.made_bytes = numbers.saturating_mul(16);
     if let (Some((ends, _)), true) = (&cells, counted) {
         counts.facets += facets(|index| kinds.get(index).map_or(Cell::Less, |&kind| Cell::of(kind)), ends);
     } else if let Some((ends, points)) = cells {
         grid(&mut soup, &ends, &points, &kinds)?;
     }
+    if let Some((name, values)) = chosen.zip(labels) {
+        let of_grid = soup.cells.take().unwrap_or_default();
+        let sections = if of_grid.is_empty() { sections } else { vec![(0, of_grid)] };
+        soup.raw.regions =
+            Some(regions(&sections, values).numbered(format!("values of the array {:?}", plain(name, 40))));
+    }
     carried(arrays, &mut soup);
     if wanted {
         soup.raw.elements("points and lines", thin);
     }
+    soup.raw.arrays = names;
     soup.raw.unreadable.extend(left.unreadable);
     soup.raw.more += left.more;
     Ok((soup, counts))
+}
+
+/// Labels of facets, in their order, by the values of all cells.
+fn regions(sections: &[(u8, Vec<u32>)], values: Result<Vec<i64>, String>) -> Labels<i64> {
+    let mut all = Labels::default();
+    let count: usize = sections.iter().map(|(_, cells)| cells.len()).sum();
+    match values {
+        Err(reason) => all.give_up(reason),
+        Ok(values) if values.len() != count => {
+            all.give_up(format!("there are {} for {count} cells", values.len()));
+        }
+        Ok(values) => {
+            for (index, (rank, cells)) in sections.iter().enumerate() {
+                let is_before = |(other, (of, _)): &(usize, &(u8, Vec<u32>))| (*of, *other) < (*rank, index);
+                let before = sections.iter().enumerate().filter(is_before).map(|(_, (_, cells))| cells.len()).sum();
+                label(&mut all, values.get(before..).unwrap_or_default(), cells);
+            }
+        }
+    }
+    all
 }
 
 fn grid(soup: &mut Soup, ends: &[i64], points: &[u32], kinds: &[i64]) -> Result<(), DataError> {
@@ -109,6 +155,13 @@ fn grid(soup: &mut Soup, ends: &[i64], points: &[u32], kinds: &[i64]) -> Result<
 struct Reader<'a> {
     cursor: Cursor<'a>,
     wanted: bool,
+    /// The array of cells that gives regions, its values or what is wrong with them, and the names of all.
+    chosen: Option<&'a str>,
+    labels: Option<Result<Vec<i64>, String>>,
+    names: Vec<String>,
+    /// How many facets the cells of each section have, if an array is chosen. Values of cells are in the order of the first
+    /// numbers: points, lines, polygons, strips.
+    sections: Vec<(u8, Vec<u32>)>,
     /// Whether points are passed over.
     counted: bool,
     soup: Soup,
@@ -133,6 +186,15 @@ enum Type {
 }
 
 impl Reader<'_> {
+    /// Ends a section of cells, of which so many have no facets beside those that were pushed.
+    fn end_section(&mut self, rank: u8, more: usize) {
+        if let Some(cells) = &mut self.soup.cells {
+            let mut cells = std::mem::take(cells);
+            cells.resize(cells.len() + more, 0);
+            self.sections.push((rank, cells));
+        }
+    }
+
     fn count(&mut self, what: &str) -> Result<usize, DataError> {
         self.cursor.parsed(what)
     }
@@ -351,6 +413,14 @@ impl Reader<'_> {
         let what = || format!("the array {:?}", shown(name.as_bytes()));
         let is_text = self.cursor.encoding == Encoding::Text;
         let is_kept = keep && self.wanted;
+        let is_label = self.chosen.is_some() && self.of_cells && components == 1 && role != Role::None;
+        if is_label && let Type::Numbers(kind) = kind {
+            if self.chosen == Some(name.as_str()) && self.labels.is_none() {
+                self.labels = Some(whole_numbers(&mut self.cursor, total, kind, &what())?);
+                return Ok(());
+            }
+            self.names.push(name.clone());
+        }
         match kind {
             Type::Numbers(kind) if is_kept => {
                 let values = self.cursor.lenient(total, kind, &what())?;
@@ -432,6 +502,12 @@ fn encode(mesh: &TriMesh, held: &Held<'_>) -> Result<Vec<u8>, DataError> {
     line(&mut out, format!("\nPOLYGONS {facets} {}\n", 4 * facets));
     for facet in mesh.facets() {
         [3, facet[0], facet[1], facet[2]].iter().for_each(|v| out.extend_from_slice(&v.to_be_bytes()));
+    }
+    if let Some(regions) = held.regions {
+        let (kind, numbers) = labels(regions);
+        let head = format!("\nCELL_DATA {facets}\nFIELD FieldData 1\n{REGIONS} 1 {facets} {}\n", names(kind).0);
+        line(&mut out, head);
+        numbers.into_iter().for_each(|number| put_label(kind, number, true, &mut out));
     }
     if !arrays.is_empty() {
         line(&mut out, format!("\nPOINT_DATA {vertices}"));

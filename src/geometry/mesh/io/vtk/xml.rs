@@ -17,14 +17,27 @@ use quick_xml::Reader;
 use quick_xml::escape::{escape, unescape};
 use quick_xml::events::{BytesStart, Event};
 
-use super::{Array, Cell, KINDS, ON_POINTS, Role, SURFACE_FIRST, carried, names, push_cells, written};
+use super::{
+    Array, Cell, KINDS, ON_POINTS, REGIONS, Role, SURFACE_FIRST, carried, label, labels, names, push_cells, put_label,
+    written,
+};
 use crate::mesh::TriMesh;
-use crate::mesh::io::held::{By, Held, Holds};
+use crate::mesh::io::held::{By, Held, Holds, Labelled};
 use crate::mesh::io::numbers::{Cursor, Encoding, Kind, Order, plain};
 use crate::mesh::io::packed::{Head, Room, Signature};
-use crate::mesh::io::{Codec, Counts, DataError, Others, Soup, VertexNumbers, syntax, unpacked_limit};
+use crate::mesh::io::regions::{Labels, whole_numbers};
+use crate::mesh::io::{
+    Codec, Counts, DataError, Others, RegionChoice, Soup, VertexNumbers, Wanted, syntax, unpacked_limit,
+};
 
-const HOLDS: Holds = Holds { normals: By::Vertex, texture: By::Vertex, colours: true, opacity: true, scalars: true };
+const HOLDS: Holds = Holds {
+    normals: By::Vertex,
+    texture: By::Vertex,
+    colours: true,
+    opacity: true,
+    scalars: true,
+    regions: Labelled::Number,
+};
 
 pub(in crate::mesh::io) const POLYGONS: Codec = Codec {
     extension: "vtp",
@@ -79,9 +92,13 @@ fn is_grid(head: &Head<'_>) -> bool {
     tag.is_some_and(|tag| tag.windows(name.len()).any(|window| window == name))
 }
 
-fn decode(bytes: &[u8], wanted: bool, expected: Type) -> Result<Soup, DataError> {
-    let mut file = File::walk(bytes, expected)?;
-    let mut soup = Soup::default();
+fn decode(bytes: &[u8], wanted: Wanted<'_>, expected: Type) -> Result<Soup, DataError> {
+    let chosen = wanted.and_then(RegionChoice::array);
+    let wanted = wanted.is_some();
+    let mut file = File::walk(bytes, expected, chosen)?;
+    let mut soup = Soup { cells: chosen.map(|_| Vec::new()), ..Soup::default() };
+    let mut labels = Labels::default();
+    let has_regions = file.pieces.iter().any(|piece| piece.labels.is_some());
     let (mut arrays, mut names, mut others) = (Vec::new(), HashMap::new(), Others::default());
     for (index, piece) in std::mem::take(&mut file.pieces).into_iter().enumerate() {
         let first = soup.positions.len();
@@ -116,11 +133,20 @@ fn decode(bytes: &[u8], wanted: bool, expected: Type) -> Result<Soup, DataError>
             let cell = |index: usize| Cell::of(kind.or(kinds.get(index).copied()).unwrap_or(0));
             others += push_cells(&mut soup, cell, &ends, &points)?;
         }
+        if let (Some(cells), true) = (soup.cells.as_mut().map(std::mem::take), has_regions) {
+            file.labels(&mut labels, &piece, &cells);
+        }
         if wanted {
             file.data(&mut arrays, &mut names, &piece, first, &mut soup);
         }
     }
     carried(arrays, &mut soup);
+    if let Some(name) = chosen.filter(|_| has_regions) {
+        soup.raw.regions = Some(labels.numbered(format!("values of the array {:?}", plain(name, 40))));
+    }
+    if chosen.is_some() {
+        soup.raw.arrays.clone_from(&file.cell_arrays);
+    }
     for name in file.cell_arrays.iter().filter(|_| wanted) {
         soup.raw.unreadable(&format!("cell array {:?}", plain(name, 40)), ON_POINTS.to_owned());
     }
@@ -133,7 +159,7 @@ fn decode(bytes: &[u8], wanted: bool, expected: Type) -> Result<Soup, DataError>
 
 /// Counts by the lengths before arrays: nothing is unpacked, but the ends and types of a grid's cells.
 fn counts(bytes: &[u8], expected: Type) -> Option<Counts> {
-    let mut file = File::walk(bytes, expected).ok()?;
+    let mut file = File::walk(bytes, expected, None).ok()?;
     let mut counts = Counts::default();
     for piece in std::mem::take(&mut file.pieces).iter().filter(|piece| piece.points > 0) {
         let grid = &piece.grid;
@@ -208,6 +234,8 @@ struct Piece<'a> {
     strips: Cells<'a>,
     grid: Cells<'a>,
     arrays: Vec<DataArray<'a>>,
+    /// The array of cells that gives regions.
+    labels: Option<Box<DataArray<'a>>>,
     normals: String,
     texture: String,
 }
@@ -222,6 +250,8 @@ impl<'a> Piece<'a> {
 #[derive(Default)]
 struct File<'a> {
     expected: Type,
+    /// The name of the array of cells that gives regions.
+    chosen: Option<&'a str>,
     order: Order,
     /// Type of the lengths before data.
     length: Kind,
@@ -255,9 +285,9 @@ fn number(tag: &BytesStart<'_>, name: &str) -> usize {
 }
 
 impl<'a> File<'a> {
-    fn walk(bytes: &'a [u8], expected: Type) -> Result<Self, DataError> {
+    fn walk(bytes: &'a [u8], expected: Type, chosen: Option<&'a str>) -> Result<Self, DataError> {
         let (left, room) = (bytes.len(), Room::of(bytes.len()));
-        let mut file = File { expected, length: Kind::U32, left, room, ..File::default() };
+        let mut file = File { expected, chosen, length: Kind::U32, left, room, ..File::default() };
         if !bytes.trim_ascii_end().ends_with(b"</VTKFile>") {
             let begins = bytes.trim_ascii_start().starts_with(b"<");
             let text = "it does not end with \"</VTKFile>\"".to_owned();
@@ -419,6 +449,9 @@ impl<'a> File<'a> {
                 self.room.take(found.name.len())?;
                 self.room.push(&mut piece.arrays, found)?;
             }
+            b"CellData" if self.chosen == Some(found.name.as_str()) && piece.labels.is_none() => {
+                piece.labels = boxed(found)?;
+            }
             b"CellData" if is_first => {
                 self.room.take(found.name.len())?;
                 self.room.push(&mut self.cell_arrays, found.name)?;
@@ -563,6 +596,22 @@ impl<'a> File<'a> {
         Ok(out)
     }
 
+    /// Labels the facets of a piece, whose cells that may have some have so many each.
+    fn labels(&mut self, labels: &mut Labels<i64>, piece: &Piece<'a>, cells: &[u32]) {
+        let Some(array) = piece.labels.as_ref().filter(|array| array.components == 1) else {
+            return labels.give_up("it has not one number for each cell".to_owned());
+        };
+        let count = piece.thin.checked_add(cells.len());
+        let whole = |cursor: &mut Cursor<'_>, count, kind| {
+            whole_numbers(cursor, count, kind, "labels").and_then(|numbers| numbers.map_err(DataError::List))
+        };
+        match self.values(array, count, whole) {
+            // Points and lines come first.
+            Ok(values) => label(labels, values.get(piece.thin..).unwrap_or_default(), cells),
+            Err(error) => labels.give_up(error.to_string()),
+        }
+    }
+
     /// Reads what a piece's points carry, after `first` others; wrong arrays are left aside. Later pieces go by names.
     fn data(
         &mut self,
@@ -698,7 +747,16 @@ fn encode(mesh: &TriMesh, held: &Held<'_>, of: Type) -> Result<Vec<u8>, DataErro
         a.values.iter().for_each(|&x| a.kind.put(x, Order::Little, &mut data));
         array(&mut out, &a.name, names(a.kind).1, a.components, data);
     }
-    out.push_str("</PointData>\n<Points>\n");
+    out.push_str("</PointData>\n");
+    if let Some(regions) = held.regions {
+        let (kind, numbers) = labels(regions);
+        let mut data = Vec::with_capacity(kind.bytes() * facets);
+        numbers.into_iter().for_each(|number| put_label(kind, number, false, &mut data));
+        out.push_str("<CellData>\n");
+        array(&mut out, REGIONS, names(kind).1, 1, data);
+        out.push_str("</CellData>\n");
+    }
+    out.push_str("<Points>\n");
     let positions = doubles(&mut mesh.positions().iter().flat_map(|p| p.to_array()));
     array(&mut out, "Points", "Float64", 3, positions);
     let section = if of == Type::PolyData { "Polys" } else { "Cells" };
