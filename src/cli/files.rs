@@ -18,7 +18,7 @@ use tempfile::{NamedTempFile, TempPath};
 use super::exit::{BadInput, NoFolder, NoInput, NotWritten, Usage};
 use geometry::mesh::attributes::Attributes;
 use geometry::mesh::io::lists::{FileVertices, NO_NUMBERS};
-use geometry::mesh::io::{DataError, FileError, Format};
+use geometry::mesh::io::{DataError, FileError, Format, RegionChoice};
 use geometry::mesh::tensor::Tensor;
 use geometry::mesh::{TriMesh, io};
 use geometry::remesh::Warning;
@@ -74,11 +74,11 @@ impl Surface {
         Ok(io::decode(format, &bytes).map_err(|cause| self.refused(&cause))?)
     }
 
-    pub(crate) fn read_loaded(&self) -> Result<Loaded> {
+    pub(crate) fn read_loaded(&self, regions: &RegionChoice) -> Result<Loaded> {
         let format = self.format(INPUT_FORMAT)?;
         let bytes = self.bytes(format)?;
         let io::Loaded { mesh, attributes, creases, left_aside } =
-            io::decode_with_attributes(format, &bytes).map_err(|cause| self.refused(&cause))?;
+            io::decode_with_regions(format, &bytes, regions).map_err(|cause| self.refused(&cause))?;
         let warnings = left_aside.iter().map(Warning::left_aside).collect();
         let attributes = Some(attributes).filter(|attributes| !attributes.is_empty());
         Ok(Loaded { mesh, attributes, creases, warnings })

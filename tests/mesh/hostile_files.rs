@@ -336,7 +336,7 @@ fn much_that_is_named_by_little() {
     };
     // Nodes that each name a mesh of many primitives, of points.
     let nodes = vec!["{\"mesh\":0}"; 20_000].join(",");
-    let primitives = vec!["{\"mode\":0}"; 20_000].join(",");
+    let primitives = vec!["{\"mode\":0,\"extras\":0}"; 20_000].join(",");
     let text = format!(
         "{{\"asset\":{{\"version\":\"2.0\"}},\"nodes\":[{nodes}],\"meshes\":[{{\"primitives\":[{primitives}]}}]}}"
     );

@@ -19,7 +19,7 @@ use geometry::cvt::density::{DensityOptions, DensitySource};
 use geometry::mesh::TriMesh;
 use geometry::mesh::attributes::Attributes;
 use geometry::mesh::features::Features;
-use geometry::mesh::io::Format;
+use geometry::mesh::io::{Format, RegionChoice};
 use geometry::remesh::{Anisotropy, RemeshOptions, Seeds};
 use geometry::token::Token;
 use server::config::{BackendArgs, count, whole};
@@ -76,7 +76,11 @@ pub(super) struct FileArgs {
     /// Write the report there, as JSON.
     #[arg(long, value_name = "FILE.json")]
     pub(super) report: Option<PathBuf>,
-    /// Leave aside normals, texture coordinates, colours and scalars of the input.
+    /// Array of the input whose whole numbers are the regions of its facets: a cell array or a property of faces. Regions that a file
+    /// names as such, as materials and physical groups, are kept without it; ignore leaves them aside.
+    #[arg(long, value_name = "NAME|ignore", value_parser = regions, conflicts_with = "no_attributes")]
+    pub(super) regions: Option<RegionChoice>,
+    /// Leave aside normals, texture coordinates, colours, scalars and regions of the input.
     #[arg(long)]
     pub(super) no_attributes: bool,
 }
@@ -187,6 +191,14 @@ pub(crate) const DENSITIES: Words<DensitySource> = &[
     ("error", "Where it lowers the mean distance most; for --anisotropy", DensitySource::Error),
     ("error-max", "Where it lowers the largest distance most; for --anisotropy", DensitySource::ErrorMax),
 ];
+
+fn regions(text: &str) -> Result<RegionChoice, String> {
+    match text {
+        "" => Err("the name of an array is needed, or ignore".to_owned()),
+        "ignore" => Ok(RegionChoice::Ignore),
+        name => Ok(RegionChoice::Array(name.to_owned())),
+    }
+}
 
 fn positive(text: &str) -> Result<f64, String> {
     let number = text.parse().ok().filter(|number: &f64| number.is_finite() && *number > 0.0);

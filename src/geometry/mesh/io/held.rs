@@ -120,7 +120,8 @@ impl Raw {
         let mut attributes = Attributes::new(mesh);
         let found = self.regions.take();
         if let Some(found) = found.as_ref().filter(|_| *choice == RegionChoice::Ignore) {
-            found.ignored(&mut self);
+            let (kinds, count) = found.kinds();
+            self.labels(kinds, count);
         }
         let regions = found.filter(|_| *choice != RegionChoice::Ignore).map(|found| found.regions(mesh));
         let mut left_aside = self.unreadable;

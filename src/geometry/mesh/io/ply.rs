@@ -15,7 +15,7 @@ use std::ops::RangeInclusive;
 
 use super::held::{By, Held, Holds, Labelled, eight_bit};
 use super::numbers::{Encoding, Kind, Order};
-use super::regions::numbers;
+use super::regions::{ARRAY, numbers};
 use super::{Codec, Counts, DataError, RegionChoice, Signature, Soup, VertexNumbers, Wanted};
 use crate::mesh::TriMesh;
 use crate::mesh::attributes::{ColourDepth, Colours, Scalar};
@@ -46,7 +46,7 @@ pub(super) const CODEC: Codec = Codec {
 fn decode(bytes: &[u8], wanted: Wanted<'_>) -> Result<Soup, DataError> {
     let header = header::read(bytes)?;
     check_header(&header)?;
-    let chosen = wanted.and_then(RegionChoice::array);
+    let chosen = wanted.and_then(RegionChoice::of_cells);
     let mut carried = if wanted.is_some() { Carried::of(&header, chosen) } else { Carried::default() };
     let mut soup = data::read(&header, &mut carried)?;
     soup.raw = carried.finish(&soup.facets);
@@ -111,9 +111,6 @@ pub(super) fn word(name: &str) -> String {
 /// Labels of faces are whole numbers that doubles hold.
 pub(super) const LABELS: RangeInclusive<i64> = 1 - (1 << 53)..=(1 << 53) - 1;
 
-/// The name of the property of faces that is written.
-const REGIONS: &str = "regions";
-
 /// Properties of the vertices: their names, their type, and a function that writes them.
 type Column<'a> = (&'a str, &'a str, Box<dyn Fn(&mut Vec<u8>, usize) + 'a>);
 
@@ -166,7 +163,7 @@ fn encode(mesh: &TriMesh, held: &Held<'_>) -> Result<Vec<u8>, DataError> {
     let fit = labels.iter().all(|&number| i32::try_from(number).is_ok());
     let kind = if fit { Kind::I32 } else { Kind::F64 };
     if held.regions.is_some() {
-        head.push_str(&format!("property {} {REGIONS}\n", header::name(kind)));
+        head.push_str(&format!("property {} {ARRAY}\n", header::name(kind)));
     }
     head.push_str("end_header\n");
     let mut out = head.into_bytes();

@@ -9,7 +9,6 @@ use std::hash::Hash;
 use std::ops::RangeInclusive;
 
 use super::DataError;
-use super::held::Raw;
 use super::numbers::{Cursor, Encoding, Kind, plain};
 use crate::mesh::TriMesh;
 use crate::mesh::adjacency::weld;
@@ -19,7 +18,8 @@ use crate::mesh::regions::{MAX_REGION_NAME, MAX_REGIONS, Region, Regions};
 /// Which labels of facets become regions.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub enum RegionChoice {
-    /// Those that the format has for this: materials, groups, solids, physical groups, references.
+    /// Those that the format has for this: materials, groups, solids, physical groups, references, and an array of cells or a property
+    /// of faces called `regions`, as is written here.
     #[default]
     Named,
     /// None. Labels are reported as left aside.
@@ -29,7 +29,16 @@ pub enum RegionChoice {
 }
 
 impl RegionChoice {
-    /// The name of an array.
+    /// The array of cells or property of faces that is read.
+    pub(super) fn of_cells(&self) -> Option<&str> {
+        match self {
+            Self::Array(name) => Some(name),
+            Self::Named => Some(ARRAY),
+            Self::Ignore => None,
+        }
+    }
+
+    /// The name of an array that has to be there.
     pub(super) fn array(&self) -> Option<&str> {
         match self {
             Self::Array(name) => Some(name),
@@ -37,6 +46,9 @@ impl RegionChoice {
         }
     }
 }
+
+/// What the array or property of a written file is called.
+pub(super) const ARRAY: &str = "regions";
 
 /// Arrays are named by a message, at most.
 const MOST_NAMES: usize = 32;
@@ -151,9 +163,9 @@ pub(super) struct Found {
 const LEAST_BORDERS: usize = 64;
 
 impl Found {
-    /// Puts them aside.
-    pub(super) fn ignored(&self, raw: &mut Raw) {
-        raw.labels(&self.kinds, self.all.len());
+    /// What they are, and how many.
+    pub(super) fn kinds(&self) -> (&str, usize) {
+        (&self.kinds, self.all.len())
     }
 
     /// The regions; none if all facets have one label. The error says why labels are left aside.

@@ -39,9 +39,6 @@ fn names(kind: Kind) -> (&'static str, &'static str) {
 /// Why arrays of cells are left aside.
 const ON_POINTS: &str = "a surface carries numbers of points; --regions NAME makes regions of an array of cells";
 
-/// The name of the array of cells that is written.
-const REGIONS: &str = "regions";
-
 /// The numbers of the facets' regions, and their type.
 fn labels(regions: &Regions) -> (Kind, Vec<i64>) {
     let fit = regions.all().iter().all(|region| i32::try_from(region.number).is_ok());

@@ -6,13 +6,13 @@
 use glam::DVec3;
 
 use super::{
-    Array, Cell, KINDS, ON_POINTS, REGIONS, Role, SURFACE_FIRST, carried, facets, label, labels, names, push_cells,
-    put_label, written,
+    Array, Cell, KINDS, ON_POINTS, Role, SURFACE_FIRST, carried, facets, label, labels, names, push_cells, put_label,
+    written,
 };
 use crate::mesh::TriMesh;
 use crate::mesh::io::held::{By, Held, Holds, Labelled, Raw};
 use crate::mesh::io::numbers::{Cursor, Encoding, Kind, Order, cut, parse, plain, shown};
-use crate::mesh::io::regions::{Labels, whole_numbers};
+use crate::mesh::io::regions::{ARRAY, Labels, whole_numbers};
 use crate::mesh::io::{Codec, Counts, DataError, RegionChoice, Soup, VertexNumbers, Wanted};
 
 pub(in crate::mesh::io) const CODEC: Codec = Codec {
@@ -48,7 +48,7 @@ fn read(bytes: &[u8], wanted: Wanted<'_>, counted: bool) -> Result<(Soup, Counts
         word if word.eq_ignore_ascii_case(b"BINARY") => Encoding::Binary(Order::Big),
         word => return Err(cursor.syntax(format!("\"{}\" is not ASCII or BINARY", shown(word)))),
     };
-    let chosen = wanted.and_then(RegionChoice::array);
+    let chosen = wanted.and_then(RegionChoice::of_cells);
     let wanted = wanted.is_some();
     let mut reader = Reader { cursor, wanted, chosen, counted, ..Reader::default() };
     reader.soup.cells = chosen.map(|_| Vec::new());
@@ -505,7 +505,7 @@ fn encode(mesh: &TriMesh, held: &Held<'_>) -> Result<Vec<u8>, DataError> {
     }
     if let Some(regions) = held.regions {
         let (kind, numbers) = labels(regions);
-        let head = format!("\nCELL_DATA {facets}\nFIELD FieldData 1\n{REGIONS} 1 {facets} {}\n", names(kind).0);
+        let head = format!("\nCELL_DATA {facets}\nFIELD FieldData 1\n{ARRAY} 1 {facets} {}\n", names(kind).0);
         line(&mut out, head);
         numbers.into_iter().for_each(|number| put_label(kind, number, true, &mut out));
     }

@@ -18,14 +18,13 @@ use quick_xml::escape::{escape, unescape};
 use quick_xml::events::{BytesStart, Event};
 
 use super::{
-    Array, Cell, KINDS, ON_POINTS, REGIONS, Role, SURFACE_FIRST, carried, label, labels, names, push_cells, put_label,
-    written,
+    Array, Cell, KINDS, ON_POINTS, Role, SURFACE_FIRST, carried, label, labels, names, push_cells, put_label, written,
 };
 use crate::mesh::TriMesh;
 use crate::mesh::io::held::{By, Held, Holds, Labelled};
 use crate::mesh::io::numbers::{Cursor, Encoding, Kind, Order, plain};
 use crate::mesh::io::packed::{Head, Room, Signature};
-use crate::mesh::io::regions::{Labels, whole_numbers};
+use crate::mesh::io::regions::{ARRAY, Labels, whole_numbers};
 use crate::mesh::io::{
     Codec, Counts, DataError, Others, RegionChoice, Soup, VertexNumbers, Wanted, syntax, unpacked_limit,
 };
@@ -93,12 +92,12 @@ fn is_grid(head: &Head<'_>) -> bool {
 }
 
 fn decode(bytes: &[u8], wanted: Wanted<'_>, expected: Type) -> Result<Soup, DataError> {
-    let chosen = wanted.and_then(RegionChoice::array);
+    let chosen = wanted.and_then(RegionChoice::of_cells);
     let wanted = wanted.is_some();
     let mut file = File::walk(bytes, expected, chosen)?;
-    let mut soup = Soup { cells: chosen.map(|_| Vec::new()), ..Soup::default() };
-    let mut labels = Labels::default();
     let has_regions = file.pieces.iter().any(|piece| piece.labels.is_some());
+    let mut soup = Soup { cells: has_regions.then(Vec::new), ..Soup::default() };
+    let mut labels = Labels::default();
     let (mut arrays, mut names, mut others) = (Vec::new(), HashMap::new(), Others::default());
     for (index, piece) in std::mem::take(&mut file.pieces).into_iter().enumerate() {
         let first = soup.positions.len();
@@ -753,7 +752,7 @@ fn encode(mesh: &TriMesh, held: &Held<'_>, of: Type) -> Result<Vec<u8>, DataErro
         let mut data = Vec::with_capacity(kind.bytes() * facets);
         numbers.into_iter().for_each(|number| put_label(kind, number, false, &mut data));
         out.push_str("<CellData>\n");
-        array(&mut out, REGIONS, names(kind).1, 1, data);
+        array(&mut out, ARRAY, names(kind).1, 1, data);
         out.push_str("</CellData>\n");
     }
     out.push_str("<Points>\n");

@@ -123,6 +123,12 @@ class ThinRule(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
     THIN_RULE_FINER: _ClassVar[ThinRule]
     THIN_RULE_EVEN: _ClassVar[ThinRule]
 
+class NonManifoldRule(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
+    __slots__ = ()
+    NON_MANIFOLD_RULE_UNSPECIFIED: _ClassVar[NonManifoldRule]
+    NON_MANIFOLD_RULE_CUT: _ClassVar[NonManifoldRule]
+    NON_MANIFOLD_RULE_KEEP: _ClassVar[NonManifoldRule]
+
 class Measure(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
     __slots__ = ()
     MEASURE_UNSPECIFIED: _ClassVar[Measure]
@@ -212,6 +218,9 @@ BOUNDARY_RULE_FREE: BoundaryRule
 THIN_RULE_UNSPECIFIED: ThinRule
 THIN_RULE_FINER: ThinRule
 THIN_RULE_EVEN: ThinRule
+NON_MANIFOLD_RULE_UNSPECIFIED: NonManifoldRule
+NON_MANIFOLD_RULE_CUT: NonManifoldRule
+NON_MANIFOLD_RULE_KEEP: NonManifoldRule
 MEASURE_UNSPECIFIED: Measure
 MEASURE_TOPOLOGY: Measure
 MEASURE_FULL: Measure
@@ -285,7 +294,7 @@ class Density(_message.Message):
     def __init__(self, source: _Optional[_Union[DensitySource, str]] = ..., edge_length: _Optional[float] = ..., adaptivity: _Optional[float] = ..., gradation: _Optional[float] = ...) -> None: ...
 
 class RemeshOptions(_message.Message):
-    __slots__ = ("points", "seed", "density", "lloyd", "newton", "projection", "placement", "crease_angle", "boundaries", "thin", "max_deviation", "max_deviation_length", "max_points", "measure", "points_percent", "facets", "anisotropy", "anisotropy_auto", "weld", "weld_percent")
+    __slots__ = ("points", "seed", "density", "lloyd", "newton", "projection", "placement", "crease_angle", "boundaries", "thin", "max_deviation", "max_deviation_length", "max_points", "measure", "points_percent", "facets", "anisotropy", "anisotropy_auto", "weld", "weld_percent", "non_manifold")
     POINTS_FIELD_NUMBER: _ClassVar[int]
     SEED_FIELD_NUMBER: _ClassVar[int]
     DENSITY_FIELD_NUMBER: _ClassVar[int]
@@ -306,6 +315,7 @@ class RemeshOptions(_message.Message):
     ANISOTROPY_AUTO_FIELD_NUMBER: _ClassVar[int]
     WELD_FIELD_NUMBER: _ClassVar[int]
     WELD_PERCENT_FIELD_NUMBER: _ClassVar[int]
+    NON_MANIFOLD_FIELD_NUMBER: _ClassVar[int]
     points: int
     seed: int
     density: Density
@@ -326,7 +336,8 @@ class RemeshOptions(_message.Message):
     anisotropy_auto: bool
     weld: float
     weld_percent: float
-    def __init__(self, points: _Optional[int] = ..., seed: _Optional[int] = ..., density: _Optional[_Union[Density, _Mapping]] = ..., lloyd: _Optional[int] = ..., newton: _Optional[int] = ..., projection: _Optional[_Union[Projection, str]] = ..., placement: _Optional[_Union[Placement, str]] = ..., crease_angle: _Optional[float] = ..., boundaries: _Optional[_Union[BoundaryRule, str]] = ..., thin: _Optional[_Union[ThinRule, str]] = ..., max_deviation: _Optional[float] = ..., max_deviation_length: _Optional[float] = ..., max_points: _Optional[int] = ..., measure: _Optional[_Union[Measure, str]] = ..., points_percent: _Optional[float] = ..., facets: _Optional[int] = ..., anisotropy: _Optional[float] = ..., anisotropy_auto: bool = ..., weld: _Optional[float] = ..., weld_percent: _Optional[float] = ...) -> None: ...
+    non_manifold: NonManifoldRule
+    def __init__(self, points: _Optional[int] = ..., seed: _Optional[int] = ..., density: _Optional[_Union[Density, _Mapping]] = ..., lloyd: _Optional[int] = ..., newton: _Optional[int] = ..., projection: _Optional[_Union[Projection, str]] = ..., placement: _Optional[_Union[Placement, str]] = ..., crease_angle: _Optional[float] = ..., boundaries: _Optional[_Union[BoundaryRule, str]] = ..., thin: _Optional[_Union[ThinRule, str]] = ..., max_deviation: _Optional[float] = ..., max_deviation_length: _Optional[float] = ..., max_points: _Optional[int] = ..., measure: _Optional[_Union[Measure, str]] = ..., points_percent: _Optional[float] = ..., facets: _Optional[int] = ..., anisotropy: _Optional[float] = ..., anisotropy_auto: bool = ..., weld: _Optional[float] = ..., weld_percent: _Optional[float] = ..., non_manifold: _Optional[_Union[NonManifoldRule, str]] = ...) -> None: ...
 
 class DiagramOptions(_message.Message):
     __slots__ = ("points", "seed", "outputs", "points_percent")
