@@ -11,9 +11,9 @@ use rayon::prelude::*;
 
 use crate::mesh::closest_point::ClosestPoint;
 use crate::mesh::edges::{DisjointSets, EdgeGroups, sides, undirected};
-use crate::mesh::regions::Regions;
+use crate::mesh::regions::{Region, Regions};
 use crate::mesh::{TriMesh, normal};
-use crate::remesh::constants::{ONE_REGION_SHARE, ROUNDING_SQUARED};
+use crate::remesh::constants::ONE_REGION_SHARE;
 use crate::remesh::report::RegionFigures;
 use crate::token::{Stopped, Token};
 
@@ -96,14 +96,13 @@ pub(crate) fn figures(regions: &Regions, mesh: &TriMesh, (result, of_facet): (&T
         areas
     };
     let (before, after) = (areas(mesh, regions.of_facet()), areas(result, of_facet));
-    let of =
-        |((region, before), after): ((&crate::mesh::regions::Region, &(usize, f64)), &(usize, f64))| RegionFigures {
-            number: region.number,
-            name: region.name.clone(),
-            input_area: before.1,
-            facets: after.0,
-            area: after.1,
-        };
-    let present = |figures: &RegionFigures| figures.input_area > ROUNDING_SQUARED;
-    regions.all().iter().zip(&before).zip(&after).map(of).filter(present).collect()
+    let of = |(k, region): (usize, &Region)| RegionFigures {
+        number: region.number,
+        name: region.name.clone(),
+        input_area: before[k].1,
+        facets: after[k].0,
+        area: after[k].1,
+    };
+    // A region without area has no facet to lose.
+    regions.all().iter().enumerate().map(of).filter(|figures| figures.input_area > 0.0).collect()
 }
