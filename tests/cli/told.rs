@@ -165,7 +165,7 @@ fn what_is_no_surface_is_told_with_what_to_do() {
     write("scan.ply", &Scan::RAW.of(Shape::Torus, 8000, 5));
     for (file, more, words) in [
         ("volume", "", ["facets of the input lie between others", "remesh its boundary"]),
-        ("book", "", ["edges of the input have more than two facets", "cut the input"]),
+        ("book", "", ["edges of the input have more than two facets", "--non-manifold keep joins it"]),
         ("torus", " --sizes sizes.txt --gradation 5", ["lengths that no triangles can follow", "lower --gradation"]),
         ("scan", "", ["parts of the input", "more points"]),
     ] {
