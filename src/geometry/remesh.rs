@@ -415,7 +415,7 @@ pub enum RemeshError {
     /// A metric says what facets are to be like, and so does another option.
     #[error("a metric is given beside {other}; leave one of the two out")]
     MetricBeside {
-        /// "anisotropy", "a tolerance" or "seeds".
+        /// "anisotropy", "a tolerance", "seeds" or "non_manifold keep".
         other: &'static str,
     },
     /// The attributes are not the surface's.

@@ -179,6 +179,7 @@ pub fn remesh(given: &proto::RemeshOptions, beside: Beside, bounds: &Bounds) -> 
             ("max_deviation", given.max_deviation.is_some()),
             ("max_deviation_length", given.max_deviation_length.is_some()),
             ("seeds", matches!(seeds, Seeds::Given(_))),
+            ("non_manifold", given.non_manifold == NonManifoldRule::Keep as i32),
         ];
         if let Some((name, _)) = others.into_iter().find(|other| other.1) {
             return Err(WireError::field(name, BESIDE_METRIC));

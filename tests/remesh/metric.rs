@@ -248,4 +248,5 @@ fn what_is_no_metric_is_refused() {
     let refine = Refine::new(Tolerance::DiagonalPercent(1.0));
     assert_eq!(of(options(good.clone(), Some(50)).with_refine(refine)), "a tolerance");
     assert_eq!(of(options(good.clone(), None).with_seeds(Seeds::Given(vec![DVec3::ZERO; 9]))), "seeds");
+    assert_eq!(of(options(good.clone(), None).with_keep_non_manifold(true)), "non_manifold keep");
 }

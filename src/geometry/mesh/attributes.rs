@@ -207,26 +207,7 @@ impl Attributes {
         }
     }
 
-    /// Those of the mesh with copies of vertices behind all others.
-    pub(crate) fn with_copies(&self, copied: &[u32]) -> Self {
-        fn extend<T: Clone>(values: &mut Vec<T>, each: usize, copied: &[u32]) {
-            copied.iter().for_each(|&v| values.extend_from_within(each * v as usize..each * (v as usize + 1)));
-        }
-        let mut all = self.clone();
-        all.vertices += copied.len();
-        if let Some(Normals::PerVertex(values)) = &mut all.normals {
-            extend(values, 1, copied);
-        }
-        if let Some(Colours { values, .. }) = &mut all.colours {
-            extend(values, 1, copied);
-        }
-        for Scalar { components, values, .. } in &mut all.scalars {
-            extend(values, *components, copied);
-        }
-        all
-    }
-
-    /// Those of the mesh with these of its vertices, and as many facets.
+    /// Those of a mesh whose vertices are these of the present one, some twice or not at all, with as many facets.
     pub(crate) fn of_vertices(&self, kept: &[u32]) -> Self {
         fn select<T: Clone>(values: &mut Vec<T>, each: usize, kept: &[u32]) {
             *values = kept.iter().flat_map(|&v| values[each * v as usize..][..each].iter().cloned()).collect();

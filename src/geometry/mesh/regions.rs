@@ -139,16 +139,14 @@ impl Regions {
         Self { of_facet, all: self.all.clone() }
     }
 
-    /// The edges at which facets of several regions meet, and the number of edges at which any two facets do. `class` has the lowest
-    /// vertex in the place of each vertex.
-    pub(crate) fn borders(&self, facets: &[[u32; 3]], class: &[u32]) -> (Vec<[u32; 2]>, usize) {
+    /// The edges at which facets of several regions meet. `class` has the lowest vertex in the place of each vertex.
+    pub(crate) fn borders(&self, facets: &[[u32; 3]], class: &[u32]) -> Vec<[u32; 2]> {
         let welded = |edge: [u32; 2]| undirected(edge.map(|v| class[v as usize]));
         let of = |(t, &region): (&[u32; 3], &u32)| sides(*t).map(|edge| (welded(edge), region));
         let mut all: Vec<([u32; 2], u32)> = facets.iter().zip(&self.of_facet).flat_map(of).collect();
         all.sort_unstable();
-        let meet = || all.chunk_by(|a, b| a.0 == b.0).filter(|edge| edge.len() > 1 && edge[0].0[0] != edge[0].0[1]);
-        let borders = meet().filter(|edge| edge[0].1 != edge[edge.len() - 1].1).map(|edge| edge[0].0).collect();
-        (borders, meet().count())
+        let edges = all.chunk_by(|a, b| a.0 == b.0).filter(|edge| edge[0].0[0] != edge[0].0[1]);
+        edges.filter(|edge| edge[0].1 != edge[edge.len() - 1].1).map(|edge| edge[0].0).collect()
     }
 
     /// How many edges [`Self::borders`] has, and at how many any two facets meet. Takes less memory than these edges.
@@ -190,10 +188,10 @@ mod tests {
         let class: Vec<u32> = (0..6).collect();
         let regions = Regions::of_numbers(&[7, 7, -2, -2]).unwrap();
         assert_eq!((regions.of_facet(), regions.label(0)), (&[1, 1, 0, 0][..], "-2".to_owned()));
-        assert_eq!(regions.borders(&facets, &class), (vec![[2, 3]], 3));
+        assert_eq!(regions.borders(&facets, &class), [[2, 3]]);
         assert_eq!(regions.count_borders(&facets, &class), (1, 3));
         assert_eq!(regions.count_borders(&facets, &[0, 1, 2, 1, 4, 5]), (1, 2));
-        assert_eq!(regions.borders(&facets, &[0, 1, 2, 1, 4, 5]), (vec![[1, 2]], 2));
+        assert_eq!(regions.borders(&facets, &[0, 1, 2, 1, 4, 5]), [[1, 2]]);
     }
 
     #[test]

@@ -77,6 +77,8 @@ pub fn remesh(
             ("anisotropy", options.anisotropy != Anisotropy::None && !flat),
             ("a tolerance", options.refine.is_some()),
             ("seeds", matches!(options.seeds, Seeds::Given(_))),
+            // Local changes move the vertices of curves in each sheet for itself.
+            ("non_manifold keep", options.keep_non_manifold),
         ];
         if let Some((other, _)) = others.into_iter().find(|other| other.1) {
             return Err(RemeshError::MetricBeside { other });

@@ -59,10 +59,12 @@ pub(crate) fn carry(
         }
     });
     let area: Vec<f64> = (0..result.facets().len()).map(|f| 0.5 * normal(result.corners(f)).length()).collect();
-    let mut ballots: Vec<(u32, u32, f64)> = Vec::with_capacity(4 * votes.len());
+    let mut ballots: Vec<(u32, u32, f64)> = Vec::with_capacity(votes.len());
     for (f, regions) in votes.iter().enumerate() {
         let piece = pieces.root(f) as u32;
-        ballots.extend(regions.map(|region| (piece, region, 0.25 * area[f])));
+        // Nearly all facets vote for one region.
+        let alike = regions.chunk_by(|a, b| a == b);
+        ballots.extend(alike.map(|same| (piece, same[0], 0.25 * same.len() as f64 * area[f])));
     }
     ballots.sort_by_key(|&(piece, region, _)| (piece, region));
     let mut of_piece = vec![None; result.facets().len()];

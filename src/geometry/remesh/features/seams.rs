@@ -1,9 +1,9 @@
 //! Curves that several sheets have.
 //!
 //! Purpose: [`Seams`] knows where sheets met before they were moved apart. There all of them get the same corners
-//! ([`Seams::corners`]), so that their curves are copies of each other ([`Seams::twins`]), which get the same seeds. Results of the
+//! ([`Seams::corners`]), so that their curves are copies of each other, which get the same seeds ([`Seams::share`]). Results of the
 //! sheets then have the same vertices there.
-//! Invariant: depends on the surface alone. Must not know: seeds, how sheets were found.
+//! Invariant: depends on the surface alone. Must not know: how seeds of a curve are placed, how sheets were found.
 
 use std::collections::{BTreeMap, HashSet};
 

@@ -195,7 +195,7 @@ impl Preprocessed {
             // Where sheets meet, each has a curve, so that all have vertices in the same places.
             adapted.creases.extend(seams);
             if let Some(regions) = regions {
-                adapted.creases.extend(regions.of(self.origin.as_deref()).borders(clean.facets(), &class).0);
+                adapted.creases.extend(regions.of(self.origin.as_deref()).borders(clean.facets(), &class));
             }
             if let Some(apart) = apart {
                 adapted.creases = edges_of_sheets(&adapted.creases, &class, apart);
@@ -211,7 +211,9 @@ impl Preprocessed {
                 DensitySource::Metric(tensors) => extend(tensors, copied),
                 _ => {}
             }
-            adapted.attributes = options.attributes.as_ref().map(|attributes| attributes.with_copies(copied));
+            let own = 0..clean.positions().len() as u32;
+            let all: Vec<u32> = own.chain(copied.iter().copied()).collect();
+            adapted.attributes = options.attributes.as_ref().map(|attributes| attributes.of_vertices(&all));
         }
         Ok(Some(adapted))
     }
