@@ -13,7 +13,7 @@ use clap::parser::ValueSource;
 use clap::{ArgMatches, Args, Command, FromArgMatches, Id};
 
 use crate::exit::Usage;
-use wire::fields::Fields;
+use wire::fields::{BETWEEN, Fields};
 use wire::proto;
 
 pub(crate) type Texts = BTreeMap<String, String>;
@@ -62,8 +62,9 @@ fn set(matches: &ArgMatches) -> Texts {
         matches!(matches.value_source(id.as_str()), Some(ValueSource::CommandLine | ValueSource::EnvVariable))
     };
     let text = |id: &Id| {
-        let raw = matches.try_get_raw(id.as_str()).ok().flatten().and_then(|mut raw| raw.next());
-        (id.as_str().to_owned(), raw.map(|raw| raw.to_string_lossy().into_owned()).unwrap_or_default())
+        let raw = matches.try_get_raw(id.as_str()).ok().flatten().into_iter().flatten();
+        let all: Vec<_> = raw.map(|raw| raw.to_string_lossy()).collect();
+        (id.as_str().to_owned(), all.join(&BETWEEN.to_string()))
     };
     matches.ids().filter(is_set).map(text).collect()
 }

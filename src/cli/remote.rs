@@ -77,7 +77,7 @@ pub(crate) fn remesh(
         attributes: announced.clone(),
         ..mesh_header(mesh)
     };
-    let (backend, options_sent) = (choice(backend).into(), Some(*message));
+    let (backend, options_sent) = (choice(backend).into(), Some(message.clone()));
     let header = proto::RemeshHeader { mesh: Some(described), seeds: 0, backend, options: options_sent };
     let mut messages = vec![Ask::Header(header)];
     messages.extend(mesh_chunks(mesh).map(Ask::Chunk));
@@ -98,7 +98,14 @@ pub(crate) fn remesh(
         let mut client = surfaces(link.channel());
         let requests = tokio_stream::iter(counted(requests, progress, link.sent()));
         let mut answers = link.asks(client.remesh(requests)).await?;
-        let mut expected = Expected::of_remesh(mesh, options, &announced);
+        // The facet and the coordinates of each vertex follow what was announced.
+        let map = [1, 3].map(|components| proto::AttributeHeader {
+            kind: proto::AttributeKind::Scalar.into(),
+            components,
+            ..Default::default()
+        });
+        let awaited: Vec<_> = announced.into_iter().chain(map.into_iter().filter(|_| options.source_map)).collect();
+        let mut expected = Expected::of_remesh(mesh, options, &awaited);
         let mut arrays = Arrays::default();
         loop {
             match answers.next().await?.message {

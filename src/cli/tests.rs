@@ -40,7 +40,7 @@ fn a_remesh_has_the_same_defaults_at_every_interface() {
     assert_eq!(all(&command), library);
     assert_eq!(message, proto::RemeshOptions { points: Some(50), ..Default::default() });
     for density in [None, Some(proto::Density::default())] {
-        let message = proto::RemeshOptions { density, ..message };
+        let message = proto::RemeshOptions { density, ..message.clone() };
         let service = options::remesh(&message, Beside::default(), &Bounds::of_library()).unwrap();
         assert_eq!(all(&service), library);
     }
@@ -76,6 +76,7 @@ fn options_come_through_the_message() {
         "--weld 0.01",
         "--non-manifold keep",
         "--weld 0.01%",
+        "--keep steel --keep box:-1,0,0,1,1,1 --only sphere:0,0,0,1 --keep-rims --source-map",
     ] {
         let (_, given) = asked(line);
         let message = options::of_remesh(&given);

@@ -25,6 +25,7 @@ pub mod measure;
 pub mod metric;
 pub mod numbers;
 pub mod out_of_core;
+pub mod parts;
 pub mod regions;
 pub mod sample;
 pub mod shapes;

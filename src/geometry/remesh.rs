@@ -29,6 +29,7 @@ use crate::mesh::adjacency::{Adjacency, EdgeKind};
 use crate::mesh::attributes::{AttributeError, Attributes};
 use crate::mesh::features::FeatureError;
 use crate::mesh::measure::{Topology, topology_unless};
+use crate::mesh::parts::{Part, PartError};
 use crate::rvd::RvdError;
 use crate::token::{Stopped, Token};
 
@@ -265,10 +266,21 @@ pub struct RemeshOptions {
     /// Whether sheets that meet in edges of three or more facets have their vertices there in common, as the input has. Otherwise
     /// each sheet has its own, in the same places.
     pub keep_non_manifold: bool,
+    /// Parts that stay as they are: their facets come first in the result, with the vertices and the order that they have. Facets that
+    /// touch a box or a ball are of it. The number of points counts all vertices of the result.
+    pub keep: Vec<Part>,
+    /// Parts that are remeshed; all else stays as for [`Self::keep`]. Facets are of a box or a ball if they are in it wholly. All of the
+    /// surface if empty.
+    pub only: Vec<Part>,
+    /// Whether boundaries keep their vertices and edges.
+    pub keep_rims: bool,
     /// How long cells may be along the surface's lines of least curvature.
     pub anisotropy: Anisotropy,
     /// Whether to measure the result (Hausdorff distance and the like) for the report.
     pub measure: bool,
+    /// Whether the result carries where on the input its vertices lie: the scalars `source_facet`, a number from 0, and
+    /// `source_barycentric`, three coordinates in that facet. They take the place of others of these names.
+    pub source_map: bool,
     /// What `mesh` carries and the result is to carry. Some, even if empty, asks for the provenance too.
     pub attributes: Option<Attributes>,
 }
@@ -290,11 +302,15 @@ impl RemeshOptions {
             creases: Vec::new(),
             weld: None,
             keep_non_manifold: false,
+            keep: Vec::new(),
+            only: Vec::new(),
+            keep_rims: false,
             refine: None,
             keep_boundaries: true,
             keep_thin: true,
             anisotropy: Anisotropy::None,
             measure: true,
+            source_map: false,
             attributes: None,
         }
     }
@@ -315,12 +331,21 @@ impl RemeshOptions {
         with_creases(creases: Vec<[u32; 2]>),
         with_weld(weld: Tolerance => Some(weld)),
         with_keep_non_manifold(keep_non_manifold: bool),
+        with_keep(keep: Vec<Part>),
+        with_only(only: Vec<Part>),
+        with_keep_rims(keep_rims: bool),
         with_refine(refine: Refine => Some(refine)),
         with_keep_boundaries(keep_boundaries: bool),
         with_keep_thin(keep_thin: bool),
         with_anisotropy(anisotropy: Anisotropy),
         with_measure(measure: bool),
+        with_source_map(source_map: bool),
         with_attributes(attributes: Attributes => Some(attributes)),
+    }
+
+    /// Whether some of the surface's edges stay as they are.
+    fn keeps_parts(&self) -> bool {
+        self.keep_rims || !(self.keep.is_empty() && self.only.is_empty())
     }
 
     /// Lloyd steps and nothing else: no curves, no fit, no measurement.
@@ -415,8 +440,36 @@ pub enum RemeshError {
     /// A metric says what facets are to be like, and so does another option.
     #[error("a metric is given beside {other}; leave one of the two out")]
     MetricBeside {
-        /// "anisotropy", "a tolerance", "seeds" or "non_manifold keep".
+        /// "anisotropy", "a tolerance", "seeds", "non_manifold keep" or "kept parts".
         other: &'static str,
+    },
+    /// A part of the surface is not there.
+    #[error(transparent)]
+    Part(#[from] PartError),
+    /// Parts are to stay, and seeds are given.
+    #[error("seeds are given, and parts of the surface are to stay; give a number of points, or keep nothing")]
+    KeptBesideSeeds,
+    /// All of the surface is to stay.
+    #[error("all facets of the surface stay, and nothing is left to remesh; keep less")]
+    AllKept,
+    /// Vertices that stay are more than the points that were asked for.
+    #[error("{rims} vertices stay, and {points} points are too few beside them; give more points, for example {}", 2 * rims)]
+    TooFewForRims {
+        /// How many points there are.
+        points: usize,
+        /// How many vertices stay.
+        rims: usize,
+    },
+    /// The result does not meet what stays.
+    #[error(
+        "{edges} edges of the parts that stay are not in the result, the first at {} {} {}; keep the facets around them too, or give \
+         more points", .place.x, .place.y, .place.z
+    )]
+    RimsMissed {
+        /// How many edges.
+        edges: usize,
+        /// The middle of one.
+        place: DVec3,
     },
     /// The attributes are not the surface's.
     #[error(transparent)]

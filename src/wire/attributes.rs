@@ -222,11 +222,14 @@ pub fn headers(attributes: &Attributes) -> Vec<AttributeHeader> {
     all
 }
 
-/// Headers of all that there is, in the order in which a request named it.
+/// Headers of all that there is: what a request named, in its order, then what it asked for by options.
 pub fn headers_like(attributes: &Attributes, request: &[AttributeCounts]) -> Vec<AttributeHeader> {
     let all = headers(attributes);
     let same = |a: &AttributeHeader, b: &AttributeCounts| (a.kind(), &a.name) == (b.kind, &b.name);
-    request.iter().filter_map(|asked| all.iter().find(|header| same(header, asked)).cloned()).collect()
+    let (mut named, more): (Vec<_>, Vec<_>) =
+        all.into_iter().partition(|header| request.iter().any(|asked| same(header, asked)));
+    named.sort_by_key(|header| request.iter().position(|asked| same(header, asked)));
+    named.into_iter().chain(more).collect()
 }
 
 /// Chunks of some arrays, made one at a time.

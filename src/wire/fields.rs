@@ -20,6 +20,9 @@ const DENSITY: &str = "density";
 /// Its field that has the message's name.
 const SOURCE: &str = "source";
 
+/// Between the texts of a list that is one text.
+pub const BETWEEN: char = ';';
+
 #[derive(Clone, Debug)]
 pub struct Field {
     /// The name that the command, HTTP and Python share.
@@ -74,6 +77,10 @@ impl Field {
 
     /// A text as its type; else what it must be.
     fn read(&self, text: &str) -> Result<Value, String> {
+        if self.descriptor.is_list() {
+            let all = text.split(BETWEEN).map(str::trim).filter(|one| !one.is_empty());
+            return Ok(Value::List(all.map(|one| Value::String(one.to_owned())).collect()));
+        }
         let kind = self.descriptor.kind();
         let whole = |most| whole(text).filter(|number| *number <= most);
         let read = match &kind {
@@ -212,6 +219,7 @@ mod tests {
             assert_eq!(whole(text), None, "{text}");
         }
         assert_eq!(fields.set("point", "1"), Ok(false));
+        assert_eq!(fields.set("keep", "steel; box:0,0,0,1,1,1;"), Ok(true));
         for (name, text) in
             [("points", "1.5"), ("density", "blue"), ("gradation", "nan"), ("lloyd", "5e9"), ("thin", "")]
         {
@@ -219,6 +227,7 @@ mod tests {
         }
         let options = fields.finish();
         let density = options.density.unwrap();
+        assert_eq!(options.keep, ["steel", "box:0,0,0,1,1,1"]);
         assert_eq!((options.points, options.seed, options.projection()), (Some(10_000), Some(7), Projection::Surface));
         assert_eq!((density.source(), density.gradation, options.lloyd), (DensitySource::Lfs, Some(0.5), None));
         assert_eq!(Fields::default().finish(), RemeshOptions::default());

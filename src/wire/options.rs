@@ -12,6 +12,7 @@ use super::proto::{self, BoundaryRule, Measure, NonManifoldRule, RvdOutput, Thin
 use super::{WireError, unknown_enum};
 use geometry::cvt::density::{DensityOptions, DensitySource};
 use geometry::cvt::{CvtOptions, Projection};
+use geometry::mesh::parts::{Part, PartError};
 use geometry::mesh::tensor::Tensor;
 use geometry::remesh::{Anisotropy, Placement, Refine, RemeshOptions, Seeds, Share, Tolerance};
 
@@ -172,6 +173,7 @@ pub fn remesh(given: &proto::RemeshOptions, beside: Beside, bounds: &Bounds) -> 
         }
         (length, percent) => length.map(Tolerance::Length).or(percent.map(Tolerance::DiagonalPercent)),
     };
+    let (keep, only) = (parts("keep", &given.keep)?, parts("only", &given.only)?);
     if matches!(density.source, DensitySource::Metric(_)) {
         let others = [
             ("anisotropy", given.anisotropy.is_some_and(|share| share != 0.0)),
@@ -180,6 +182,9 @@ pub fn remesh(given: &proto::RemeshOptions, beside: Beside, bounds: &Bounds) -> 
             ("max_deviation_length", given.max_deviation_length.is_some()),
             ("seeds", matches!(seeds, Seeds::Given(_))),
             ("non_manifold", given.non_manifold == NonManifoldRule::Keep as i32),
+            ("keep", !keep.is_empty()),
+            ("only", !only.is_empty()),
+            ("keep_rims", given.keep_rims),
         ];
         if let Some((name, _)) = others.into_iter().find(|other| other.1) {
             return Err(WireError::field(name, BESIDE_METRIC));
@@ -218,9 +223,27 @@ pub fn remesh(given: &proto::RemeshOptions, beside: Beside, bounds: &Bounds) -> 
         },
         anisotropy,
         weld,
+        keep,
+        only,
+        keep_rims: given.keep_rims,
+        source_map: given.source_map,
         creases: usual.creases,
         attributes: usual.attributes,
     })
+}
+
+/// The most parts that are named.
+const MOST_PARTS: usize = 64;
+
+/// Parts of a surface.
+fn parts(path: &str, given: &[String]) -> Read<Vec<Part>> {
+    if given.len() > MOST_PARTS {
+        return Err(WireError::field(path, format!("has {} parts; at most {MOST_PARTS} are possible", given.len())));
+    }
+    let part = |(k, text): (usize, &String)| {
+        text.parse().map_err(|error: PartError| WireError::field(format!("{path}[{k}]"), format!("is wrong: {error}")))
+    };
+    given.iter().enumerate().map(part).collect()
 }
 
 pub fn session(given: &proto::CvtOptions, beside: Beside, bounds: &Bounds) -> Read<Session> {
@@ -482,5 +505,9 @@ pub fn of_remesh(options: &RemeshOptions) -> proto::RemeshOptions {
         weld: if let Some(Tolerance::Length(length)) = options.weld { Some(length) } else { None },
         weld_percent: if let Some(Tolerance::DiagonalPercent(percent)) = options.weld { Some(percent) } else { None },
         non_manifold: if options.keep_non_manifold { NonManifoldRule::Keep } else { NonManifoldRule::Cut }.into(),
+        keep: options.keep.iter().map(Part::to_string).collect(),
+        only: options.only.iter().map(Part::to_string).collect(),
+        keep_rims: options.keep_rims,
+        source_map: options.source_map,
     }
 }

@@ -181,6 +181,10 @@ fn options() -> impl Strategy<Value = RemeshOptions> {
                 anisotropy_auto,
                 weld: None,
                 non_manifold: 0,
+                keep: Vec::new(),
+                only: Vec::new(),
+                keep_rims: false,
+                source_map: false,
                 weld_percent: None,
             }
         },

@@ -37,6 +37,7 @@ mod fidelity;
 mod generated;
 mod hostile_meshes;
 mod hostile_seeds;
+mod kept;
 mod metric;
 mod near_corners;
 mod pipeline;

@@ -112,7 +112,7 @@ async fn creases_come_back_as_edges() {
     };
     let surface = RemeshOptions { placement: Placement::Surface.into(), ..options(200) };
     for angle in [None, Some(30.0), Some(89.0)] {
-        let wish = of(&mesh, RemeshOptions { crease_angle: angle, ..surface });
+        let wish = of(&mesh, RemeshOptions { crease_angle: angle, ..surface.clone() });
         let out = remesh(&mut client, &mesh, wish, &[]).await.unwrap();
         assert_eq!(out.report["features"]["creases"], 12, "{angle:?}");
         assert_eq!(out.report["features"]["missing_segments"], 0);
@@ -121,13 +121,13 @@ async fn creases_come_back_as_edges() {
         assert!((length(&out) - box_edges).abs() < 1e-9, "{angle:?}: {} of {box_edges}", length(&out));
     }
     for angle in [Some(0.0), Some(91.0), Some(180.0)] {
-        let wish = of(&mesh, RemeshOptions { crease_angle: angle, ..surface });
+        let wish = of(&mesh, RemeshOptions { crease_angle: angle, ..surface.clone() });
         let out = remesh(&mut client, &mesh, wish, &[]).await.unwrap();
         assert_eq!(out.report["features"]["creases"], 0, "{angle:?}");
         assert!(out.creases.is_empty());
     }
     for angle in [200.0, -1.0, f64::NAN, f64::INFINITY] {
-        let wish = of(&mesh, RemeshOptions { crease_angle: Some(angle), ..surface });
+        let wish = of(&mesh, RemeshOptions { crease_angle: Some(angle), ..surface.clone() });
         let status = remesh(&mut client, &mesh, wish, &[]).await.err().unwrap();
         assert_eq!(field(&status), "header.options.crease_angle", "{angle}");
     }
@@ -274,14 +274,14 @@ async fn unknown_choices_and_too_many_steps_are_refused_by_field() {
     let good = options(12);
     let (placement, max_deviation_length) = (Placement::Surface.into(), Some(0.1));
     for (wish, field_of) in [
-        (RemeshOptions { placement: 99, ..good }, "placement"),
-        (RemeshOptions { placement: -1, ..good }, "placement"),
-        (RemeshOptions { boundaries: 99, ..good }, "boundaries"),
-        (RemeshOptions { thin: 99, ..good }, "thin"),
-        (RemeshOptions { measure: 99, ..good }, "measure"),
-        (RemeshOptions { placement, max_deviation_length, ..good }, "max_deviation_length"),
-        (RemeshOptions { newton: Some(11), ..good }, "newton"),
-        (RemeshOptions { newton: Some(u32::MAX), ..good }, "newton"),
+        (RemeshOptions { placement: 99, ..good.clone() }, "placement"),
+        (RemeshOptions { placement: -1, ..good.clone() }, "placement"),
+        (RemeshOptions { boundaries: 99, ..good.clone() }, "boundaries"),
+        (RemeshOptions { thin: 99, ..good.clone() }, "thin"),
+        (RemeshOptions { measure: 99, ..good.clone() }, "measure"),
+        (RemeshOptions { placement, max_deviation_length, ..good.clone() }, "max_deviation_length"),
+        (RemeshOptions { newton: Some(11), ..good.clone() }, "newton"),
+        (RemeshOptions { newton: Some(u32::MAX), ..good.clone() }, "newton"),
     ] {
         let (wish, path) = (of(&mesh, wish), format!("header.options.{field_of}"));
         let status = remesh(&mut client, &mesh, wish, &[]).await.err().unwrap();

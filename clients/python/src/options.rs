@@ -9,6 +9,7 @@ use std::cell::RefCell;
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyString};
 use tessera::mesh::attributes::{Attributes, ColourDepth, Colours, Normals, PerCorner, Scalar};
+use tessera::mesh::parts::Part;
 use tessera::{
     Anisotropy, DensityOptions, DensitySource, Placement, Projection, Refine, RemeshOptions, Seeds, Share, Tolerance,
     TriMesh,
@@ -169,6 +170,9 @@ impl<'py> Options<'py> {
         options.weld = self.weld()?;
         options.keep_non_manifold =
             self.word("non_manifold", &[("keep", true), ("cut", false)])?.unwrap_or(options.keep_non_manifold);
+        (options.keep, options.only) = (self.parts("keep")?, self.parts("only")?);
+        options.keep_rims = self.get("keep_rims", "True or False")?.unwrap_or(options.keep_rims);
+        options.source_map = self.get("source_map", "True or False")?.unwrap_or(options.source_map);
         options.measure = self.get("measure", "True or False")?.unwrap_or(options.measure);
         options.refine = self.refine(&options.seeds)?;
         options.attributes = self.any("attributes")?.map(|given| attributes(&given, mesh)).transpose()?;
@@ -188,6 +192,12 @@ impl<'py> Options<'py> {
             Some(share) if Anisotropy::SHARES.contains(&share) => Ok(Anisotropy::Share(share)),
             Some(share) => Err(input(format!("anisotropy is {share}; {needed} is needed"))),
         }
+    }
+
+    /// Parts of the surface, as texts.
+    fn parts(&self, name: &'static str) -> PyResult<Vec<Part>> {
+        let texts: Vec<String> = self.get(name, "a list of texts")?.unwrap_or_default();
+        texts.iter().map(|text| text.parse().map_err(|error| input(format!("{name}: {error}")))).collect()
     }
 
     /// A length, or percent of the diagonal with their sign.

@@ -20,6 +20,7 @@ use geometry::mesh::TriMesh;
 use geometry::mesh::attributes::Attributes;
 use geometry::mesh::features::Features;
 use geometry::mesh::io::{Format, RegionChoice};
+use geometry::mesh::parts::{Part, PartError};
 use geometry::remesh::{Anisotropy, RemeshOptions, Seeds};
 use geometry::token::Token;
 use server::config::{BackendArgs, count, whole};
@@ -151,6 +152,19 @@ pub(crate) struct ShapeArgs {
     /// What happens at edges of three or more facets, where sheets meet.
     #[arg(long, default_value = "cut", value_parser = words(NON_MANIFOLD))]
     pub(crate) non_manifold: NonManifoldRule,
+    /// Part that stays as it is, to the bit; as often as there are parts: box:X0,Y0,Z0,X1,Y1,Z1 or sphere:X,Y,Z,R with the facets that
+    /// touch it, or a region by its name or number. The result begins with it.
+    #[arg(long, value_name = "PART", value_parser = part, allow_negative_numbers = true)]
+    pub(crate) keep: Vec<Part>,
+    /// Part that is remeshed, as for --keep, with the facets that are in a box or ball wholly; all else stays as it is.
+    #[arg(long, value_name = "PART", value_parser = part, allow_negative_numbers = true)]
+    pub(crate) only: Vec<Part>,
+    /// Leave the vertices and edges of boundaries as they are.
+    #[arg(long)]
+    pub(crate) keep_rims: bool,
+    /// Write where on the input each vertex lies: the scalars source_facet and source_barycentric.
+    #[arg(long)]
+    pub(crate) source_map: bool,
     /// What happens to the boundaries of an open surface.
     #[arg(long, default_value = "keep", value_parser = words(BOUNDARIES))]
     pub(crate) boundaries: BoundaryRule,
@@ -211,6 +225,10 @@ fn angle(text: &str) -> Result<f64, String> {
 
 fn distance(text: &str) -> Result<String, String> {
     positive(text.trim().strip_suffix('%').unwrap_or(text)).map(|_| text.to_owned())
+}
+
+fn part(text: &str) -> Result<Part, String> {
+    text.parse().map_err(|error: PartError| error.to_string())
 }
 
 fn lift(text: &str) -> Result<String, String> {

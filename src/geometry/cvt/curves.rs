@@ -129,11 +129,12 @@ impl CurveSeeds {
             token.check()?;
             let path = Path::new(surface, curve, stretch, edge);
             let total = path.total();
-            if !curve.closed && total < MIN_CURVE {
+            if !curve.closed && !curve.is_rim && total < MIN_CURVE {
                 all.short.push(number as u32);
             }
             // Fewer would give two edges the same ends.
             let least = match curve.closed {
+                _ if curve.is_rim => 1,
                 true => 3,
                 false if ends(curve).0 == ends(curve).1 => 3,
                 false if pairs.get(pairs.partition_point(|&p| p < ends(curve)) + 1) == Some(&ends(curve)) => 2,

@@ -34,7 +34,7 @@ pub use options::{Count, DensityError, DensityOptions, DensitySource};
 pub use outline::Outline;
 pub(crate) use size_field::SizeField;
 
-use lengths::{Bounded, Least, adapt, fill_gaps, of_curvature, of_error, resolved, without_noise};
+use lengths::{Bounded, Least, Limits, adapt, fill_gaps, of_curvature, of_error, resolved, without_noise};
 use options::MOST_RATIO;
 
 /// What came of a density, for a report. Lengths are in the caller's units.
@@ -135,10 +135,23 @@ pub fn plan<'a>(
     count: Count,
     token: &Token,
 ) -> Result<Plan<'a>, DensityError> {
+    plan_beside(mesh, options, count, &[], token)
+}
+
+/// [`plan`], where edges at some vertices have lengths already, caller's units: there the density is near theirs, which no weights that
+/// are given, and no metric, are.
+pub(crate) fn plan_beside<'a>(
+    mesh: &'a TriMesh,
+    options: &DensityOptions,
+    count: Count,
+    lengths: &[(u32, f64)],
+    token: &Token,
+) -> Result<Plan<'a>, DensityError> {
     options.check()?;
     match &options.source {
-        DensitySource::Uniform | DensitySource::Weights(_) => level(mesh, options, count, token),
-        _ => varying(mesh, options, count, token),
+        DensitySource::Weights(_) => level(mesh, options, count, token),
+        DensitySource::Uniform if lengths.is_empty() => level(mesh, options, count, token),
+        _ => varying(mesh, options, count, lengths, token),
     }
 }
 
@@ -172,7 +185,13 @@ fn level<'a>(mesh: &'a TriMesh, options: &DensityOptions, count: Count, token: &
     Ok(Plan { mesh: Cow::Borrowed(mesh), weights, sizes: None, points, figures })
 }
 
-fn varying<'a>(mesh: &'a TriMesh, options: &DensityOptions, count: Count, token: &Token) -> Planned<'a> {
+fn varying<'a>(
+    mesh: &'a TriMesh,
+    options: &DensityOptions,
+    count: Count,
+    lengths: &[(u32, f64)],
+    token: &Token,
+) -> Planned<'a> {
     let net = Net::new(mesh, token)?;
     let in_metric = matches!(options.source, DensitySource::Metric(_));
     // A metric is taken as it is.
@@ -186,6 +205,8 @@ fn varying<'a>(mesh: &'a TriMesh, options: &DensityOptions, count: Count, token:
     let target = match (count, options.edge_length, &options.source) {
         (Count::Points(points), ..) => Some(points as f64),
         (Count::Implied, _, DensitySource::Sizes(_) | DensitySource::Metric(_)) => None,
+        // Edges have this length where no others are near.
+        (Count::Implied, Some(_), DensitySource::Uniform) => None,
         (Count::Implied, Some(edge), _) => Some(net.outline.points(edge)),
         (Count::Implied, None, _) => return Err(DensityError::NoCount),
     };
@@ -197,6 +218,10 @@ fn varying<'a>(mesh: &'a TriMesh, options: &DensityOptions, count: Count, token:
     token.check()?;
     let (raw, sheets) = match &options.source {
         DensitySource::Sizes(sizes) => (sizes.clone(), None),
+        DensitySource::Uniform => {
+            let edge = options.edge_length.unwrap_or(net.outline.extent);
+            (vec![edge; net.vertices()], None)
+        }
         DensitySource::Metric(tensors) => (metric::lengths(&net, tensors, token)?, None),
         DensitySource::FeatureSize => {
             let size = feature_size::local(&net, token)?;
@@ -206,7 +231,7 @@ fn varying<'a>(mesh: &'a TriMesh, options: &DensityOptions, count: Count, token:
         DensitySource::ErrorMax => (of_error(&net, target.unwrap_or(1.0), 0.25, token)?, None),
         _ => (of_curvature(&net, target.unwrap_or(1.0), token)?, None),
     };
-    let given = in_metric || matches!(options.source, DensitySource::Sizes(_));
+    let given = in_metric || matches!(options.source, DensitySource::Sizes(_) | DensitySource::Uniform);
     let mut field = SizeField::new(&net, if given { raw } else { fill_gaps(&net, raw) })?;
     let mut sheets = sheets.map(|sheets| SizeField::new(&net, fill_gaps(&net, sheets))).transpose()?;
     token.check()?;
@@ -217,8 +242,10 @@ fn varying<'a>(mesh: &'a TriMesh, options: &DensityOptions, count: Count, token:
         Some(target) if !given => Some(Least { edge: resolved(&net, target), sheets }),
         _ => None,
     };
+    let beside = if in_metric { Vec::new() } else { net.by_vertex(lengths) };
+    let limits = Limits { least: least.as_ref(), beside: &beside };
     let (Bounded { field, graded, outside, points }, noise, smoothing_rounds) =
-        without_noise(field, least.as_ref(), &net, bounds, target, token)?;
+        without_noise(field, limits, &net, bounds, target, token)?;
     token.check()?;
     let points_implied = points;
     let points = match count {

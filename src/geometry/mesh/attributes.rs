@@ -226,6 +226,59 @@ impl Attributes {
         all
     }
 
+    /// Those of a mesh that has these vertices and facets of the present one.
+    pub(crate) fn of_part(&self, vertices: &[u32], facets: &[u32]) -> Self {
+        let mut all = self.of_vertices(vertices);
+        all.facets = facets.len();
+        let select = |corners: &[[u32; 3]]| facets.iter().map(|&f| corners[f as usize]).collect();
+        if let Some(Normals::PerCorner(normals)) = &mut all.normals {
+            normals.corners = select(&normals.corners);
+        }
+        if let Some(texture) = &mut all.texture {
+            texture.corners = select(&texture.corners);
+        }
+        all.regions = self.regions.as_ref().map(|regions| regions.of(Some(facets)).into_owned());
+        all
+    }
+
+    /// Those of a mesh that has first this one's vertices and facets, then the other's. `own` are this one's facets. Both have the same
+    /// attributes; of normals the other's may be by corner where this one's are by vertex.
+    pub(crate) fn followed_by(mut self, own: &[[u32; 3]], other: Self) -> Self {
+        fn append<T>(first: &mut PerCorner<T>, second: PerCorner<T>) {
+            let values = first.values.len() as u32;
+            first.values.extend(second.values);
+            first.corners.extend(second.corners.iter().map(|corners| corners.map(|k| k + values)));
+        }
+        self.vertices += other.vertices;
+        self.facets += other.facets;
+        match (&mut self.normals, other.normals) {
+            (Some(Normals::PerVertex(values)), Some(Normals::PerVertex(more))) => values.extend(more),
+            (Some(Normals::PerCorner(normals)), Some(Normals::PerCorner(more))) => append(normals, more),
+            (Some(normals), Some(Normals::PerCorner(more))) => {
+                if let Normals::PerVertex(values) = normals {
+                    let mut all = PerCorner { values: std::mem::take(values), corners: own.to_vec() };
+                    append(&mut all, more);
+                    *normals = Normals::PerCorner(all);
+                }
+            }
+            (normals, _) => *normals = None,
+        }
+        match (&mut self.texture, other.texture) {
+            (Some(texture), Some(more)) => append(texture, more),
+            (texture, _) => *texture = None,
+        }
+        match (&mut self.colours, other.colours) {
+            (Some(colours), Some(more)) => colours.values.extend(more.values),
+            (colours, _) => *colours = None,
+        }
+        self.scalars.iter_mut().zip(other.scalars).for_each(|(own, more)| own.values.extend(more.values));
+        self.regions = self.regions.zip(other.regions).map(|(own, more)| {
+            let of_facet = own.of_facet().iter().chain(more.of_facet()).copied().collect();
+            own.with_facets(of_facet)
+        });
+        self
+    }
+
     /// Takes normals, of any length but infinite; they are made unit. A normal of length 0 means that none is known there.
     pub fn set_normals(&mut self, mut normals: Normals) -> Result<(), AttributeError> {
         match &normals {
@@ -283,6 +336,11 @@ impl Attributes {
         }
         self.scalars.push(scalar);
         Ok(())
+    }
+
+    /// Keeps the scalars whose names are accepted.
+    pub(crate) fn retain_scalars(&mut self, keep: impl Fn(&str) -> bool) {
+        self.scalars.retain(|scalar| keep(&scalar.name));
     }
 
     /// Takes the region of each facet.

@@ -28,6 +28,8 @@ pub struct FeatureOptions {
     pub given_creases: Vec<[u32; 2]>,
     /// Vertices that are corners if a curve has them.
     pub given_corners: Vec<u32>,
+    /// Edges that are curves whatever their angle, between corners that are given.
+    pub rims: Vec<[u32; 2]>,
     /// Shortest crease found by angle with a free end; shorter ones are removed. A connected network of creases is removed
     /// if its total length is below twice this, or if its curves are much shorter on average.
     pub min_crease_length: f64,
@@ -68,6 +70,8 @@ pub struct Curve {
     pub angle_deg: f64,
     /// Mean angles of its first and its last edges.
     pub ends_deg: [f64; 2],
+    /// Whether it is one of [`FeatureOptions::rims`].
+    pub is_rim: bool,
 }
 
 /// The curves of a surface.
@@ -157,9 +161,14 @@ impl Features {
         }
         let edges = (!options.given_creases.is_empty()).then(|| all_edges(mesh, &adjacency)).into_iter().flatten();
         let known: HashSet<Edge> = edges.collect();
+        let welded = |v: u32| class.get(v as usize).copied();
+        for &[a, b] in &options.rims {
+            if let (Some(p), Some(q)) = (welded(a), welded(b)) {
+                graph.insert(undirected([p, q]), required(CurveKind::Crease));
+            }
+        }
         for (crease, &[a, b]) in options.given_creases.iter().enumerate() {
             token.check_at(crease)?;
-            let welded = |v: u32| class.get(v as usize).copied();
             match (welded(a), welded(b)) {
                 (Some(p), Some(q)) if known.contains(&undirected([p, q])) => {
                     graph.insert(undirected([p, q]), required(CurveKind::Crease))
@@ -180,7 +189,12 @@ impl Features {
         let merge = CornerMerge { length, reach, off: MERGE_DEVIATION * reach };
         let given: BTreeSet<u32> =
             options.given_corners.iter().filter_map(|&v| class.get(v as usize).copied()).collect();
-        let (curves, corners, joined) = chains::curves(&graph, metric, merge, &given, token)?;
+        let (mut curves, corners, joined) = chains::curves(&graph, metric, merge, &given, token)?;
+        if !options.rims.is_empty() {
+            let ends = |edge: [u32; 2]| Some(undirected([welded(edge[0])?, welded(edge[1])?]));
+            let rims: HashSet<Edge> = options.rims.iter().filter_map(|&edge| ends(edge)).collect();
+            curves.iter_mut().for_each(|c| c.is_rim = rims.contains(&undirected([c.vertices[0], c.vertices[1]])));
+        }
         Ok(Self { curves, corners, left_out, joined })
     }
 
@@ -233,7 +247,8 @@ impl Curve {
         self.vertices.iter().copied().chain(self.closed.then(|| self.vertices[0]))
     }
 
-    fn ends(&self) -> [u32; 2] {
+    /// Its first and its last vertex.
+    pub(crate) fn ends(&self) -> [u32; 2] {
         [self.vertices[0], self.vertices[self.vertices.len() - 1]]
     }
 }

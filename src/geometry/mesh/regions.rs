@@ -127,6 +127,12 @@ impl Regions {
         }
     }
 
+    /// The region of this name; if there is none, that of this number.
+    pub(crate) fn named(&self, name: &str) -> Option<u32> {
+        let number = || name.parse::<i64>().ok().and_then(|number| self.all.iter().position(|r| r.number == number));
+        self.all.iter().position(|region| region.name == name && !name.is_empty()).or_else(number).map(|k| k as u32)
+    }
+
     /// The regions of a mesh whose facets are of these of the present one; the same if `None`.
     pub(crate) fn of(&self, origin: Option<&[u32]>) -> Cow<'_, Self> {
         let Some(origin) = origin else { return Cow::Borrowed(self) };

@@ -15,6 +15,7 @@ use crate::mesh::TriMesh;
 use crate::mesh::attributes::{AttributeError, Attributes, Colours, Normals, PerCorner, Scalar, unit};
 use crate::mesh::closest_point::{ClosestPoint, SurfacePoint};
 use crate::mesh::coincident;
+use crate::mesh::numbers::NumberType;
 use crate::remesh::constants::{ROUNDING_SQUARED, SAME_NORMAL};
 use crate::token::{Stopped, Token};
 use seams::{Seams, Source};
@@ -104,6 +105,19 @@ pub fn carry(
         carried.add_scalar(Scalar { name, number: *number, components: n, values })?;
     }
     Ok(carried)
+}
+
+/// Names of the scalars that say where on the input a vertex lies.
+const SOURCE: [&str; 2] = ["source_facet", "source_barycentric"];
+
+/// Adds where on the input the vertices lie, in place of what an input carries from a remesh before.
+pub(super) fn add_source_map(attributes: &mut Attributes, places: &[Provenance]) -> Result<(), AttributeError> {
+    attributes.retain_scalars(|name| !SOURCE.contains(&name));
+    let [facet, barycentric] = SOURCE.map(str::to_owned);
+    let values = places.iter().map(|place| f64::from(place.facet)).collect();
+    attributes.add_scalar(Scalar { name: facet, number: NumberType::I32, components: 1, values })?;
+    let values = places.iter().flat_map(|place| place.barycentric).collect();
+    attributes.add_scalar(Scalar { name: barycentric, number: NumberType::F64, components: 3, values })
 }
 
 /// The vertex of the facet that is nearest; of equally near ones the first.

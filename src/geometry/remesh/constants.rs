@@ -460,3 +460,12 @@ pub(super) const VERTICES_PER_AREA: f64 = 1.26;
 /// Times that the metric is scaled again for a number of vertices, at most, and how far off that number may be.
 pub(super) const SCALING_TIMES: usize = 4;
 pub(super) const SCALING_TOLERANCE: f64 = 0.01;
+
+// Parts that stay.
+
+/// Rounds in which facets beside these stay too, at most; each reaches one facet farther than the last.
+pub(super) const FURTHER_KEPT_ROUNDS: usize = 6;
+/// Vertices around one that is taken out of an edge, at most.
+pub(super) const MOST_AROUND_TAKEN: usize = 64;
+/// Least cosine between a facet and those whose place it takes there.
+pub(super) const TAKEN_COSINE: f64 = 0.1;

@@ -29,10 +29,34 @@ use envelope::CurveSample;
 use polyline::{Polyline, Stretch};
 use seams::Seams;
 
+fn sorted(vertices: impl Iterator<Item = u32>) -> Vec<u32> {
+    let mut all: Vec<u32> = vertices.collect();
+    all.sort_unstable();
+    all.dedup();
+    all
+}
+
+/// For each seed, whether it stays at its place.
+fn staying(seeds: &CurveSeeds, features: &Features) -> Vec<bool> {
+    let mut stays = seeds.on_shared();
+    let rims = seeds.segments.iter().filter(|segment| features.curves[segment.curve as usize].is_rim);
+    rims.flat_map(|segment| segment.ends).for_each(|seed| stays[seed as usize] = true);
+    stays
+}
+
 /// `count` of some points in an order, evenly spaced in it; all if there are fewer.
 fn evenly(points: &[DVec3], count: usize) -> impl Iterator<Item = DVec3> + '_ {
     let count = count.min(points.len());
     (0..count).map(move |k| points[(k as u64 * points.len() as u64 / count as u64) as usize])
+}
+
+/// What curves obey beside the options.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct Held<'a> {
+    /// Where sheets that are apart met.
+    pub(crate) seams: Option<&'a Arc<Seams>>,
+    /// Edges that stay as they are.
+    pub(crate) rims: &'a [[u32; 2]],
 }
 
 #[derive(Clone, Debug, Default)]
@@ -42,8 +66,8 @@ pub(crate) struct KeptCurves {
     dropped_curves: usize,
     /// Where several sheets have a curve.
     seams: Option<Arc<Seams>>,
-    /// For each seed, whether several sheets have it.
-    shared: Vec<bool>,
+    /// For each seed, whether it stays at its place: several sheets have it, or an edge that stays.
+    stays: Vec<bool>,
     /// Seeds that are copies of others.
     copies: usize,
 }
@@ -55,7 +79,7 @@ impl KeptCurves {
         plan: &Plan<'_>,
         surface: &Surface,
         (options, by_error): (&RemeshOptions, bool),
-        seams: Option<&Arc<Seams>>,
+        Held { seams, rims }: Held<'_>,
         token: &Token,
     ) -> Result<Self, RemeshError> {
         Features::check(mesh, options.crease_angle_deg, &options.creases, token)?;
@@ -76,7 +100,8 @@ impl KeptCurves {
         let mut criteria = FeatureOptions {
             crease_angle_deg: options.crease_angle_deg,
             given_creases: plan.edges(&options.creases, token)?,
-            given_corners: Vec::new(),
+            given_corners: sorted(rims.iter().flatten().copied()),
+            rims: plan.edges(rims, token)?,
             min_crease_length: SHORTEST_CREASE * scale,
             turn_reach: BEND_REACH * scale,
             ridge_clearance: if weaker { SMOOTH_REACH * scale } else { 0.0 },
@@ -84,20 +109,22 @@ impl KeptCurves {
             resolution,
         };
         let mut dropped_curves = 0;
+        let mut rims_alone = false;
         loop {
             let mut features = Features::find(&plan.mesh, surface.positions(), &criteria, token)?;
             // A corner in one sheet is one in all that meet there. Each may cut curves at others.
             while let Some(corners) = seams.map(|seams| seams.corners(&features))
-                && corners.len() > criteria.given_corners.len()
+                && corners.iter().any(|corner| criteria.given_corners.binary_search(corner).is_err())
             {
-                criteria.given_corners = corners;
+                criteria.given_corners = sorted(corners.into_iter().chain(criteria.given_corners));
                 features = Features::find(&plan.mesh, surface.positions(), &criteria, token)?;
             }
-            if !options.keep_boundaries {
-                features.retain(|_, c| c.kind != CurveKind::Boundary);
+            if !options.keep_boundaries || rims_alone {
+                features.retain(|_, c| c.is_rim || c.kind != CurveKind::Boundary && !rims_alone);
             }
             let edge = edge_length(surface, (&features, &[]), surface.root_mass(), points, token)?;
-            let creases = |features: &Features| features.curves.iter().filter(|c| c.kind == CurveKind::Crease).count();
+            let is_crease = |c: &&Curve| c.kind == CurveKind::Crease && !c.is_rim;
+            let creases = |features: &Features| features.curves.iter().filter(is_crease).count();
             let share = |creases| if creases == 0 { 1.0 } else { LARGEST_SHARE };
             // Close curves are dropped next, but do not make room for more than this.
             let most = points.saturating_mul(MOST_SEEDS).saturating_add(SPARE_SEEDS);
@@ -113,11 +140,12 @@ impl KeptCurves {
             }
             if let Some(mut seeds) = placed {
                 seeds.split_by_deviation(token)?;
-                seeds.split_between_others(|c| features.curves[c as usize].kind == CurveKind::Boundary, token)?;
+                let may_split = |c: &Curve| c.kind == CurveKind::Boundary || c.is_rim;
+                seeds.split_between_others(|c| may_split(&features.curves[c as usize]), token)?;
                 let copies = seams.map_or(0, |seams| seams.share(&mut seeds, &features, surface.positions()));
                 if seeds.len() as f64 <= share(creases(&features)) * points as f64 {
-                    let shared = seeds.on_shared();
-                    return Ok(Self { features, seeds, dropped_curves, seams: seams.cloned(), shared, copies });
+                    let stays = staying(&seeds, &features);
+                    return Ok(Self { features, seeds, dropped_curves, seams: seams.cloned(), stays, copies });
                 }
             }
             let creases = creases(&features);
@@ -126,7 +154,13 @@ impl KeptCurves {
                 continue;
             }
             dropped_curves += creases;
-            if creases == 0 {
+            if creases == 0 && !rims.is_empty() {
+                if rims_alone {
+                    return Err(RemeshError::TooFewForRims { points, rims: criteria.given_corners.len() });
+                }
+                dropped_curves += features.curves.iter().filter(|c| !c.is_rim).count();
+                rims_alone = true;
+            } else if creases == 0 {
                 return Ok(Self { dropped_curves: dropped_curves + features.curves.len(), ..Self::default() });
             }
             criteria.crease_angle_deg = 0.0;
@@ -234,7 +268,7 @@ impl KeptCurves {
             let copies = seams.map_or(0, |seams| seams.share(&mut seeds, features, surface.positions()));
             if seeds.len() <= most {
                 self.copies = copies;
-                self.shared = seeds.on_shared();
+                self.stays = staying(&seeds, features);
                 self.seeds = seeds;
             }
         }
@@ -252,14 +286,33 @@ impl KeptCurves {
         self.features.curves.iter().flat_map(|c| &c.vertices).chain(&self.features.corners).copied()
     }
 
-    /// How many seeds are in the places of others, where sheets meet.
-    pub(crate) fn copies(&self) -> usize {
-        self.copies
+    /// How many seeds have no vertex of their own in the end: they are in the places of others, where sheets meet, or within an edge
+    /// that stays.
+    pub(crate) fn surplus(&self) -> usize {
+        self.copies + self.seeds_within_rims().len()
     }
 
-    /// Whether several sheets have a seed, which stays at its place.
-    pub(crate) fn is_shared(&self, seed: u32) -> bool {
-        self.shared.get(seed as usize).copied().unwrap_or(false)
+    /// The seeds between the ends of each edge that stays, the outer ones first: their vertices are taken out of the result.
+    pub(crate) fn seeds_within_rims(&self) -> Vec<u32> {
+        let rims = self.seeds.segments.iter().filter(|segment| self.features.curves[segment.curve as usize].is_rim);
+        let mut within: Vec<(u32, f64, u32)> = Vec::new();
+        for (segment, seed) in rims.flat_map(|segment| segment.ends.map(|seed| (segment, seed))) {
+            if !self.is_corner(seed) {
+                let place = self.seeds.seeds[seed as usize];
+                let corner = |v: u32| self.features.corners.binary_search(&v).ok();
+                let ends = self.features.curves[segment.curve as usize].ends().map(corner).into_iter().flatten();
+                let apart = ends.map(|end| self.seeds.seeds[end].distance(place)).fold(f64::INFINITY, f64::min);
+                within.push((segment.curve, apart, seed));
+            }
+        }
+        within.sort_by(|a, b| a.0.cmp(&b.0).then(a.1.total_cmp(&b.1)).then(a.2.cmp(&b.2)));
+        within.dedup();
+        within.into_iter().map(|(.., seed)| seed).collect()
+    }
+
+    /// Whether a seed stays at its place, since several sheets have it, or an edge that stays.
+    pub(crate) fn stays(&self, seed: u32) -> bool {
+        self.stays.get(seed as usize).copied().unwrap_or(false)
     }
 
     pub(crate) fn is_corner(&self, seed: u32) -> bool {
@@ -318,9 +371,12 @@ impl KeptCurves {
 
     /// What the report says; `edges` are those of [`KeptCurves::edges_in`].
     pub(crate) fn figures(&self, edges: &[Option<[u32; 2]>]) -> FeatureFigures {
-        let count = |kind| self.features.curves.iter().filter(|c| c.kind == kind).count();
-        let broken: HashSet<u32> =
-            self.seeds.segments.iter().zip(edges).filter(|(_, e)| e.is_none()).map(|(s, _)| s.curve).collect();
+        let count = |kind| self.features.curves.iter().filter(|c| c.kind == kind && !c.is_rim).count();
+        // What becomes of edges that stay is seen where both parts are put together.
+        let is_rim = |s: &Segment| self.features.curves[s.curve as usize].is_rim;
+        let own = self.seeds.segments.iter().zip(edges).filter(|(s, _)| !is_rim(s));
+        let missing: Vec<u32> = own.filter(|(_, e)| e.is_none()).map(|(s, _)| s.curve).collect();
+        let broken: HashSet<u32> = missing.iter().copied().collect();
         FeatureFigures {
             boundaries: count(CurveKind::Boundary),
             creases: count(CurveKind::Crease),
@@ -328,7 +384,7 @@ impl KeptCurves {
             merged_corners: self.features.joined,
             seeds: self.seeds.len(),
             segments: self.seeds.segments.len(),
-            missing_segments: edges.iter().filter(|e| e.is_none()).count(),
+            missing_segments: missing.len(),
             broken_curves: broken.len(),
             dropped_curves: self.dropped_curves,
             short_crease_edges: self.features.left_out,

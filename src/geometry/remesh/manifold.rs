@@ -10,6 +10,7 @@
 pub(super) mod boundary_ears;
 pub(super) mod repair;
 mod resize;
+pub(super) mod rims;
 
 use std::collections::HashSet;
 

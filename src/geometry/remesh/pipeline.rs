@@ -22,6 +22,7 @@
 mod adapt;
 mod extract;
 mod join;
+mod kept;
 mod optimize;
 mod prepare;
 mod preprocess;
@@ -33,6 +34,7 @@ use std::time::Instant;
 use glam::DVec3;
 
 use super::attributes::{self, Provenance};
+use super::features::Held;
 use super::report::{
     CountFigures, CountReason, InputFigures, MemoryFigures, RegionFigures, Report, ResultFigures, Timings,
 };
@@ -79,12 +81,17 @@ pub fn remesh(
             ("seeds", matches!(options.seeds, Seeds::Given(_))),
             // Local changes move the vertices of curves in each sheet for itself.
             ("non_manifold keep", options.keep_non_manifold),
+            ("kept parts", options.keeps_parts()),
         ];
         if let Some((other, _)) = others.into_iter().find(|other| other.1) {
             return Err(RemeshError::MetricBeside { other });
         }
     }
-    let changes = flat || in_metric || options.refine.is_some() || matches!(options.seeds, Seeds::Share { .. });
+    if options.keeps_parts() && matches!(options.seeds, Seeds::Given(_)) {
+        return Err(RemeshError::KeptBesideSeeds);
+    }
+    let is_share = matches!(options.seeds, Seeds::Share { .. });
+    let changes = flat || in_metric || options.source_map || options.refine.is_some() || is_share;
     let measured = changes.then(|| {
         let mut options = options.clone();
         if in_metric {
@@ -94,12 +101,41 @@ pub fn remesh(
         if flat {
             options.anisotropy = Anisotropy::None;
         }
+        if options.source_map {
+            options.attributes.get_or_insert_with(|| Attributes::new(given));
+        }
         options.seeds.resolve(given);
         options.refine.iter_mut().for_each(|to| to.tolerance = Tolerance::Length(to.tolerance.length(given)));
         options
     });
     let options = measured.as_ref().unwrap_or(options);
-    let mut done = on_threads_of(backend, || match run_stages(given, options, backend, observer, token) {
+    let mut done = remesh_parts(given, options, backend, observer, token)?;
+    done.report.warnings = warnings::of(&done.report, options.attributes.as_ref());
+    if options.source_map
+        && let Some(attributes) = &mut done.attributes
+    {
+        attributes::add_source_map(attributes, &done.provenance)?;
+    }
+    Ok(done)
+}
+
+/// All of the surface, or what does not stay.
+fn remesh_parts(
+    given: &TriMesh,
+    options: &RemeshOptions,
+    backend: &dyn Backend,
+    observer: &mut dyn Observer,
+    token: &Token,
+) -> Result<Remesh, RemeshError> {
+    if options.keeps_parts() {
+        return on_threads_of(backend, || {
+            let mut run = |part: (&TriMesh, &[[u32; 2]]), options: &RemeshOptions| {
+                run_stages(part, options, backend, &mut *observer, token)
+            };
+            kept::remesh(given, options, &mut run, token)
+        });
+    }
+    on_threads_of(backend, || match run_stages((given, &[]), options, backend, observer, token) {
         // Far vertices take all the points: without their spikes, which are put back afterwards. Given seeds stay.
         Err(
             error @ (RemeshError::TooFewSeeds { .. }
@@ -108,19 +144,17 @@ pub fn remesh(
         ) => {
             let near = draw_in(given).filter(|_| !matches!(options.seeds, Seeds::Given(_)));
             let Some(near) = near else { return Err(error) };
-            let mut done = run_stages(&near, options, backend, observer, token)?;
+            let mut done = run_stages((&near, &[]), options, backend, observer, token)?;
             put_back_spikes(&mut done, given, &near, token)?;
             Ok(done)
         }
         done => done,
-    })?;
-    done.report.warnings = warnings::of(&done.report, options.attributes.as_ref());
-    Ok(done)
+    })
 }
 
-/// On the present threads.
+/// On the present threads. `rims` are edges that stay.
 fn run_stages(
-    given: &TriMesh,
+    (given, rims): (&TriMesh, &[[u32; 2]]),
     options: &RemeshOptions,
     backend: &dyn Backend,
     observer: &mut dyn Observer,
@@ -134,13 +168,15 @@ fn run_stages(
     token.enter("prepare");
     observer.stage("prepare");
     // Most inputs need no preprocessing: what is prepared meanwhile is then of use.
-    let asked = Asked::new(given, options);
+    let asked = Asked { held: Held { rims, seams: None }, ..Asked::new(given, options) };
     let weld = options.weld.map(|weld| weld.length(given));
     let (preprocessed, mut prepared) =
         rayon::join(|| preprocess(given, weld, token), || prepare(given, options, asked, None, token));
     let mut preprocessed = preprocessed?;
-    let Separated { apart, options: adapted, topology, seams } = preprocessed.separate(given, options, token)?;
-    let asked = Asked { seams: seams.as_ref(), ..asked };
+    let separated = preprocessed.separate(given, (options, rims), token)?;
+    let Separated { apart, options: adapted, topology, seams, rims: of_sheets } = separated;
+    let rims = of_sheets.as_deref().unwrap_or(rims);
+    let asked = Asked { held: Held { seams: seams.as_ref(), rims }, ..asked };
     token.check()?;
     let (clean, options) = (preprocessed.mesh(given), adapted.as_ref().unwrap_or(options));
     let separated = apart.as_ref().map_or(clean, |apart| &apart.mesh);
@@ -301,6 +337,7 @@ fn measure(
         quality,
         metric,
         regions,
+        kept: None,
         lost,
         crossings,
         repair,

@@ -263,6 +263,9 @@ pub struct ResultFigures {
     /// The regions of the input, by their numbers; absent without any.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub regions: Vec<RegionFigures>,
+    /// What stayed as it was; absent if nothing was to stay.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub kept: Option<KeptFigures>,
     /// What it lacks of the input; absent if not measured.
     pub lost: Option<LostParts>,
     /// Facets that cross others; absent if not measured.
@@ -285,6 +288,19 @@ pub struct RegionFigures {
     pub facets: usize,
     /// Their area.
     pub area: f64,
+}
+
+/// What stayed as it was.
+#[derive(Clone, Copy, Debug, Default, Serialize, PartialEq, Eq)]
+pub struct KeptFigures {
+    /// Facets, which are the first of the result.
+    pub facets: usize,
+    /// Vertices, which are the first of the result.
+    pub vertices: usize,
+    /// Edges that the rest meets.
+    pub rim_edges: usize,
+    /// Facets that stayed though they need not, for the sake of these edges.
+    pub further_facets: usize,
 }
 
 /// How well a result fits its metric.

@@ -21,6 +21,7 @@ pub(super) fn of(report: &Report, attributes: Option<&Attributes>) -> Vec<Warnin
                    formats with bytes cut them";
     counted(&mut all, "colours_out_of_range", colours, outside);
     of_count(report, &mut all);
+    of_kept(report, &mut all);
     of_repair(report, &mut all);
     of_lost(report, &mut all);
     of_shape(report, &mut all);
@@ -109,6 +110,12 @@ fn of_count(report: &Report, all: &mut Vec<Warning>) {
     }
     let broken = "edges of creases or boundaries are missing in the result; more points may keep them";
     counted(all, "missing_curve_edges", features.missing_segments, broken);
+}
+
+/// What stayed though it need not.
+fn of_kept(report: &Report, all: &mut Vec<Warning>) {
+    let further = "facets beside those that stay had to stay too, so that all edges meet; more points make them fewer";
+    counted(all, "further_kept", report.result.kept.map_or(0, |kept| kept.further_facets), further);
 }
 
 /// What the repair of the dual removed or doubled.

@@ -204,6 +204,11 @@ fn of_remesh(error: &RemeshError) -> Fault {
         RemeshError::MetricBeside { .. } => "header.options.density".to_owned(),
         RemeshError::RefineUnfitted => "header.options.max_deviation".to_owned(),
         RemeshError::RefineLimit { .. } => "header.options.max_points".to_owned(),
+        RemeshError::Part(_) | RemeshError::AllKept | RemeshError::RimsMissed { .. } => {
+            "header.options.keep".to_owned()
+        }
+        RemeshError::KeptBesideSeeds => "seeds".to_owned(),
+        RemeshError::TooFewForRims { .. } => "header.options.points".to_owned(),
         // What an upload carries is checked when it is collected, where its index is known.
         RemeshError::Attributes(_) => "mesh.attributes".to_owned(),
         RemeshError::Rvd(error) => return of_rvd(error),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import inspect
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -104,6 +104,8 @@ def remesh_options(surface: Surface, given: dict[str, Any]) -> tuple[dict[str, A
     given.update(_density(given.pop("density")))
     given["sizes"], given["seeds"] = meshes._floats(given["sizes"]), meshes._floats(given["seeds"])
     given["metric"] = _tensors(given["metric"])
+    for name in ("keep", "only"):
+        given[name] = [given[name]] if isinstance(given[name], str) else given[name] and list(given[name])
     lists = [edges for edges in (named, _edges(given["creases"])) if edges is not None]
     given["creases"] = np.concatenate(lists) if len(lists) > 1 else next(iter(lists), None)
     return given, attributes
@@ -127,6 +129,10 @@ def remesh(
     creases: ArrayLike | None = None,
     weld: float | str | None = None,
     non_manifold: Literal["cut", "keep"] | None = None,
+    keep: str | Sequence[str] | None = None,
+    only: str | Sequence[str] | None = None,
+    keep_rims: bool = False,
+    source_map: bool = False,
     boundaries: Literal["keep", "free"] | None = None,
     thin: Literal["finer", "even"] | None = None,
     anisotropy: float | Literal["auto"] | None = None,
@@ -177,6 +183,12 @@ def remesh(
         crease_angle: edges bent by more than this are creases that are kept, degrees from 0 (none) to 180.
         creases: (k, 2) integer: edges that are creases whatever their angle.
         non_manifold: "cut": sheets that meet in an edge have vertices of their own there; or "keep": they have them in common.
+        keep: parts that stay as they are, to the bit: "box:X0,Y0,Z0,X1,Y1,Z1", "sphere:X,Y,Z,R", each with the faces that touch it,
+            or several. They come first in the result; `points` counts all of its vertices.
+        only: parts that are remeshed, with the faces that are in a box or ball wholly; all else stays as it is.
+        keep_rims: whether the vertices and edges of boundaries stay as they are.
+        source_map: whether the result has the scalars "source_facet", the face of `mesh` on which a vertex lies, and
+            "source_barycentric", its coordinates in that face.
         weld: boundaries that are at most this far apart are joined: a length, or percent of the diagonal as "0.01%".
         boundaries: "keep", or "free": the rim settles about half an edge inside.
         thin: "finer": shorter edges where the surface is too thin for its cells; or "even".

@@ -71,6 +71,19 @@ impl Least {
     }
 }
 
+/// What bounds lengths that are found, beside the options.
+#[derive(Clone, Copy)]
+pub(super) struct Limits<'a> {
+    pub(super) least: Option<&'a Least>,
+    /// Lengths that edges have already, by vertex: NaN where there are none. Nothing if there are none at all.
+    pub(super) beside: &'a [f64],
+}
+
+/// Beside edges that have their lengths already, others are as long, but no more than so many times as long as they would be, and no
+/// less than this part. A triangle on a longer edge is slender, and points would gather at a shorter one.
+const LONGEST_BESIDE: f64 = 2.0;
+const SHORTEST_BESIDE: f64 = 1.0 / 50.0;
+
 /// Edges may be so much shorter than those of as many even points, even if the mesh has none as short.
 const SHORTER: f64 = 0.5;
 
@@ -95,13 +108,13 @@ const SMOOTHING_ROUNDS: usize = 64;
 /// and how many rounds it took. With such lengths a result has poor triangles all over, and takes long to improve.
 pub(super) fn without_noise(
     mut base: SizeField,
-    least: Option<&Least>,
+    limits: Limits<'_>,
     net: &Net,
     options: &DensityOptions,
     target: Option<f64>,
     token: &Token,
 ) -> Result<(Bounded, f64, usize), DensityError> {
-    let mut found = bounded(base.clone(), least, net, options, target, token)?;
+    let mut found = bounded(base.clone(), limits, net, options, target, token)?;
     let noise = if options.gradation > STEEPEST { found.field.noise(net, STEEPEST) } else { 0.0 };
     let mut rounds = 0;
     let mut has_noise = noise > NOISE;
@@ -111,7 +124,7 @@ pub(super) fn without_noise(
             base.smooth(net);
             rounds += 1;
         }
-        found = bounded(base.clone(), least, net, options, target, token)?;
+        found = bounded(base.clone(), limits, net, options, target, token)?;
         has_noise = found.field.noise(net, STEEPEST_LEFT) > NOISE_LEFT;
     }
     Ok((found, if rounds > 0 { noise } else { 0.0 }, rounds))
@@ -128,7 +141,7 @@ pub(super) struct Bounded {
 /// percent: the rest is the same for all points). Lengths and distances are compared, so the factor has to be found.
 fn bounded(
     base: SizeField,
-    least: Option<&Least>,
+    limits: Limits<'_>,
     net: &Net,
     options: &DensityOptions,
     target: Option<f64>,
@@ -136,7 +149,8 @@ fn bounded(
 ) -> Result<Bounded, DensityError> {
     let once = |factor: f64| -> Result<Bounded, Stopped> {
         let mut field = if factor == 1.0 { base.clone() } else { base.scaled(factor) };
-        let raised = least.map_or(0, |least| field.raise(|v| least.at(v, factor)));
+        let raised = limits.least.map_or(0, |least| field.raise(|v| least.at(v, factor)));
+        field.put(limits.beside, [SHORTEST_BESIDE, LONGEST_BESIDE]);
         let graded = field.grade(net, options.gradation, token)?;
         let lowered = field.clamp(0.0, field.least() * options.ratio);
         let points = field.points(net);

@@ -144,6 +144,19 @@ impl Net {
         middle.map_or(f64::NAN, |&v| values[v as usize])
     }
 
+    /// Values at some vertices, the least of each place, by vertex: NaN where there is none.
+    pub(super) fn by_vertex(&self, values: &[(u32, f64)]) -> Vec<f64> {
+        if values.is_empty() {
+            return Vec::new();
+        }
+        let mut all = vec![f64::NAN; self.vertices()];
+        for &(v, value) in values {
+            let lowest = self.class[v as usize] as usize;
+            all[lowest] = all[lowest].min(value);
+        }
+        (0..all.len()).map(|v| all[self.class[v] as usize]).collect()
+    }
+
     /// Gives every vertex the value of its class, and `other` to those that no facet with area uses.
     pub(super) fn spread(&self, values: &mut [f64], other: f64) {
         for v in 0..values.len() {

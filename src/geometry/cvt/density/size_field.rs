@@ -102,6 +102,13 @@ impl SizeField {
         below
     }
 
+    /// Takes other lengths where there are any, by vertex, within these factors of the present ones.
+    pub(super) fn put(&mut self, others: &[f64], [low, high]: [f64; 2]) {
+        for (h, &other) in self.sizes.iter_mut().zip(others).filter(|(_, other)| other.is_finite()) {
+            *h = other.clamp(low * *h, high * *h);
+        }
+    }
+
     /// Lowers lengths until h(p) <= h(q) + `slope` |p - q| along every edge of the mesh, from the smallest
     /// to the largest, each vertex settled once (Dijkstra's order). Says how many were lowered.
     ///

@@ -78,7 +78,7 @@ fn split(
 ) -> Result<(), Stopped> {
     let turns = sharp_turns(chain, closed, (metric, reach), token)?;
     let last = chain.len() - 1;
-    let curve = |vertices, closed| Curve { kind, vertices, closed, angle_deg: 0.0, ends_deg: [0.0; 2] };
+    let curve = |vertices, closed| Curve { kind, vertices, closed, angle_deg: 0.0, ends_deg: [0.0; 2], is_rim: false };
     if closed && turns.is_empty() {
         curves.push(curve(chain[..last].to_vec(), true));
         return Ok(());
@@ -293,7 +293,14 @@ mod tests {
     use super::*;
 
     fn curve(kind: CurveKind, vertices: &[u32]) -> Curve {
-        Curve { kind, vertices: vertices.to_vec(), closed: false, angle_deg: 180.0, ends_deg: [180.0; 2] }
+        Curve {
+            kind,
+            vertices: vertices.to_vec(),
+            closed: false,
+            angle_deg: 180.0,
+            ends_deg: [180.0; 2],
+            is_rim: false,
+        }
     }
 
     fn merged(positions: &[DVec3], mut curves: Vec<Curve>) -> (Vec<Curve>, Vec<u32>) {

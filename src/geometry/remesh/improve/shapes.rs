@@ -225,16 +225,16 @@ pub(crate) fn restore(mesh: &mut LocalMesh, envelope: &CurveEnvelope, token: &To
 }
 
 /// Moves vertices whose edges are farther from curves than the goal a little nearer. Corners, which are `fixed`, move less,
-/// and only on boundaries, whose teeth may be narrower than an edge is long. Those of curves that several sheets have, `shared`, stay.
+/// and only on boundaries, whose teeth may be narrower than an edge is long. Those that nothing moves, as several sheets have them, `stay`.
 /// Returns the corners that moved.
 pub(crate) fn tighten(
     mesh: &mut LocalMesh,
     envelope: &CurveEnvelope,
-    (fixed, shared): (&[bool], &[bool]),
+    (fixed, stay): (&[bool], &[bool]),
     token: &Token,
 ) -> Vec<u32> {
     let excess = |mesh: &LocalMesh, v: u32| envelope.excess(&mesh.positions, v, mesh.positions[v as usize]);
-    let may_move = |mesh: &LocalMesh, v: u32| !fixed[v as usize] || mesh.is_on_boundary(v) && !shared[v as usize];
+    let may_move = |mesh: &LocalMesh, v: u32| !fixed[v as usize] || mesh.is_on_boundary(v) && !stay[v as usize];
     let mut vertices = envelope.vertices();
     vertices.retain(|&v| may_move(mesh, v));
     if vertices.iter().all(|&v| excess(mesh, v) <= 1.0) {

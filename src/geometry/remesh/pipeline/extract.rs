@@ -6,7 +6,7 @@
 //! away, but where facets would cross others.
 //! Must not know: iterations, options but those of its own.
 
-use std::collections::HashSet;
+use std::collections::{HashMap, HashSet};
 
 use glam::DVec3;
 use rayon::prelude::*;
@@ -24,7 +24,7 @@ use crate::remesh::fit::{self, Target};
 use crate::remesh::improve::MeshEditor;
 use crate::remesh::improve::places::{improve, recover_edge};
 use crate::remesh::improve::shapes::{Mobility, MotionBounds, improve_shapes, restore, tighten};
-use crate::remesh::manifold::{LocalMesh, boundary_ears, repair};
+use crate::remesh::manifold::{LocalMesh, boundary_ears, repair, rims};
 use crate::remesh::report::{AdaptedFigures, RepairFigures};
 use crate::remesh::triangle::Shapes;
 use crate::remesh::{Placement, RemeshError};
@@ -187,10 +187,10 @@ impl<'a> Extraction<'a> {
     /// Moves the draft's vertices to where facets are nearest to the input. Corners stay. `component` is by vertex.
     fn fit(&self, draft: &mut Draft<'a>, component: &[u32], dual: &dual::Dual) {
         let vertex = vertex_of(component, dual);
-        // Several sheets have the vertices of a curve where they meet.
-        let shared: Vec<bool> = draft.vertex_seed.iter().map(|&s| self.curves.is_shared(s)).collect();
-        let is_fixed = |(&s, &shared): (&u32, &bool)| self.curves.is_corner(s) || s >= self.first_added || shared;
-        let fixed: Vec<bool> = draft.vertex_seed.iter().zip(&shared).map(is_fixed).collect();
+        // Several sheets have the vertices of a curve where they meet, and rims have those that they had.
+        let stays: Vec<bool> = draft.vertex_seed.iter().map(|&s| self.curves.stays(s)).collect();
+        let is_fixed = |(&s, &stays): (&u32, &bool)| self.curves.is_corner(s) || s >= self.first_added || stays;
+        let fixed: Vec<bool> = draft.vertex_seed.iter().zip(&stays).map(is_fixed).collect();
         let curves = self.curves.samples(&draft.curve_edges);
         let unit = self.unit(draft);
         // Added seeds bring edges to the curves. An envelope as well would fold facets between them.
@@ -207,7 +207,7 @@ impl<'a> Extraction<'a> {
         fit::fit(&mut mesh, &mut target, self.shapes, self.token);
         restore(&mut mesh, &envelope, self.token);
         self.improve_shapes(&mut mesh, draft, &target.fixed, &envelope, false);
-        for v in tighten(&mut mesh, &envelope, (&target.fixed, &shared), self.token) {
+        for v in tighten(&mut mesh, &envelope, (&target.fixed, &stays), self.token) {
             target.fixed[v as usize] = false;
         }
         let HausdorffEstimate { missed, largest, by_vertex } =
@@ -262,12 +262,34 @@ impl<'a> Extraction<'a> {
             let moved = draft.positions.iter_mut().zip(positions).zip(&fitted.target.fixed);
             moved.filter(|(_, fixed)| !**fixed).for_each(|((p, u), _)| *p = frame.to_world(u));
         }
+        self.straighten_rims(&mut draft);
         let Draft { positions, facets, vertex_seed, curve_edges, repair, seeds, .. } = draft;
         // Only one thing can be wrong with it: seeds on a line leave no facet with an area.
         let mesh = TriMesh::new(positions, facets).map_err(|_| RemeshError::too_few(seeds))?;
         let segments = curve_edges;
         let curve_edges = segments.iter().flatten().copied().collect();
         Ok(Built { mesh, vertex_seed, segments, curve_edges, repair, missed, metric: None })
+    }
+
+    /// Takes the vertices within edges that stay out of the draft.
+    fn straighten_rims(&self, draft: &mut Draft<'_>) {
+        let within = self.curves.seeds_within_rims();
+        if within.is_empty() {
+            return;
+        }
+        let mut of_seed: HashMap<u32, Vec<u32>> = within.iter().map(|&seed| (seed, Vec::new())).collect();
+        for (&seed, v) in draft.vertex_seed.iter().zip(0..) {
+            of_seed.entry(seed).and_modify(|vertices| vertices.push(v));
+        }
+        let vertices: Vec<u32> = within.iter().flat_map(|seed| &of_seed[seed]).copied().collect();
+        let gone = rims::take_out(&draft.positions, &mut draft.facets, &vertices);
+        let mut number = vec![u32::MAX; draft.positions.len()];
+        let kept: Vec<usize> = (0..draft.positions.len()).filter(|&v| !gone.contains(&(v as u32))).collect();
+        kept.iter().zip(0..).for_each(|(&v, k)| number[v] = k);
+        draft.positions = kept.iter().map(|&v| draft.positions[v]).collect();
+        draft.vertex_seed = kept.iter().map(|&v| draft.vertex_seed[v]).collect();
+        draft.facets.iter_mut().for_each(|t| *t = t.map(|v| number[v as usize]));
+        draft.curve_edges = self.curves.edges_in(&draft.facets, &draft.vertex_seed);
     }
 
     /// Recovers edges of curves and improves the places that need it. Returns how many places are still far.

@@ -18,7 +18,7 @@ pub(super) fn join(built: &mut Built, curves: &KeptCurves, carried: &mut Carried
     let mut number: Vec<u32> = Vec::with_capacity(positions.len());
     for (v, (p, &seed)) in (0..).zip(positions.iter().zip(&built.vertex_seed)) {
         let next = kept.len() as u32;
-        let own = match curves.is_shared(seed) {
+        let own = match curves.stays(seed) {
             true => *first.entry(p.to_array().map(f64::to_bits)).or_insert(next),
             false => next,
         };

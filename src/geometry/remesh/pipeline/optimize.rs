@@ -226,11 +226,11 @@ impl<'a> Job<'a, '_> {
         let (&Seeds::Sample { seed, .. } | &Seeds::Implied { seed }) = &options.seeds else { return Ok(best) };
         let asked = best.figures.asked;
         let least = (FEWEST_SEEDS_SHARE * asked as f64).max(FEWEST_SEEDS).min(asked as f64);
-        // Where sheets are joined afterwards, seeds have fewer vertices.
-        let joins = options.keep_non_manifold;
+        // Where sheets are joined afterwards, and where edges stay, seeds have fewer vertices.
+        let joins = options.keep_non_manifold || !self.asked.held.rims.is_empty();
         let most = if joins { MOST_SEEDS_OF_JOINED * asked as f64 } else { asked as f64 };
         let vertices =
-            |of: &Optimized<'a, P>| of.failing.vertices.saturating_sub(if joins { of.curves.copies() } else { 0 });
+            |of: &Optimized<'a, P>| of.failing.vertices.saturating_sub(if joins { of.curves.surplus() } else { 0 });
         // Seeds and vertices of the best.
         let mut from = (asked as f64, vertices(&best) as f64);
         // Vertices per further seed, and how much farther to go than that says.

@@ -11,8 +11,7 @@ use crate::cvt::density::{self, DensityOptions, DensitySource, Plan};
 use crate::cvt::lifts::CurveLifts;
 use crate::mesh::TriMesh;
 use crate::mesh::closest_point::ClosestPoint;
-use crate::remesh::features::KeptCurves;
-use crate::remesh::features::seams::Seams;
+use crate::remesh::features::{Held, KeptCurves};
 use crate::remesh::lift::{Lift, Lifting};
 use crate::remesh::triangle::{Norm, Shapes};
 use crate::remesh::{Anisotropy, RemeshOptions, Result};
@@ -60,8 +59,8 @@ pub(super) struct Asked<'a> {
     /// Whether edge lengths are for the least distance.
     pub(super) by_error: bool,
     pub(super) shapes: Shapes,
-    /// Where sheets that are apart met, once that is known.
-    pub(super) seams: Option<&'a Arc<Seams>>,
+    /// Where sheets that are apart met, once that is known, and the edges that stay.
+    pub(super) held: Held<'a>,
 }
 
 impl Asked<'_> {
@@ -75,7 +74,7 @@ impl Asked<'_> {
             (Anisotropy::Share(_), _) => Shapes::Slender,
         };
         let by_error = matches!(source, DensitySource::Error | DensitySource::ErrorMax);
-        Self { diagonal: (high - low).length(), by_error, shapes, seams: None }
+        Self { diagonal: (high - low).length(), by_error, shapes, held: Held::default() }
     }
 }
 
@@ -87,11 +86,13 @@ pub(super) fn prepare<'a>(
     lengths: Option<&[f64]>,
     token: &Token,
 ) -> Result<Prepared<'a>> {
-    let plan = density::plan(separated, &options.density, options.seeds.count(), token)?.divided(token)?;
+    let lengths_of_rims = rim_lengths(separated, asked.held.rims);
+    let plan = density::plan_beside(separated, &options.density, options.seeds.count(), &lengths_of_rims, token)?;
+    let plan = plan.divided(token)?;
     token.check()?;
     let surface = Arc::new(Surface::unless(&plan.mesh, plan.weights.as_deref(), token)?);
     token.check()?;
-    let find = || KeptCurves::find(separated, &plan, &surface, (options, asked.by_error), asked.seams, token);
+    let find = || KeptCurves::find(separated, &plan, &surface, (options, asked.by_error), asked.held, token);
     let (curves, closest) = rayon::join(find, || surface.closest_points(token));
     let (mut curves, closest) = (curves?, closest?);
     let lift = match options.anisotropy {
@@ -106,6 +107,16 @@ pub(super) fn prepare<'a>(
         }
     };
     Ok(Prepared { curves, closest, plan, surface, lift })
+}
+
+/// The edge length at each vertex of a rim: the geometric mean of its shortest and its longest edge there.
+fn rim_lengths(mesh: &TriMesh, rims: &[[u32; 2]]) -> Vec<(u32, f64)> {
+    let length = |&[a, b]: &[u32; 2]| mesh.positions()[a as usize].distance(mesh.positions()[b as usize]);
+    let mut ends: Vec<(u32, f64)> =
+        rims.iter().flat_map(|edge| edge.map(|v| (v, length(edge)))).filter(|end| end.1 > 0.0).collect();
+    ends.sort_by(|a, b| a.0.cmp(&b.0).then(a.1.total_cmp(&b.1)));
+    let of = |group: &[(u32, f64)]| (group[0].0, (group[0].1.sqrt() * group[group.len() - 1].1.sqrt()));
+    ends.chunk_by(|a, b| a.0 == b.0).map(of).collect()
 }
 
 /// The same options with a density of another source, as it is.

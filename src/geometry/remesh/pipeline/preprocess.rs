@@ -117,6 +117,8 @@ pub(super) struct Separated {
     pub(super) topology: Topology,
     /// Where they met.
     pub(super) seams: Option<Arc<Seams>>,
+    /// The edges that stay, if they have other vertices now.
+    pub(super) rims: Option<Vec<[u32; 2]>>,
 }
 
 impl Preprocessed {
@@ -129,14 +131,14 @@ impl Preprocessed {
     pub(super) fn separate(
         &mut self,
         given: &TriMesh,
-        options: &RemeshOptions,
+        (options, rims): (&RemeshOptions, &[[u32; 2]]),
         token: &Token,
     ) -> Result<Separated, Stopped> {
         let topology = self.figures.topology;
         let touching = topology.non_manifold_edges + topology.non_manifold_vertices > 0;
         let surface = self.figures.kind != InputKind::Volume;
         let clean = self.changed.as_ref().unwrap_or(given);
-        let mut separated = Separated { apart: None, options: None, topology, seams: None };
+        let mut separated = Separated { apart: None, options: None, topology, seams: None, rims: None };
         let mut seams = Vec::new();
         let several = topology.components > 1 || touching && surface;
         if let Some(edge) = target_edge(clean, topology.components, options).filter(|_| several) {
@@ -166,6 +168,9 @@ impl Preprocessed {
             let of = |v: u32| class[apart.before(v) as usize];
             let class = (0..apart.mesh.positions().len() as u32).map(of).collect();
             separated.seams = Some(Arc::new(Seams::new(class, &seams)));
+        }
+        if let Some(apart) = separated.apart.as_ref().filter(|apart| !(rims.is_empty() || apart.copied.is_empty())) {
+            separated.rims = Some(edges_of_sheets(rims, &weld_unless(clean, token)?, apart));
         }
         let apart = separated.apart.as_ref().map(|apart| (apart, &seams[..]));
         separated.options = self.adapted(clean, options, apart, token)?;

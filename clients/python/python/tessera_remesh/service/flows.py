@@ -305,7 +305,10 @@ def set_option(message: Any, name: str, value: Any, keyword: str = "") -> None:
             raise InputError(f"{keyword} is {value!r}; it is one of {', '.join(words)}")
         given = words[value]
     try:
-        setattr(message, name, given)
+        if isinstance(given, list):
+            getattr(message, name).extend(given)
+        else:
+            setattr(message, name, given)
     except (TypeError, ValueError) as error:
         raise InputError(f"{keyword} is {value!r}: {error}") from None
 

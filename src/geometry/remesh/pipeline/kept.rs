@@ -1,0 +1,356 @@
+//! Parts that stay as they are.
+//!
+//! Purpose: [`remesh`] takes the facets that stay out of a surface, has the rest remeshed with the edges between held, and puts both
+//! together. Where the new part lacks such an edge, the facets beside it stay too, and the rest is remeshed again.
+//! Invariant: facets that stay are the first of the result, with their vertices, to the bit; at each edge of theirs there are as many new
+//! facets as the input has others. Must not know: how edges are held.
+
+use std::collections::{BTreeMap, HashMap};
+
+use glam::DVec3;
+
+use super::preprocess::preprocess;
+use super::{attributes, compare};
+use crate::cvt::density::{DensityError, DensitySource};
+use crate::mesh::TriMesh;
+use crate::mesh::adjacency::{Adjacency, weld_unless};
+use crate::mesh::attributes::Attributes;
+use crate::mesh::crossings::crossings;
+use crate::mesh::edges::{sides, undirected};
+use crate::mesh::features::Features;
+use crate::mesh::measure::{coincident_vertices, topology_unless};
+use crate::mesh::parts::Reach;
+use crate::remesh::constants::FURTHER_KEPT_ROUNDS;
+use crate::remesh::report::KeptFigures;
+use crate::remesh::{Provenance, Remesh, RemeshError, RemeshOptions, Result, Seeds, Tolerance};
+use crate::rvd::RvdError;
+use crate::token::Token;
+
+/// Remeshes a surface, and holds these of its edges.
+type Run<'a> = &'a mut dyn FnMut((&TriMesh, &[[u32; 2]]), &RemeshOptions) -> Result<Remesh>;
+
+/// Remeshes what does not stay.
+pub(super) fn remesh(given: &TriMesh, options: &RemeshOptions, run: Run<'_>, token: &Token) -> Result<Remesh> {
+    options.attributes.iter().try_for_each(|attributes| attributes.check_mesh(given))?;
+    Features::check(given, options.crease_angle_deg, &options.creases, token)?;
+    let mut stays = staying(given, options)?;
+    let class = weld_unless(given, token)?;
+    let asked = count(&stays);
+    stay_without_area(given, &class, &mut stays);
+    for round in 1.. {
+        let Some(free) = Free::of(given, &class, &stays, options.keep_rims) else { return Err(RemeshError::AllKept) };
+        let (part, own) = free.mesh(given)?;
+        let inner = free.options(given, options)?;
+        let done = run((&part, &own), &inner).map_err(|error| free.counted(error))?;
+        token.check()?;
+        let missed = free.missed(&class, &done.mesh);
+        if missed.is_empty() {
+            let further_facets = count(&stays) - asked;
+            let kept = KeptFigures {
+                facets: free.kept.len(),
+                vertices: free.kept_vertices.len(),
+                rim_edges: free.rims.len(),
+                further_facets,
+            };
+            return free.join(given, options, done, kept, token);
+        }
+        if round == FURTHER_KEPT_ROUNDS {
+            let [a, b] = missed[0].map(|v| given.positions()[v as usize]);
+            return Err(RemeshError::RimsMissed { edges: missed.len(), place: a.midpoint(b) });
+        }
+        // Farther around each time.
+        let mut around: Vec<bool> = vec![false; given.positions().len()];
+        missed.iter().flatten().for_each(|&v| around[v as usize] = true);
+        for _ in 0..round {
+            let touched: Vec<usize> = (0..stays.len())
+                .filter(|&f| given.facets()[f].iter().any(|&v| around[class[v as usize] as usize]))
+                .collect();
+            touched.iter().for_each(|&f| stays[f] = true);
+            let corners = touched.iter().flat_map(|&f| given.facets()[f]);
+            corners.for_each(|v| around[class[v as usize] as usize] = true);
+        }
+    }
+    Err(RemeshError::AllKept)
+}
+
+fn count(stays: &[bool]) -> usize {
+    stays.iter().filter(|&&stays| stays).count()
+}
+
+/// For each facet whether it is to stay.
+fn staying(given: &TriMesh, options: &RemeshOptions) -> Result<Vec<bool>> {
+    let regions = options.attributes.as_ref().and_then(Attributes::regions);
+    let mut stays = vec![!options.only.is_empty(); given.facets().len()];
+    for part in &options.only {
+        let within = part.facets((given, regions), Reach::Within)?;
+        stays.iter_mut().zip(within).for_each(|(stays, within)| *stays &= !within);
+    }
+    for part in &options.keep {
+        let touching = part.facets((given, regions), Reach::Touching)?;
+        stays.iter_mut().zip(touching).for_each(|(stays, touching)| *stays |= touching);
+    }
+    Ok(stays)
+}
+
+/// Facets without area beside those that stay: no result has their edges.
+fn stay_without_area(given: &TriMesh, class: &[u32], stays: &mut [bool]) {
+    let welded = |f: usize| given.facets()[f].map(|v| class[v as usize]);
+    let flat: Vec<usize> = (0..stays.len()).filter(|&f| given.is_degenerate(f)).collect();
+    if flat.is_empty() || !stays.contains(&true) {
+        return;
+    }
+    let mut on_kept = vec![false; class.len()];
+    let kept = (0..stays.len()).filter(|&f| stays[f]);
+    kept.flat_map(welded).for_each(|v| on_kept[v as usize] = true);
+    loop {
+        let beside = |&&f: &&usize| !stays[f] && welded(f).iter().any(|&v| on_kept[v as usize]);
+        let more: Vec<usize> = flat.iter().filter(beside).copied().collect();
+        if more.is_empty() {
+            return;
+        }
+        for f in more {
+            stays[f] = true;
+            welded(f).iter().for_each(|&v| on_kept[v as usize] = true);
+        }
+    }
+}
+
+/// The part of a surface that is remeshed. Vertices and facets are those of the surface.
+struct Free {
+    facets: Vec<u32>,
+    /// Its vertices, ascending.
+    vertices: Vec<u32>,
+    kept: Vec<u32>,
+    kept_vertices: Vec<u32>,
+    /// Edges that are held, by the lowest vertices in their places, each with its vertices in this part and how many of its facets have
+    /// it.
+    rims: BTreeMap<[u32; 2], ([u32; 2], usize)>,
+    /// For each vertex of a rim, by its place: the lowest vertex there, and a vertex there that a facet has that stays.
+    places: HashMap<[u64; 3], (u32, Option<u32>)>,
+}
+
+fn bits(p: DVec3) -> [u64; 3] {
+    // Zeros of either sign are one place.
+    (p + DVec3::ZERO).to_array().map(f64::to_bits)
+}
+
+impl Free {
+    /// `None` if there is nothing. `class` has the lowest vertex in the place of each.
+    fn of(given: &TriMesh, class: &[u32], stays: &[bool], keep_rims: bool) -> Option<Self> {
+        let (kept, facets): (Vec<u32>, Vec<u32>) = (0..stays.len() as u32).partition(|&f| stays[f as usize]);
+        if facets.iter().all(|&f| given.is_degenerate(f as usize)) {
+            return None;
+        }
+        let corners = |facets: &[u32]| {
+            let mut all: Vec<u32> = facets.iter().flat_map(|&f| given.facets()[f as usize]).collect();
+            all.sort_unstable();
+            all.dedup();
+            all
+        };
+        let (vertices, kept_vertices) = (corners(&facets), corners(&kept));
+        let welded = |edge: [u32; 2]| undirected(edge.map(|v| class[v as usize]));
+        let edges_of = |facets: &[u32]| -> Vec<([u32; 2], [u32; 2])> {
+            let edges = facets.iter().flat_map(|&f| sides(given.facets()[f as usize]));
+            let mut all: Vec<_> = edges.map(|edge| (welded(edge), edge)).filter(|(at, _)| at[0] != at[1]).collect();
+            all.sort_unstable();
+            all
+        };
+        let (own, others) = (edges_of(&facets), edges_of(&kept));
+        let is_rim = |at: [u32; 2], count: usize| {
+            let of_kept = others.partition_point(|edge| edge.0 < at);
+            others.get(of_kept).is_some_and(|edge| edge.0 == at) || keep_rims && count == 1
+        };
+        let groups = own.chunk_by(|a, b| a.0 == b.0).filter(|edge| is_rim(edge[0].0, edge.len()));
+        let rims: BTreeMap<_, _> = groups.map(|edge| (edge[0].0, (edge[0].1, edge.len()))).collect();
+        let mut lowest: HashMap<u32, Option<u32>> = rims.keys().flatten().map(|&v| (v, None)).collect();
+        for &v in kept_vertices.iter().rev() {
+            lowest.entry(class[v as usize]).and_modify(|own| *own = Some(v));
+        }
+        let place = |(v, own)| (bits(given.positions()[v as usize]), (v, own));
+        let places = lowest.into_iter().map(place).collect();
+        Some(Self { facets, vertices, kept, kept_vertices, rims, places })
+    }
+
+    /// The number of a vertex in this part.
+    fn number(&self, v: u32) -> u32 {
+        self.vertices.partition_point(|&own| own < v) as u32
+    }
+
+    /// The surface of this part, and the edges of its rims.
+    fn mesh(&self, given: &TriMesh) -> Result<(TriMesh, Vec<[u32; 2]>)> {
+        let positions = self.vertices.iter().map(|&v| given.positions()[v as usize]).collect();
+        let facets = self.facets.iter().map(|&f| given.facets()[f as usize].map(|v| self.number(v))).collect();
+        let mesh = TriMesh::new(positions, facets).map_err(|_| RemeshError::AllKept)?;
+        Ok((mesh, self.rims.values().map(|(edge, _)| edge.map(|v| self.number(v))).collect()))
+    }
+
+    /// Vertices of facets that stay and are not on a rim.
+    fn inner(&self) -> usize {
+        let on_rims = self.places.values().filter(|place| place.1.is_some()).count();
+        self.kept_vertices.len().saturating_sub(on_rims)
+    }
+
+    /// The options for this part.
+    fn options(&self, given: &TriMesh, options: &RemeshOptions) -> Result<RemeshOptions> {
+        let mut own = options.clone();
+        (own.keep, own.only, own.keep_rims, own.measure) = (Vec::new(), Vec::new(), false, false);
+        let all = self.inner() + self.places.len();
+        let fewer = |points: usize| match points.checked_sub(self.inner()) {
+            Some(rest) if rest >= self.places.len() && rest > 0 => Ok(rest),
+            _ => Err(RemeshError::TooFewForRims { points, rims: all }),
+        };
+        if let Seeds::Sample { points, .. } = &mut own.seeds {
+            *points = fewer(*points)?;
+        }
+        if let Some(refine) = &mut own.refine
+            && let Some(most) = &mut refine.max_points
+        {
+            *most = fewer(*most)?;
+        }
+        own.weld = own.weld.map(|weld| Tolerance::Length(weld.length(given)));
+        own.attributes = own.attributes.map(|attributes| attributes.of_part(&self.vertices, &self.facets));
+        let vertices = given.positions().len();
+        let select = |values: &mut Vec<f64>| -> Result<()> {
+            if values.len() != vertices {
+                return Err(DensityError::SizeCount { given: values.len(), vertices }.into());
+            }
+            *values = self.vertices.iter().map(|&v| values[v as usize]).collect();
+            Ok(())
+        };
+        match &mut own.density.source {
+            DensitySource::Sizes(values) | DensitySource::Weights(values) => select(values)?,
+            _ => {}
+        }
+        if !own.creases.is_empty() {
+            let class = crate::mesh::adjacency::weld(given);
+            let welded = |edge: [u32; 2]| undirected(edge.map(|v| class[v as usize]));
+            let edges = self.facets.iter().flat_map(|&f| sides(given.facets()[f as usize]));
+            let known: HashMap<[u32; 2], [u32; 2]> = edges.map(|edge| (welded(edge), edge)).collect();
+            let of = |edge: &[u32; 2]| known.get(&welded(*edge)).map(|edge| edge.map(|v| self.number(v)));
+            own.creases = options.creases.iter().filter_map(of).collect();
+        }
+        Ok(own)
+    }
+
+    /// An error about the number of points, of which those that stay are some.
+    fn counted(&self, error: RemeshError) -> RemeshError {
+        let more = self.inner();
+        match error {
+            RemeshError::TooFewSeeds { seeds, least } => {
+                RemeshError::TooFewSeeds { seeds: seeds + more, least: least + more }
+            }
+            RemeshError::TooFewForRims { points, rims } => {
+                RemeshError::TooFewForRims { points: points + more, rims: rims + more }
+            }
+            error => error,
+        }
+    }
+
+    /// Edges of rims, by the lowest vertices in their places, that a new part has not as often as this one.
+    fn missed(&self, class: &[u32], new: &TriMesh) -> Vec<[u32; 2]> {
+        debug_assert!(self.places.values().all(|&(v, _)| class[v as usize] == v));
+        let place: Vec<Option<u32>> =
+            new.positions().iter().map(|&p| self.places.get(&bits(p)).map(|place| place.0)).collect();
+        let mut count: HashMap<[u32; 2], usize> = HashMap::new();
+        for edge in new.facets().iter().flat_map(|&t| sides(t)) {
+            if let [Some(a), Some(b)] = edge.map(|v| place[v as usize]) {
+                *count.entry(undirected([a, b])).or_default() += 1;
+            }
+        }
+        let is_missed = |(at, (_, facets)): &(&[u32; 2], &([u32; 2], usize))| count.get(*at) != Some(facets);
+        self.rims.iter().filter(is_missed).map(|(&at, _)| at).collect()
+    }
+
+    /// What stays, with the new part.
+    fn join(
+        &self,
+        given: &TriMesh,
+        options: &RemeshOptions,
+        done: Remesh,
+        kept: KeptFigures,
+        token: &Token,
+    ) -> Result<Remesh> {
+        let Remesh { mesh: new, vertex_seed, mut curve_edges, mut seeds, mut report, attributes, provenance } = done;
+        let renumber = |v: u32| self.kept_vertices.partition_point(|&own| own < v) as u32;
+        let first = self.kept_vertices.len() as u32;
+        // New vertices that are none of what stays.
+        let mut own: Vec<u32> = Vec::with_capacity(new.positions().len());
+        let mut number: Vec<u32> = Vec::with_capacity(new.positions().len());
+        let mut seed_of_kept: Vec<Option<u32>> = vec![None; first as usize];
+        for (v, &p) in (0..).zip(new.positions()) {
+            match self.places.get(&bits(p)) {
+                Some(&(_, Some(there))) => {
+                    let there = renumber(there);
+                    seed_of_kept[there as usize].get_or_insert(vertex_seed[v as usize]);
+                    number.push(there);
+                }
+                _ => {
+                    number.push(first + own.len() as u32);
+                    own.push(v);
+                }
+            }
+        }
+        let kept_places = self.kept_vertices.iter().map(|&v| given.positions()[v as usize]);
+        let places: Vec<DVec3> = kept_places.chain(own.iter().map(|&v| new.positions()[v as usize])).collect();
+        let kept_facets: Vec<[u32; 3]> = self.kept.iter().map(|&f| given.facets()[f as usize].map(renumber)).collect();
+        let new_facets = new.facets().iter().map(|t| t.map(|v| number[v as usize]));
+        let broken = |e| RvdError::Internal(format!("both parts of a surface were valid: {e}"));
+        let mesh = TriMesh::new(places, kept_facets.iter().copied().chain(new_facets).collect()).map_err(broken)?;
+        // A vertex that stays is a seed of its own.
+        let mut of_vertex: Vec<u32> = Vec::with_capacity(mesh.positions().len());
+        for (seed, &v) in seed_of_kept.into_iter().zip(&self.kept_vertices) {
+            of_vertex.push(seed.unwrap_or(seeds.len() as u32));
+            if seed.is_none() {
+                seeds.push(given.positions()[v as usize]);
+            }
+        }
+        of_vertex.extend(own.iter().map(|&v| vertex_seed[v as usize]));
+        curve_edges.iter_mut().for_each(|edge| *edge = edge.map(|v| number[v as usize]));
+        let attributes = attributes.zip(options.attributes.as_ref()).map(|(new, given)| {
+            given.of_part(&self.kept_vertices, &self.kept).followed_by(&kept_facets, new.of_vertices(&own))
+        });
+        let provenance = if provenance.is_empty() { provenance } else { self.provenance(given, &provenance, &own) };
+
+        let whole = preprocess(given, None, token)?;
+        let adjacency = Adjacency::unless(&mesh, token)?;
+        let result = &mut report.result;
+        (result.vertices, result.facets) = (mesh.positions().len(), mesh.facets().len());
+        result.topology = topology_unless(&mesh, &adjacency, token)?;
+        result.coincident_vertices = coincident_vertices(&mesh, token)?;
+        result.kept = Some(kept);
+        if let Some((regions, of_facet)) =
+            attributes.as_ref().and_then(Attributes::regions).map(|regions| (regions, regions.of_facet()))
+            && let Some(before) = options.attributes.as_ref().and_then(Attributes::regions)
+        {
+            debug_assert_eq!(regions.all(), before.all());
+            result.regions = attributes::regions::figures(before, given, (&mesh, of_facet));
+        }
+        if options.measure {
+            (result.quality, result.lost) = Some(compare(whole.mesh(given), None, &mesh, token)?).unzip();
+            result.crossings = Some(crossings(&mesh, token)?);
+        }
+        report.topology_changes = whole.figures.topology.changes(&result.topology);
+        report.input = whole.figures;
+        report.vertex_count.asked += self.inner();
+        report.vertex_count.seeds = seeds.len();
+        Ok(Remesh { mesh, vertex_seed: of_vertex, curve_edges, seeds, report, attributes, provenance })
+    }
+
+    /// Where on the whole the vertices of the result lie, of which `own` are new ones with these places in this part.
+    fn provenance(&self, given: &TriMesh, places: &[Provenance], own: &[u32]) -> Vec<Provenance> {
+        let mut all: Vec<Option<Provenance>> = vec![None; self.kept_vertices.len()];
+        for &facet in &self.kept {
+            for (corner, v) in given.facets()[facet as usize].into_iter().enumerate() {
+                let at = self.kept_vertices.partition_point(|&own| own < v);
+                let mut barycentric = [0.0; 3];
+                barycentric[corner] = 1.0;
+                all[at].get_or_insert(Provenance { facet, barycentric });
+            }
+        }
+        let new = own.iter().map(|&v| {
+            let place = places[v as usize];
+            Provenance { facet: self.facets[place.facet as usize], ..place }
+        });
+        all.into_iter().flatten().chain(new).collect()
+    }
+}

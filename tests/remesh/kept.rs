@@ -1,0 +1,196 @@
+//! Parts that stay to the bit, and rims that keep their vertices.
+
+use std::collections::BTreeMap;
+
+use geometry::mesh::crossings::crossings;
+use glam::DVec3;
+use tessera::mesh::attributes::{Attributes, Scalar};
+use tessera::mesh::parts::Part;
+use tessera::mesh::regions::Regions;
+use tessera::mesh::shapes::Shape;
+use tessera::remesh::{Remesh, RemeshError, RemeshOptions, Seeds, remesh};
+use tessera::rvd::{Backend, Parallel, Serial};
+use tessera::{Token, TriMesh};
+
+use crate::rough::Random;
+
+fn sample(points: usize) -> RemeshOptions {
+    RemeshOptions::new(Seeds::Sample { points, seed: 0 })
+}
+
+fn run(mesh: &TriMesh, options: &RemeshOptions) -> Result<Remesh, RemeshError> {
+    remesh(mesh, options, &Parallel::new(Some(2)).unwrap(), &mut (), &Token::default())
+}
+
+fn bits(p: DVec3) -> [u64; 3] {
+    (p + DVec3::ZERO).to_array().map(f64::to_bits)
+}
+
+/// How many facets each edge has, by the places of its ends.
+fn edges(corners: impl Iterator<Item = [DVec3; 3]>) -> BTreeMap<[[u64; 3]; 2], usize> {
+    let mut all = BTreeMap::new();
+    for t in corners {
+        for k in 0..3 {
+            let mut ends = [bits(t[k]), bits(t[(k + 1) % 3])];
+            ends.sort_unstable();
+            *all.entry(ends).or_default() += 1;
+        }
+    }
+    all
+}
+
+fn edges_of(mesh: &TriMesh) -> BTreeMap<[[u64; 3]; 2], usize> {
+    edges((0..mesh.facets().len()).map(|f| mesh.corners(f)))
+}
+
+/// Checks that the first facets are those that stay, and that all of their edges have as many facets as before.
+fn assert_stays(name: &str, mesh: &TriMesh, done: &Remesh, must: impl Fn([DVec3; 3]) -> bool) {
+    let kept = done.report.result.kept.unwrap();
+    let name = format!("{name}: {kept:?}");
+    let given: Vec<[[u64; 3]; 3]> = (0..mesh.facets().len()).map(|f| mesh.corners(f).map(bits)).collect();
+    let mut left = given.iter();
+    for f in 0..kept.facets {
+        let corners = done.mesh.corners(f).map(bits);
+        assert!(left.any(|t| *t == corners), "{name}: facet {f} is none of the input's, or out of order");
+    }
+    let stay = (0..mesh.facets().len()).filter(|&f| must(mesh.corners(f))).count();
+    assert_eq!(kept.facets, stay + kept.further_facets, "{name}");
+    let (before, after) = (edges_of(mesh), edges_of(&done.mesh));
+    for (edge, _) in edges((0..kept.facets).map(|f| done.mesh.corners(f))) {
+        assert_eq!(after.get(&edge), before.get(&edge), "{name}: an edge of a facet that stays");
+    }
+    let (result, input) = (&done.report.result, &done.report.input);
+    assert_eq!(
+        (result.topology.euler, result.topology.components, result.topology.boundary_loops),
+        (input.topology.euler, input.topology.components, input.topology.boundary_loops),
+        "{name}"
+    );
+    assert_eq!(result.topology.non_manifold_edges, input.topology.non_manifold_edges, "{name}");
+    assert_eq!(crossings(&done.mesh, &Token::default()).unwrap().count, 0, "{name}");
+}
+
+fn touches(part: &Part, t: [DVec3; 3]) -> bool {
+    let &Part::Sphere { centre, radius } = part else { unreachable!("spheres are drawn") };
+    geometry::mesh::closest_point::closest_on_facet(centre, t, [0, 1, 2]).0.sqrt() <= radius
+}
+
+fn within_box(part: &Part, t: [DVec3; 3]) -> bool {
+    let &Part::Box { low, high } = part else { unreachable!("it is a box") };
+    // Facets are small beside the box.
+    let middle = (t[0] + t[1] + t[2]) / 3.0;
+    t.iter().chain([&middle]).any(|p| p.cmpge(low).all() && p.cmple(high).all())
+}
+
+fn within(part: &Part, t: [DVec3; 3]) -> bool {
+    let &Part::Sphere { centre, radius } = part else { unreachable!("spheres are drawn") };
+    t.iter().all(|p| p.distance(centre) <= radius)
+}
+
+fn ball(random: &mut Random, mesh: &TriMesh) -> Part {
+    let (low, high) = mesh.bounds();
+    let facet = (random.unit() * mesh.facets().len() as f64) as usize;
+    Part::Sphere { centre: mesh.corners(facet)[0], radius: (0.08 + 0.25 * random.unit()) * (high - low).length() }
+}
+
+#[test]
+fn parts_stay_to_the_bit_and_the_rest_meets_them() {
+    let mut random = Random::new(3);
+    for shape in [Shape::Sphere, Shape::Torus, Shape::Block, Shape::Plane] {
+        let mesh = shape.build(800);
+        for k in 0..2 {
+            let part = ball(&mut random, &mesh);
+            // From a fifth of the vertices to four times as many.
+            for points in [200, 500, 2000] {
+                let name = format!("{shape}, {part} {k}, {points}");
+                let keep = sample(points).with_keep(vec![part.clone()]);
+                let only = sample(points).with_only(vec![part.clone()]);
+                for (what, options) in [("keep", keep), ("only", only)] {
+                    let name = format!("{name} {what}");
+                    let done = match run(&mesh, &options) {
+                        Ok(done) => done,
+                        Err(RemeshError::TooFewForRims { .. } | RemeshError::AllKept) if points < 800 => continue,
+                        Err(error) => panic!("{name}: {error}"),
+                    };
+                    let must = |t| if what == "keep" { touches(&part, t) } else { !within(&part, t) };
+                    assert_stays(&name, &mesh, &done, must);
+                    let vertices = done.mesh.positions().len();
+                    assert!(vertices.abs_diff(points) * 50 <= points + 50, "{name}: {vertices} vertices");
+                    assert_eq!(done.vertex_seed.len(), vertices);
+                    assert!(done.vertex_seed.iter().all(|&seed| (seed as usize) < done.seeds.len()), "{name}");
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn rims_keep_their_vertices() {
+    for (shape, facets) in [(Shape::Plane, 800), (Shape::Square, 2), (Shape::Hills, 900), (Shape::Sheets, 600)] {
+        let mesh = shape.build(facets);
+        let boundary: Vec<_> = edges_of(&mesh).into_iter().filter(|edge| edge.1 == 1).map(|edge| edge.0).collect();
+        for points in [400, 1500] {
+            let done = run(&mesh, &sample(points).with_keep_rims(true)).unwrap();
+            let after: Vec<_> =
+                edges_of(&done.mesh).into_iter().filter(|edge| edge.1 == 1).map(|edge| edge.0).collect();
+            assert_eq!(after, boundary, "{shape}, {points}: {:?}", done.report.result.kept);
+            assert_stays(&format!("{shape}, {points}"), &mesh, &done, |_| false);
+        }
+    }
+}
+
+#[test]
+fn the_same_bits_on_all_threads_and_backends() {
+    let mesh = Shape::Torus.build(2000);
+    let part: Part = "box:-2,-2,-2,0.1,0.3,2".parse().unwrap();
+    let options = sample(1500).with_keep(vec![part]);
+    let of = |backend: &dyn Backend| remesh(&mesh, &options, backend, &mut (), &Token::default()).unwrap().mesh;
+    let one = of(&Parallel::new(Some(1)).unwrap());
+    assert!(of(&Parallel::new(Some(3)).unwrap()) == one);
+    let serial = remesh(&mesh, &options, &Serial, &mut (), &Token::default()).unwrap();
+    assert_stays("serial", &mesh, &serial, |t| within_box(&options.keep[0], t));
+}
+
+#[test]
+fn attributes_and_regions_stay() {
+    let mesh = Shape::Torus.build(2000);
+    let labels: Vec<i64> = (0..mesh.facets().len()).map(|f| i64::from(mesh.corners(f)[0].x > 0.0)).collect();
+    let mut attributes = Attributes::new(&mesh);
+    attributes.set_regions(Regions::of_numbers(&labels).unwrap()).unwrap();
+    let values = mesh.positions().iter().map(|p| (7.0 * p.x).sin()).collect();
+    attributes.add_scalar(Scalar::new("wave", values)).unwrap();
+    let done = run(&mesh, &sample(1200).with_attributes(attributes).with_keep(vec!["1".parse().unwrap()])).unwrap();
+    let kept = done.report.result.kept.unwrap();
+    assert_eq!(kept.facets - kept.further_facets, labels.iter().filter(|&&label| label == 1).count());
+    let carried = done.attributes.unwrap();
+    let after: Vec<i64> = carried.regions().unwrap().numbers().collect();
+    assert_eq!(after.len(), done.mesh.facets().len());
+    assert!(after[kept.facets..].iter().all(|&label| label == 0));
+    assert!(after[..kept.facets].iter().filter(|&&label| label == 0).count() == kept.further_facets);
+    // Edges are up to 0.15 long, and a chord of this wave is off by (7 · 0.15)² / 8.
+    for (v, (p, value)) in done.mesh.positions().iter().zip(&carried.scalars()[0].values).enumerate() {
+        assert!((value - (7.0 * p.x).sin()).abs() < if v < kept.vertices { 1e-300 } else { 0.2 }, "{v}: {value}");
+    }
+    for (p, place) in done.mesh.positions().iter().zip(&done.provenance) {
+        let corners = mesh.corners(place.facet as usize);
+        let there: DVec3 = (0..3).map(|k| corners[k] * place.barycentric[k]).sum();
+        assert!(p.distance(there) < 0.05, "{p} {there}");
+    }
+}
+
+#[test]
+fn what_cannot_be_is_refused() {
+    let mesh = Shape::Sphere.build(500);
+    let all: Part = "box:-2,-2,-2,2,2,2".parse().unwrap();
+    assert!(matches!(run(&mesh, &sample(100).with_keep(vec![all.clone()])), Err(RemeshError::AllKept)));
+    let none: Part = "sphere:9,9,9,1".parse().unwrap();
+    assert!(matches!(run(&mesh, &sample(100).with_only(vec![none.clone()])), Err(RemeshError::AllKept)));
+    assert!(run(&mesh, &sample(100).with_only(vec![none.clone(), all])).is_ok());
+    let nothing = run(&mesh, &sample(100).with_keep(vec![none])).unwrap();
+    assert_eq!(nothing.mesh, run(&mesh, &sample(100)).unwrap().mesh, "what keeps nothing changes nothing");
+    assert!(matches!(run(&mesh, &sample(100).with_keep(vec!["1".parse().unwrap()])), Err(RemeshError::Part(_))));
+    let half: Part = "box:-2,-2,-2,0,2,2".parse().unwrap();
+    let few = run(&mesh, &sample(20).with_keep(vec![half.clone()])).unwrap_err();
+    assert!(matches!(few, RemeshError::TooFewForRims { points: 20, .. }), "{few}");
+    let seeds = RemeshOptions::new(Seeds::Given(mesh.positions().to_vec())).with_keep(vec![half]);
+    assert!(matches!(run(&mesh, &seeds), Err(RemeshError::KeptBesideSeeds)));
+}
