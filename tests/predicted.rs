@@ -235,6 +235,11 @@ fn cases(server: &Server) -> Vec<Case> {
     };
     let dense = |source: DensitySource| Some(Density { source: source.into(), ..Density::default() });
     let length = |edge_length| Some(Density { edge_length: Some(edge_length), ..Density::default() });
+    let zoned = |edge: f64| {
+        let size_in = vec![format!("sphere:0.5,0.5,0.5,9={edge}")];
+        let density = Some(Density { edge_length: Some(0.2), size_in, ..Density::default() });
+        RemeshOptions { points: None, density, ..remesh(0) }
+    };
     let implied = |edge| RemeshOptions { points: None, density: length(edge), ..remesh(0) };
     let arrays = |scalars: usize| {
         let positions = numbers(fine.positions().iter().flat_map(|p| p.to_array()));
@@ -343,6 +348,7 @@ fn cases(server: &Server) -> Vec<Case> {
         case("weights", on_fine.clone(), beside(&on_fine, JobArrays { weights, ..JobArrays::default() })),
         case("creases", on_fine.clone(), edges(ArrayForm::U32)),
         case("creases of a text", on_fine.clone(), edges(ArrayForm::Text)),
+        case("edge lengths of a part", on(&cube, zoned(0.2)), on(&cube, zoned(0.02))),
         case("edge length without points", on(&cube, implied(0.2)), on(&cube, implied(0.02))),
         upper("tolerance", base(), with(&|o| (o.max_deviation, o.max_points) = (Some(0.5), Some(5000)))),
         upper("a lift", base(), with(&|o| (o.points, o.anisotropy) = (Some(5000), Some(1.0)))),
@@ -432,6 +438,7 @@ const GROWN: &[&str] = &[
     "CvtStep.iterations",
     "CvtStep.seeds",
     "Density.edge_length",
+    "Density.size_in",
     "Density.source",
     "DiagramOptions.outputs",
     "DiagramOptions.points",

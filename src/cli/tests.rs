@@ -76,6 +76,7 @@ fn options_come_through_the_message() {
         "--weld 0.01",
         "--non-manifold keep",
         "--weld 0.01%",
+        "--size-in steel=0.5 --size-in sphere:0,0,0,1=0.25 --gradation 0.5",
         "--keep steel --keep box:-1,0,0,1,1,1 --only sphere:0,0,0,1 --keep-rims --source-map",
     ] {
         let (_, given) = asked(line);

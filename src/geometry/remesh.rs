@@ -267,7 +267,8 @@ pub struct RemeshOptions {
     /// each sheet has its own, in the same places.
     pub keep_non_manifold: bool,
     /// Parts that stay as they are: their facets come first in the result, with the vertices and the order that they have. Facets that
-    /// touch a box or a ball are of it. The number of points counts all vertices of the result.
+    /// touch a box or a ball are of it. The number of points counts all vertices of the result. Sheets that meet have their vertices in
+    /// common, as for [`Self::keep_non_manifold`].
     pub keep: Vec<Part>,
     /// Parts that are remeshed; all else stays as for [`Self::keep`]. Facets are of a box or a ball if they are in it wholly. All of the
     /// surface if empty.
@@ -450,10 +451,21 @@ pub enum RemeshError {
     #[error("seeds are given, and parts of the surface are to stay; give a number of points, or keep nothing")]
     KeptBesideSeeds,
     /// All of the surface is to stay.
-    #[error("all facets of the surface stay, and nothing is left to remesh; keep less")]
+    #[error(
+        "all facets of the surface stay: too much is kept, or no facet lies wholly in what alone is to be remeshed"
+    )]
     AllKept,
+    /// Vertices of one part lie on edges of another, and one of the two is to stay.
+    #[error(
+        "{edges} edges have vertices of other facets on them, where a part is to stay: the rest cannot be divided there; remesh the \
+         input without keeping anything first, or keep nothing beside them"
+    )]
+    KeptAcrossJunction {
+        /// How many edges.
+        edges: usize,
+    },
     /// Vertices that stay are more than the points that were asked for.
-    #[error("{rims} vertices stay, and {points} points are too few beside them; give more points, for example {}", 2 * rims)]
+    #[error("{rims} vertices stay, and {points} points are too few beside them; give more points, for example {}", 2 * rims.max(points))]
     TooFewForRims {
         /// How many points there are.
         points: usize,

@@ -226,7 +226,7 @@ mod tests {
             fields.set(name, text).unwrap_err();
         }
         let options = fields.finish();
-        let density = options.density.unwrap();
+        let density = options.density.clone().unwrap();
         assert_eq!(options.keep, ["steel", "box:0,0,0,1,1,1"]);
         assert_eq!((options.points, options.seed, options.projection()), (Some(10_000), Some(7), Projection::Surface));
         assert_eq!((density.source(), density.gradation, options.lloyd), (DensitySource::Lfs, Some(0.5), None));

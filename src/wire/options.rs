@@ -5,6 +5,8 @@
 //! refusal has the field's path below the options. An option that is not set has the library's default, and no number here is
 //! one. Must not know: streams, jobs, how arrays arrive, what an option does.
 
+use std::str::FromStr;
+
 use glam::DVec3;
 
 use super::counts::Bounds;
@@ -12,7 +14,7 @@ use super::proto::{self, BoundaryRule, Measure, NonManifoldRule, RvdOutput, Thin
 use super::{WireError, unknown_enum};
 use geometry::cvt::density::{DensityOptions, DensitySource};
 use geometry::cvt::{CvtOptions, Projection};
-use geometry::mesh::parts::{Part, PartError};
+use geometry::mesh::parts::{Part, PartError, Zone};
 use geometry::mesh::tensor::Tensor;
 use geometry::remesh::{Anisotropy, Placement, Refine, RemeshOptions, Seeds, Share, Tolerance};
 
@@ -235,8 +237,8 @@ pub fn remesh(given: &proto::RemeshOptions, beside: Beside, bounds: &Bounds) -> 
 /// The most parts that are named.
 const MOST_PARTS: usize = 64;
 
-/// Parts of a surface.
-fn parts(path: &str, given: &[String]) -> Read<Vec<Part>> {
+/// Parts of a surface, or zones.
+fn parts<T: FromStr<Err = PartError>>(path: &str, given: &[String]) -> Read<Vec<T>> {
     if given.len() > MOST_PARTS {
         return Err(WireError::field(path, format!("has {} parts; at most {MOST_PARTS} are possible", given.len())));
     }
@@ -318,7 +320,7 @@ fn first(seeds: &Seeds, beside: Beside) -> Option<u64> {
 
 fn density(given: Option<&proto::Density>, beside: Beside, bounds: &Bounds) -> Read<DensityOptions> {
     use proto::DensitySource as Source;
-    let proto::Density { source, edge_length, adaptivity, gradation } = given.copied().unwrap_or_default();
+    let proto::Density { source, edge_length, adaptivity, gradation, size_in } = given.cloned().unwrap_or_default();
     let kind = match choice("density.source", source)? {
         Source::Unspecified if beside.edge_lengths => Source::EdgeLengths,
         Source::Unspecified if beside.weights => Source::Weights,
@@ -353,8 +355,14 @@ fn density(given: Option<&proto::Density>, beside: Beside, bounds: &Bounds) -> R
     if let Some(adaptivity) = adaptivity.filter(|share| !(0.0..=1.0).contains(share)) {
         return Err(WireError::field("density.adaptivity", format!("is {adaptivity}; give a number from 0 to 1")));
     }
+    let zones = parts("density.size_in", &size_in)?;
+    if !zones.is_empty() && matches!(kind, Source::Weights | Source::Metric) {
+        let text = "is given beside weights or a metric, which say how long all edges are; leave one of the two out";
+        return Err(WireError::field("density.size_in", text));
+    }
     let usual = DensityOptions::default();
     Ok(DensityOptions {
+        zones,
         source: match kind {
             Source::Unspecified | Source::Uniform => DensitySource::Uniform,
             Source::Weights => DensitySource::Weights(Vec::new()),
@@ -477,6 +485,7 @@ pub fn of_remesh(options: &RemeshOptions) -> proto::RemeshOptions {
             edge_length: options.density.edge_length,
             adaptivity: bounded.then_some(options.density.adaptivity),
             gradation: bounded.then_some(options.density.gradation),
+            size_in: options.density.zones.iter().map(Zone::to_string).collect(),
         }),
         lloyd: Some(count(options.lloyd)),
         newton: Some(count(options.newton)),

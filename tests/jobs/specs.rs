@@ -163,7 +163,7 @@ fn options() -> impl Strategy<Value = RemeshOptions> {
             RemeshOptions {
                 points: Some(points),
                 seed,
-                density: Some(Density { source, edge_length: None, adaptivity, gradation }),
+                density: Some(Density { source, edge_length: None, adaptivity, gradation, size_in: Vec::new() }),
                 lloyd,
                 newton,
                 projection,

@@ -1,6 +1,6 @@
 //! Parts that stay to the bit, and rims that keep their vertices.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use geometry::mesh::crossings::crossings;
 use glam::DVec3;
@@ -59,6 +59,19 @@ fn assert_stays(name: &str, mesh: &TriMesh, done: &Remesh, must: impl Fn([DVec3;
     for (edge, _) in edges((0..kept.facets).map(|f| done.mesh.corners(f))) {
         assert_eq!(after.get(&edge), before.get(&edge), "{name}: an edge of a facet that stays");
     }
+    let mut curves: Vec<[u32; 2]> = done.curve_edges.iter().map(|&[a, b]| [a.min(b), a.max(b)]).collect();
+    curves.sort_unstable();
+    curves.dedup();
+    assert_eq!(curves.len(), done.curve_edges.len(), "{name}: each edge once");
+    let ends = |&[a, b]: &[u32; 2]| {
+        let mut ends = [a, b].map(|v| bits(done.mesh.positions()[v as usize]));
+        ends.sort_unstable();
+        ends
+    };
+    let curves: BTreeSet<_> = curves.iter().map(ends).collect();
+    let first = edges((0..kept.facets).map(|f| done.mesh.corners(f)));
+    let rims = first.iter().filter(|(edge, count)| after[*edge] > **count);
+    assert!(rims.clone().all(|(edge, _)| curves.contains(edge)), "{name}: rims are curves");
     let (result, input) = (&done.report.result, &done.report.input);
     assert_eq!(
         (result.topology.euler, result.topology.components, result.topology.boundary_loops),
@@ -193,4 +206,76 @@ fn what_cannot_be_is_refused() {
     assert!(matches!(few, RemeshError::TooFewForRims { points: 20, .. }), "{few}");
     let seeds = RemeshOptions::new(Seeds::Given(mesh.positions().to_vec())).with_keep(vec![half]);
     assert!(matches!(run(&mesh, &seeds), Err(RemeshError::KeptBesideSeeds)));
+}
+
+#[test]
+fn vertices_of_facets_of_their_own_are_joined_and_sheets_face_as_before() {
+    // As files that name no vertices have them.
+    let torus = Shape::Torus.build(1200);
+    let positions = (0..torus.facets().len()).flat_map(|f| torus.corners(f)).collect();
+    let facets = (0..torus.facets().len() as u32).map(|f| [3 * f, 3 * f + 1, 3 * f + 2]).collect();
+    let loose = TriMesh::new(positions, facets).unwrap();
+    let options = sample(900).with_keep(vec!["box:-2,-2,-2,0.037,2,2".parse().unwrap()]);
+    let done = run(&loose, &options).unwrap();
+    let used: BTreeSet<u32> = done.mesh.facets().iter().flatten().copied().collect();
+    assert_eq!(used.len(), done.mesh.positions().len());
+    assert_eq!(used.len(), done.mesh.positions().iter().map(|&p| bits(p)).collect::<BTreeSet<_>>().len());
+    assert_stays("loose", &loose, &done, |t| t.iter().any(|p| p.x <= 0.037));
+
+    // Three pages at one spine, each with its own way to face.
+    let (mut positions, mut facets) = (Vec::new(), Vec::new());
+    for page in 0..3 {
+        let (sin, cos) = (f64::from(page) * std::f64::consts::TAU / 3.0).sin_cos();
+        let first = positions.len() as u32;
+        positions.extend((0..=10).flat_map(|i| (0..=10).map(move |j| (i, j))).map(|(i, j)| {
+            let r = f64::from(i) / 10.0;
+            DVec3::new(r * cos, r * sin, f64::from(j) / 10.0) + DVec3::ZERO
+        }));
+        for (i, j) in (0..10).flat_map(|i| (0..10).map(move |j| (i, j))) {
+            let at = |i: u32, j: u32| first + 11 * i + j;
+            facets.extend([[at(i, j), at(i + 1, j), at(i, j + 1)], [at(i + 1, j), at(i + 1, j + 1), at(i, j + 1)]]);
+        }
+    }
+    let book = TriMesh::new(positions, facets).unwrap();
+    for keep in [false, true] {
+        let part = "box:-2,-2,0.35,2,2,0.75".parse().unwrap();
+        let done = run(&book, &sample(400).with_only(vec![part]).with_keep_non_manifold(keep)).unwrap();
+        let mut sides: BTreeMap<[[u64; 3]; 2], usize> = BTreeMap::new();
+        for f in 0..done.mesh.facets().len() {
+            let t = done.mesh.corners(f).map(bits);
+            (0..3).for_each(|k| *sides.entry([t[k], t[(k + 1) % 3]]).or_default() += 1);
+        }
+        let spine = |side: &[[u64; 3]; 2]| side.iter().all(|p| f64::from_bits(p[0]).hypot(f64::from_bits(p[1])) < 1e-9);
+        let odd = sides.iter().filter(|(side, count)| **count > 1 && !spine(side)).count();
+        assert_eq!(odd, 0, "keep: {keep}");
+    }
+}
+
+#[test]
+fn what_would_tear_is_refused() {
+    let cube = Shape::Block.build(12);
+    let four = run(&cube, &sample(4).with_keep(vec![Part::Facets(vec![0, 1])]));
+    assert!(four.is_err(), "{:?}", four.map(|done| done.report.result.topology));
+    // Two grids, of which one has vertices on the edges of the other.
+    let grid = |n: u32, x: f64| {
+        let positions: Vec<DVec3> = (0..=n)
+            .flat_map(|i| {
+                (0..=n).map(move |j| DVec3::new(x + f64::from(i) / f64::from(n), f64::from(j) / f64::from(n), 0.0))
+            })
+            .collect();
+        let facets: Vec<[u32; 3]> = (0..n)
+            .flat_map(|i| (0..n).map(move |j| (i * (n + 1) + j, (i + 1) * (n + 1) + j)))
+            .flat_map(|(a, b)| [[a, b, a + 1], [b, b + 1, a + 1]])
+            .collect();
+        (positions, facets)
+    };
+    let ((mut positions, mut facets), (more, others)) = (grid(6, 0.0), grid(9, 1.0));
+    let first = positions.len() as u32;
+    positions.extend(more);
+    facets.extend(others.iter().map(|t| t.map(|v| v + first)));
+    let mesh = TriMesh::new(positions, facets).unwrap();
+    assert!(run(&mesh, &sample(300)).is_ok());
+    let part = "box:0,0,0,0.95,1,0".parse().unwrap();
+    let torn = run(&mesh, &sample(300).with_keep(vec![part]));
+    assert!(matches!(torn, Err(RemeshError::KeptAcrossJunction { .. })));
 }

@@ -47,3 +47,4 @@ mod sheets;
 mod stray;
 mod thin;
 mod vertex_count;
+mod zones;

@@ -94,32 +94,32 @@ async fn wrong_densities_are_refused_by_field() {
     let none = Density::default();
     let at = |field: &str| format!("header.options.{field}");
     for (points, given, path) in [
-        (Some(10), Density { source: 99, ..none }, at("density.source")),
+        (Some(10), Density { source: 99, ..none.clone() }, at("density.source")),
         (Some(10), density(DensitySource::EdgeLengths), at("density.source")),
         (Some(10), density(DensitySource::Weights), at("density.source")),
-        (Some(10), Density { edge_length: Some(0.1), ..none }, at("density.edge_length")),
-        (None, Density { edge_length: Some(-0.1), ..none }, at("density.edge_length")),
-        (None, Density { edge_length: Some(f64::NAN), ..none }, at("density.edge_length")),
-        (Some(10), Density { adaptivity: Some(2.0), ..none }, at("density.adaptivity")),
-        (Some(10), Density { gradation: Some(0.0), ..none }, at("density.gradation")),
-        (None, none, at("points")),
-        (Some(0), none, at("points")),
+        (Some(10), Density { edge_length: Some(0.1), ..none.clone() }, at("density.edge_length")),
+        (None, Density { edge_length: Some(-0.1), ..none.clone() }, at("density.edge_length")),
+        (None, Density { edge_length: Some(f64::NAN), ..none.clone() }, at("density.edge_length")),
+        (Some(10), Density { adaptivity: Some(2.0), ..none.clone() }, at("density.adaptivity")),
+        (Some(10), Density { gradation: Some(0.0), ..none.clone() }, at("density.gradation")),
+        (None, none.clone(), at("points")),
+        (Some(0), none.clone(), at("points")),
         (None, density(DensitySource::Curvature), at("points")),
         // More than the server takes; known only once the surface is there.
-        (None, Density { edge_length: Some(1e-9), ..none }, at("density")),
+        (None, Density { edge_length: Some(1e-9), ..none.clone() }, at("density")),
     ] {
-        let status = remesh(&mut client, header(points, given), &[]).await.unwrap_err();
+        let status = remesh(&mut client, header(points, given.clone()), &[]).await.unwrap_err();
         assert_eq!(field(&status), path, "{given:?}: {status:?}");
     }
     let of = |count, given| with_lengths(count, header(10, given));
     for (header, path) in [
-        (of(5, none), "header.mesh.edge_lengths"),
+        (of(5, none.clone()), "header.mesh.edge_lengths"),
         (of(vertices, density(DensitySource::Curvature)), "header.options.density.source"),
     ] {
         let status = remesh(&mut client, header, &[]).await.unwrap_err();
         assert_eq!(field(&status), path, "{status:?}");
     }
-    let given = || with_lengths(vertices, header(None, none));
+    let given = || with_lengths(vertices, header(None, none.clone()));
     let mut lengths = vec![0.2; vertices as usize];
     lengths[11] = f64::NAN;
     let status = remesh(&mut client, given(), &lengths).await.unwrap_err();

@@ -5,11 +5,12 @@
 //! Invariant: a name that nobody reads is an error, so that a misspelt option is not passed over. Must not know: what is done.
 
 use std::cell::RefCell;
+use std::str::FromStr;
 
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyString};
 use tessera::mesh::attributes::{Attributes, ColourDepth, Colours, Normals, PerCorner, Scalar};
-use tessera::mesh::parts::Part;
+use tessera::mesh::parts::PartError;
 use tessera::{
     Anisotropy, DensityOptions, DensitySource, Placement, Projection, Refine, RemeshOptions, Seeds, Share, Tolerance,
     TriMesh,
@@ -136,6 +137,7 @@ impl<'py> Options<'py> {
         if let Some(adaptivity) = self.get("adaptivity", "a number from 0 to 1")? {
             density.adaptivity = adaptivity;
         }
+        density.zones = self.parts("size_in")?;
         density.check().map_err(input)?;
         Ok(density)
     }
@@ -194,8 +196,8 @@ impl<'py> Options<'py> {
         }
     }
 
-    /// Parts of the surface, as texts.
-    fn parts(&self, name: &'static str) -> PyResult<Vec<Part>> {
+    /// Parts of the surface, or zones, as texts.
+    fn parts<T: FromStr<Err = PartError>>(&self, name: &'static str) -> PyResult<Vec<T>> {
         let texts: Vec<String> = self.get(name, "a list of texts")?.unwrap_or_default();
         texts.iter().map(|text| text.parse().map_err(|error| input(format!("{name}: {error}")))).collect()
     }

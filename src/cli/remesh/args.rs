@@ -20,7 +20,7 @@ use geometry::mesh::TriMesh;
 use geometry::mesh::attributes::Attributes;
 use geometry::mesh::features::Features;
 use geometry::mesh::io::{Format, RegionChoice};
-use geometry::mesh::parts::{Part, PartError};
+use geometry::mesh::parts::{Part, PartError, Zone};
 use geometry::remesh::{Anisotropy, RemeshOptions, Seeds};
 use geometry::token::Token;
 use server::config::{BackendArgs, count, whole};
@@ -116,6 +116,10 @@ pub(crate) struct SizeArgs {
     #[arg(long, value_name = "G", default_value_t = DensityOptions::default().gradation, value_parser = positive)]
     #[arg(allow_negative_numbers = true)]
     pub(crate) gradation: f64,
+    /// Length of the edges in a part, as often as there are parts: box:X0,Y0,Z0,X1,Y1,Z1=H, sphere:X,Y,Z,R=H, or a region: NAME=H.
+    /// Around it lengths grow by --gradation.
+    #[arg(long, value_name = "PART=H", value_parser = zone, allow_negative_numbers = true, conflicts_with = "metric")]
+    pub(crate) size_in: Vec<Zone>,
     /// 0 for edges of one length, 1 for lengths as --density or --sizes says.
     #[arg(long, value_name = "A", default_value_t = DensityOptions::default().adaptivity)]
     #[arg(allow_negative_numbers = true)]
@@ -228,6 +232,10 @@ fn distance(text: &str) -> Result<String, String> {
 }
 
 fn part(text: &str) -> Result<Part, String> {
+    text.parse().map_err(|error: PartError| error.to_string())
+}
+
+fn zone(text: &str) -> Result<Zone, String> {
     text.parse().map_err(|error: PartError| error.to_string())
 }
 

@@ -17,9 +17,11 @@ mod options;
 mod outline;
 mod refine;
 mod size_field;
+mod zones;
 
 use std::borrow::Cow;
 
+use glam::DVec3;
 use serde::Serialize;
 
 use crate::mesh::TriMesh;
@@ -135,23 +137,35 @@ pub fn plan<'a>(
     count: Count,
     token: &Token,
 ) -> Result<Plan<'a>, DensityError> {
-    plan_beside(mesh, options, count, &[], token)
+    plan_beside(mesh, options, count, Beside::default(), token)
 }
 
-/// [`plan`], where edges at some vertices have lengths already, caller's units: there the density is near theirs, which no weights that
-/// are given, and no metric, are.
+/// What a density takes into account beside its options.
+#[derive(Clone, Copy, Default)]
+pub(crate) struct Beside<'a> {
+    /// Lengths that edges have already at some vertices, caller's units: there the density is near theirs, which no weights that are
+    /// given, and no metric, are.
+    pub(crate) lengths: &'a [(u32, f64)],
+    /// Where a place of the surface was before its sheets were moved apart.
+    pub(crate) before: Option<&'a (dyn Fn(DVec3) -> DVec3 + Sync)>,
+}
+
+/// [`plan`], with what is beside the options.
 pub(crate) fn plan_beside<'a>(
     mesh: &'a TriMesh,
     options: &DensityOptions,
     count: Count,
-    lengths: &[(u32, f64)],
+    beside: Beside<'_>,
     token: &Token,
 ) -> Result<Plan<'a>, DensityError> {
     options.check()?;
+    if !options.zones.is_empty() {
+        return zones::plan(mesh, options, count, beside, token);
+    }
     match &options.source {
         DensitySource::Weights(_) => level(mesh, options, count, token),
-        DensitySource::Uniform if lengths.is_empty() => level(mesh, options, count, token),
-        _ => varying(mesh, options, count, lengths, token),
+        DensitySource::Uniform if beside.lengths.is_empty() => level(mesh, options, count, token),
+        _ => varying(mesh, options, count, (beside.lengths, &[]), token),
     }
 }
 
@@ -189,7 +203,7 @@ fn varying<'a>(
     mesh: &'a TriMesh,
     options: &DensityOptions,
     count: Count,
-    lengths: &[(u32, f64)],
+    (lengths, of_zones): (&[(u32, f64)], &[f64]),
     token: &Token,
 ) -> Planned<'a> {
     let net = Net::new(mesh, token)?;
@@ -201,7 +215,9 @@ fn varying<'a>(
         ratio: MOST_RATIO,
         ..DensityOptions::default()
     });
-    let bounds = free.as_ref().unwrap_or(options);
+    // What is asked for in so many words is not lengthened or shortened.
+    let wide = (!of_zones.is_empty()).then(|| DensityOptions { ratio: MOST_RATIO, ..options.clone() });
+    let bounds = free.as_ref().or(wide.as_ref()).unwrap_or(options);
     let target = match (count, options.edge_length, &options.source) {
         (Count::Points(points), ..) => Some(points as f64),
         (Count::Implied, _, DensitySource::Sizes(_) | DensitySource::Metric(_)) => None,
@@ -243,11 +259,17 @@ fn varying<'a>(
         _ => None,
     };
     let beside = if in_metric { Vec::new() } else { net.by_vertex(lengths) };
-    let limits = Limits { least: least.as_ref(), beside: &beside };
+    let limits = Limits { least: least.as_ref(), of_zones, beside: &beside };
     let (Bounded { field, graded, outside, points }, noise, smoothing_rounds) =
         without_noise(field, limits, &net, bounds, target, token)?;
     token.check()?;
     let points_implied = points;
+    match count {
+        Count::Points(asked) if !of_zones.is_empty() && points > MOST_OF_ZONES * asked as f64 => {
+            return Err(DensityError::ZonesNeed { needed: points.ceil() as usize, points: asked });
+        }
+        _ => {}
+    }
     let points = match count {
         Count::Points(points) => points,
         Count::Implied => rounded(target.unwrap_or(points_implied), options.max_points)?,
@@ -276,6 +298,9 @@ fn varying<'a>(
 fn most_facets(mesh: &TriMesh, points: usize) -> usize {
     (mesh.facets().len() + 64 * points + 1000).min(crate::mesh::MAX_ELEMENTS)
 }
+
+/// Zones may need so many times the points that there are: rounding, and what the search for a factor leaves.
+const MOST_OF_ZONES: f64 = 1.05;
 
 fn within(points: usize, limit: usize) -> Result<usize, DensityError> {
     if points <= limit { Ok(points) } else { Err(DensityError::PointLimit { points, limit }) }

@@ -338,6 +338,11 @@ impl Attributes {
         Ok(())
     }
 
+    /// Whether any has a value for each vertex or corner.
+    pub(crate) fn are_by_vertex(&self) -> bool {
+        self.normals.is_some() || self.texture.is_some() || self.colours.is_some() || !self.scalars.is_empty()
+    }
+
     /// Keeps the scalars whose names are accepted.
     pub(crate) fn retain_scalars(&mut self, keep: impl Fn(&str) -> bool) {
         self.scalars.retain(|scalar| keep(&scalar.name));

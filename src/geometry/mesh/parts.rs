@@ -64,6 +64,12 @@ pub enum PartError {
         /// The beginning of the text.
         text: String,
     },
+    /// A text is none of a zone.
+    #[error("{text:?} is no zone: give PART=LENGTH with a finite length above 0")]
+    NoZone {
+        /// The beginning of the text.
+        text: String,
+    },
     /// The surface has no such region.
     #[error("there is no region {name:?}; there are {known}")]
     NoSuchRegion {
@@ -86,6 +92,36 @@ pub enum PartError {
         /// How many there are.
         facets: usize,
     },
+}
+
+/// A part of a surface, and how long its edges are to be. As text: `PART=LENGTH`.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Zone {
+    /// The part.
+    pub part: Part,
+    /// The length, caller's units, finite and above 0.
+    pub length: f64,
+}
+
+impl FromStr for Zone {
+    type Err = PartError;
+
+    fn from_str(text: &str) -> Result<Self, PartError> {
+        let read = || {
+            let (part, length) = text.rsplit_once('=')?;
+            let length = length.trim().parse().ok().filter(|length: &f64| length.is_finite() && *length > 0.0)?;
+            Some((part, length))
+        };
+        let (part, length) =
+            read().ok_or_else(|| PartError::NoZone { text: text.chars().take(MOST_SHOWN).collect() })?;
+        Ok(Self { part: part.parse()?, length })
+    }
+}
+
+impl fmt::Display for Zone {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}={}", self.part, self.length)
+    }
 }
 
 /// The most regions that an error names.
@@ -132,6 +168,26 @@ impl Part {
                 }
             },
         })
+    }
+}
+
+impl Part {
+    /// How far a place is from a box or a ball, 0 inside; infinite for other parts.
+    pub(crate) fn distance(&self, p: DVec3) -> f64 {
+        match *self {
+            Self::Box { low, high } => (low - p).max(p - high).max(DVec3::ZERO).length(),
+            Self::Sphere { centre, radius } => (p.distance(centre) - radius).max(0.0),
+            Self::Region(_) | Self::Facets(_) => f64::INFINITY,
+        }
+    }
+
+    /// The area that a box or a ball has of a plane at most; infinite for other parts.
+    pub(crate) fn most_area(&self) -> f64 {
+        match *self {
+            Self::Box { low, high } => std::f64::consts::PI * 0.25 * (high - low).length_squared(),
+            Self::Sphere { radius, .. } => std::f64::consts::PI * radius * radius,
+            Self::Region(_) | Self::Facets(_) => f64::INFINITY,
+        }
     }
 }
 
@@ -217,6 +273,17 @@ mod tests {
             "sphere:0,0,0,inf",
         ] {
             assert!(matches!(text.parse::<Part>(), Err(PartError::Unreadable { .. })), "{text}");
+        }
+    }
+
+    #[test]
+    fn zones_are_read_and_written() {
+        for text in ["box:-1,-2,0,1,2,0.5=0.25", "steel=1e-3", "region:a=b:c=7"] {
+            let zone: Zone = text.parse().unwrap();
+            assert_eq!(zone.to_string().parse::<Zone>().unwrap(), zone, "{text}");
+        }
+        for text in ["", "steel", "steel=", "steel=0", "steel=-1", "steel=inf", "=1"] {
+            assert!(text.parse::<Zone>().is_err(), "{text}");
         }
     }
 

@@ -176,7 +176,7 @@ fn run_stages(
     let separated = preprocessed.separate(given, (options, rims), token)?;
     let Separated { apart, options: adapted, topology, seams, rims: of_sheets } = separated;
     let rims = of_sheets.as_deref().unwrap_or(rims);
-    let asked = Asked { held: Held { seams: seams.as_ref(), rims }, ..asked };
+    let asked = Asked { apart: apart.as_ref(), held: Held { seams: seams.as_ref(), rims }, ..asked };
     token.check()?;
     let (clean, options) = (preprocessed.mesh(given), adapted.as_ref().unwrap_or(options));
     let separated = apart.as_ref().map_or(clean, |apart| &apart.mesh);

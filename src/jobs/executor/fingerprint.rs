@@ -71,11 +71,12 @@ mod tests {
             edge_length: Some(0.5),
             adaptivity: Some(0.25),
             gradation: Some(0.3),
+            size_in: vec!["steel=0.5".to_owned()],
         };
         let remesh = RemeshOptions {
             points: Some(100),
             seed: Some(1),
-            density: Some(density),
+            density: Some(density.clone()),
             lloyd: Some(3),
             newton: Some(4),
             projection: Projection::Surface.into(),

@@ -411,7 +411,7 @@ fn result_format(given: Option<&proto::ResultFormat>) -> Read<ResultFormat> {
 
 fn session(given: &proto::CvtJob, beside: Beside) -> Read<Operation> {
     let proto::CvtJob { options, commands } = given;
-    let options = options.unwrap_or_default();
+    let options = options.clone().unwrap_or_default();
     let session = options::session(&options, beside, &Bounds::WIDEST).map_err(|error| error.under("options"))?;
     within("commands", commands.len() as u64, 1, MAX_COMMANDS)?;
     let commands = commands.iter().enumerate().map(|(i, command)| {

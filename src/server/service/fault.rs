@@ -204,9 +204,10 @@ fn of_remesh(error: &RemeshError) -> Fault {
         RemeshError::MetricBeside { .. } => "header.options.density".to_owned(),
         RemeshError::RefineUnfitted => "header.options.max_deviation".to_owned(),
         RemeshError::RefineLimit { .. } => "header.options.max_points".to_owned(),
-        RemeshError::Part(_) | RemeshError::AllKept | RemeshError::RimsMissed { .. } => {
-            "header.options.keep".to_owned()
-        }
+        RemeshError::Part(_)
+        | RemeshError::AllKept
+        | RemeshError::KeptAcrossJunction { .. }
+        | RemeshError::RimsMissed { .. } => "header.options.keep".to_owned(),
         RemeshError::KeptBesideSeeds => "seeds".to_owned(),
         RemeshError::TooFewForRims { .. } => "header.options.points".to_owned(),
         // What an upload carries is checked when it is collected, where its index is known.
@@ -236,6 +237,9 @@ fn of_density(error: &DensityError) -> Fault {
         | DensityError::MetricNotPositive { vertex, .. }
         | DensityError::MetricRange { vertex } => format!("mesh.metric[{vertex}]"),
         DensityError::BadOption { name, .. } => format!("header.options.density.{}", name.replace(' ', "_")),
+        DensityError::ZonesBeside { .. } | DensityError::ZonesNeed { .. } | DensityError::Part(_) => {
+            "header.options.density.size_in".to_owned()
+        }
         DensityError::NoCount | DensityError::PointLimit { .. } => "header.options.points".to_owned(),
         DensityError::TooManyPoints { .. } => "header.options.density".to_owned(),
         DensityError::Stopped(reason) => return of_stopped(*reason),

@@ -104,7 +104,7 @@ def remesh_options(surface: Surface, given: dict[str, Any]) -> tuple[dict[str, A
     given.update(_density(given.pop("density")))
     given["sizes"], given["seeds"] = meshes._floats(given["sizes"]), meshes._floats(given["seeds"])
     given["metric"] = _tensors(given["metric"])
-    for name in ("keep", "only"):
+    for name in ("keep", "only", "size_in"):
         given[name] = [given[name]] if isinstance(given[name], str) else given[name] and list(given[name])
     lists = [edges for edges in (named, _edges(given["creases"])) if edges is not None]
     given["creases"] = np.concatenate(lists) if len(lists) > 1 else next(iter(lists), None)
@@ -122,6 +122,7 @@ def remesh(
     sizes: ArrayLike | None = None,
     metric: ArrayLike | None = None,
     gradation: float | None = None,
+    size_in: str | Sequence[str] | None = None,
     adaptivity: float | None = None,
     max_deviation: float | None = None,
     max_points: float | str | None = None,
@@ -177,6 +178,7 @@ def remesh(
         metric: (n, 6) float, a metric tensor for each vertex: m11 m12 m22 m13 m23 m33; or (n, 3, 3). An edge e gets about length
             1, the root of e @ M @ e. With `points` the metric is scaled for their number.
         gradation: the most that edge lengths grow per distance, above 0.
+        size_in: lengths of edges in parts: "PART=LENGTH" with a part as for `keep`, or several. Lengths around grow by `gradation`.
         adaptivity: 0 for edges of one length, 1 for lengths as `density` or `sizes` says.
         max_deviation: adds points where the result is farther than this from the mesh, percent of the diagonal of its box.
         max_points: the most points that `max_deviation` may come to; twice `points` if None.

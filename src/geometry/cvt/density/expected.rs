@@ -4,9 +4,12 @@
 //! alone. Invariant: linear in the facets. Figures are estimates: within a factor of two for spread points.
 //! Must not know: memory, seconds.
 
+use glam::DVec3;
+
 use super::outline::POINTS_PER_AREA;
 use super::{Count, DensityOptions, DensitySource};
 use crate::mesh::TriMesh;
+use crate::mesh::parts::Part;
 use crate::token::{Stopped, Token};
 
 /// Cells of a spread of one seed per unit of volume that a line of unit length crosses (1.455 for random ones).
@@ -51,6 +54,13 @@ impl Expected {
             let (own, _) = sizes_of(f);
             area += own;
             let least = |sizes: &Vec<f64>| facet.iter().map(|&v| sizes[v as usize]).fold(f64::INFINITY, f64::min);
+            // At most what lies in zones, each of which is as large as it may be in a plane.
+            for zone in &options.zones {
+                let within = zone.part.most_area() / extent / extent;
+                let touched = zone.part.most_area().is_finite() && touches(&zone.part, mesh.corners(f));
+                let length = zone.length / extent;
+                implied += if touched { POINTS_PER_AREA * own.min(within) / length / length } else { 0.0 };
+            }
             let edge = options.edge_length.or_else(|| sizes.map(least)).unwrap_or(f64::INFINITY) / extent;
             implied += POINTS_PER_AREA * own / edge / edge;
         }
@@ -77,6 +87,12 @@ impl Expected {
         let extra = (pairs - UNUSUAL * usual).max(0.0);
         Ok(Self { points, extra_pairs: if extra.is_finite() { extra as u64 } else { 0 }, is_crowded: solid < sheets })
     }
+}
+
+/// Whether a facet may have a point in a box or a ball.
+fn touches(part: &Part, [a, b, c]: [DVec3; 3]) -> bool {
+    let middle = (a + b + c) / 3.0;
+    part.distance(middle) <= middle.distance(a).max(middle.distance(b)).max(middle.distance(c))
 }
 
 #[cfg(test)]

@@ -75,6 +75,8 @@ impl Least {
 #[derive(Clone, Copy)]
 pub(super) struct Limits<'a> {
     pub(super) least: Option<&'a Least>,
+    /// Lengths of zones, by vertex, as `beside`.
+    pub(super) of_zones: &'a [f64],
     /// Lengths that edges have already, by vertex: NaN where there are none. Nothing if there are none at all.
     pub(super) beside: &'a [f64],
 }
@@ -150,6 +152,7 @@ fn bounded(
     let once = |factor: f64| -> Result<Bounded, Stopped> {
         let mut field = if factor == 1.0 { base.clone() } else { base.scaled(factor) };
         let raised = limits.least.map_or(0, |least| field.raise(|v| least.at(v, factor)));
+        field.put(limits.of_zones, [0.0, f64::INFINITY]);
         field.put(limits.beside, [SHORTEST_BESIDE, LONGEST_BESIDE]);
         let graded = field.grade(net, options.gradation, token)?;
         let lowered = field.clamp(0.0, field.least() * options.ratio);

@@ -3,6 +3,7 @@
 //! Invariant: the defaults are those of the command and the service. An error names what the caller gave, and what it may be.
 //! Must not know: surfaces.
 
+use crate::mesh::parts::{PartError, Zone};
 use crate::mesh::tensor::Tensor;
 use crate::token::Stopped;
 
@@ -60,6 +61,9 @@ impl DensitySource {
 pub struct DensityOptions {
     /// Where it comes from.
     pub source: DensitySource,
+    /// Parts whose edges have lengths of their own, whatever the number of points; of several at a place the shortest counts. Lengths
+    /// around grow by [`Self::gradation`]. Not for weights and metrics, which are taken as they are.
+    pub zones: Vec<Zone>,
     /// Target edge length, caller's units; read for [`Count::Implied`] unless lengths per vertex are given. With
     /// curvature or feature size, the points are as many as edges of this length everywhere would need.
     pub edge_length: Option<f64>,
@@ -85,6 +89,7 @@ impl Default for DensityOptions {
     fn default() -> Self {
         Self {
             source: DensitySource::Uniform,
+            zones: Vec::new(),
             edge_length: None,
             adaptivity: 1.0,
             gradation: 0.3,
@@ -103,6 +108,7 @@ impl DensityOptions {
 
     setters! {
         with_source(source: DensitySource),
+        with_zones(zones: Vec<Zone>),
         with_edge_length(edge_length: f64 => Some(edge_length)),
         with_adaptivity(adaptivity: f64),
         with_gradation(gradation: f64),
@@ -122,6 +128,15 @@ impl DensityOptions {
         match *self {
             Self { edge_length: Some(h), .. } if !(h.is_finite() && h > 0.0) => {
                 bad("edge length", h, "finite and above 0")
+            }
+            Self { ref zones, .. } if zones.iter().any(|zone| !(zone.length.is_finite() && zone.length > 0.0)) => {
+                let odd = zones.iter().map(|zone| zone.length).find(|h| !(h.is_finite() && *h > 0.0));
+                bad("the edge length of a zone", odd.unwrap_or(f64::NAN), "finite and above 0")
+            }
+            Self { ref zones, source: DensitySource::Weights(_) | DensitySource::Metric(_), .. }
+                if !zones.is_empty() =>
+            {
+                Err(DensityError::ZonesBeside { other: self.source.name() })
             }
             Self { adaptivity: a, .. } if !(0.0..=1.0).contains(&a) => bad("adaptivity", a, "from 0 to 1"),
             Self { gradation, .. } if gradation.is_nan() || gradation <= 0.0 => bad("gradation", gradation, "above 0"),
@@ -210,6 +225,27 @@ pub enum DensityError {
         /// What it may be.
         range: &'static str,
     },
+    /// Zones say how long edges are, and so does something that is taken as it is.
+    #[error(
+        "edge lengths of parts are given beside {other}, which says how long all edges are; leave one of the two out"
+    )]
+    ZonesBeside {
+        /// "weights" or "metric".
+        other: &'static str,
+    },
+    /// The edges of zones need more points than there are.
+    #[error(
+        "the edge lengths of parts need about {needed} points, and there are {points}; give more points, or longer edges"
+    )]
+    ZonesNeed {
+        /// How many they need, with what lies around them.
+        needed: usize,
+        /// How many there are.
+        points: usize,
+    },
+    /// A zone's part is not there.
+    #[error(transparent)]
+    Part(#[from] PartError),
     /// Neither a number of points nor anything that implies one.
     #[error("nothing says how many points there should be; give their number, an edge length, or one per vertex")]
     NoCount,

@@ -89,13 +89,13 @@ fn triangulate(
             let k = i + width;
             let mut found = (f64::NEG_INFINITY, i + 1);
             if width == n - 1 || !is_edge(around[i], around[k]) {
-                for j in i + 1..k {
+                for (j, from_j) in best.iter().enumerate().take(k).skip(i + 1) {
                     let corners = [i, j, k].map(|p| at(around[p]));
                     let own = match unit_normal(corners).dot(facing) {
                         cosine if cosine < TAKEN_COSINE => f64::NEG_INFINITY,
                         _ => score(corners),
                     };
-                    let worst = own.min(best[i][j].0).min(best[j][k].0);
+                    let worst = own.min(best[i][j].0).min(from_j[k].0);
                     if worst > found.0 {
                         found = (worst, j);
                     }

@@ -5,7 +5,7 @@
 //! Invariant: facets that stay are the first of the result, with their vertices, to the bit; at each edge of theirs there are as many new
 //! facets as the input has others. Must not know: how edges are held.
 
-use std::collections::{BTreeMap, HashMap};
+use std::collections::{BTreeMap, HashMap, HashSet};
 
 use glam::DVec3;
 
@@ -16,10 +16,10 @@ use crate::mesh::TriMesh;
 use crate::mesh::adjacency::{Adjacency, weld_unless};
 use crate::mesh::attributes::Attributes;
 use crate::mesh::crossings::crossings;
-use crate::mesh::edges::{sides, undirected};
+use crate::mesh::edges::{DisjointSets, EdgeGroups, sides, undirected};
 use crate::mesh::features::Features;
 use crate::mesh::measure::{coincident_vertices, topology_unless};
-use crate::mesh::parts::Reach;
+use crate::mesh::parts::{Part, Reach};
 use crate::remesh::constants::FURTHER_KEPT_ROUNDS;
 use crate::remesh::report::KeptFigures;
 use crate::remesh::{Provenance, Remesh, RemeshError, RemeshOptions, Result, Seeds, Tolerance};
@@ -35,10 +35,21 @@ pub(super) fn remesh(given: &TriMesh, options: &RemeshOptions, run: Run<'_>, tok
     Features::check(given, options.crease_angle_deg, &options.creases, token)?;
     let mut stays = staying(given, options)?;
     let class = weld_unless(given, token)?;
+    // Vertices in one place that differ in nothing are one, as in files that name no vertices.
+    let alike = options.attributes.as_ref().is_none_or(|attributes| !attributes.are_by_vertex());
+    let welded = (alike && class.iter().zip(0..).any(|(&lowest, v)| lowest != v)).then(|| {
+        let facets = given.facets().iter().map(|t| t.map(|v| class[v as usize])).collect();
+        TriMesh::new(given.positions().to_vec(), facets)
+    });
+    let welded = welded.transpose().map_err(|e| RvdError::Internal(format!("a surface was valid before: {e}")))?;
+    let given = welded.as_ref().unwrap_or(given);
     let asked = count(&stays);
+    let mut farthest = None;
     stay_without_area(given, &class, &mut stays);
     for round in 1.. {
-        let Some(free) = Free::of(given, &class, &stays, options.keep_rims) else { return Err(RemeshError::AllKept) };
+        let Some(free) = Free::of(given, &class, &stays, options.keep_rims) else {
+            return Err(farthest.unwrap_or(RemeshError::AllKept));
+        };
         let (part, own) = free.mesh(given)?;
         let inner = free.options(given, options)?;
         let done = run((&part, &own), &inner).map_err(|error| free.counted(error))?;
@@ -54,10 +65,12 @@ pub(super) fn remesh(given: &TriMesh, options: &RemeshOptions, run: Run<'_>, tok
             };
             return free.join(given, options, done, kept, token);
         }
+        let [a, b] = missed[0].map(|v| given.positions()[v as usize]);
+        let error = RemeshError::RimsMissed { edges: missed.len(), place: a.midpoint(b) };
         if round == FURTHER_KEPT_ROUNDS {
-            let [a, b] = missed[0].map(|v| given.positions()[v as usize]);
-            return Err(RemeshError::RimsMissed { edges: missed.len(), place: a.midpoint(b) });
+            return Err(error);
         }
+        farthest = Some(error);
         // Farther around each time.
         let mut around: Vec<bool> = vec![false; given.positions().len()];
         missed.iter().flatten().for_each(|&v| around[v as usize] = true);
@@ -123,10 +136,12 @@ struct Free {
     kept: Vec<u32>,
     kept_vertices: Vec<u32>,
     /// Edges that are held, by the lowest vertices in their places, each with its vertices in this part and how many of its facets have
-    /// it.
-    rims: BTreeMap<[u32; 2], ([u32; 2], usize)>,
+    /// it, and the end where a facet's side begins.
+    rims: BTreeMap<[u32; 2], ([u32; 2], usize, u32)>,
     /// For each vertex of a rim, by its place: the lowest vertex there, and a vertex there that a facet has that stays.
     places: HashMap<[u64; 3], (u32, Option<u32>)>,
+    /// Edges of facets that stay with both ends on rims that are no rims themselves: new facets must not have them.
+    inside: HashSet<[u32; 2]>,
 }
 
 fn bits(p: DVec3) -> [u64; 3] {
@@ -161,14 +176,18 @@ impl Free {
             others.get(of_kept).is_some_and(|edge| edge.0 == at) || keep_rims && count == 1
         };
         let groups = own.chunk_by(|a, b| a.0 == b.0).filter(|edge| is_rim(edge[0].0, edge.len()));
-        let rims: BTreeMap<_, _> = groups.map(|edge| (edge[0].0, (edge[0].1, edge.len()))).collect();
+        let rims: BTreeMap<_, _> =
+            groups.map(|edge| (edge[0].0, (edge[0].1, edge.len(), class[edge[0].1[0] as usize]))).collect();
         let mut lowest: HashMap<u32, Option<u32>> = rims.keys().flatten().map(|&v| (v, None)).collect();
         for &v in kept_vertices.iter().rev() {
             lowest.entry(class[v as usize]).and_modify(|own| *own = Some(v));
         }
         let place = |(v, own)| (bits(given.positions()[v as usize]), (v, own));
+        let inside = others.iter().map(|edge| edge.0);
+        let on_rims = |at: &[u32; 2]| at.iter().all(|v| lowest.contains_key(v)) && !rims.contains_key(at);
+        let inside = inside.filter(on_rims).collect();
         let places = lowest.into_iter().map(place).collect();
-        Some(Self { facets, vertices, kept, kept_vertices, rims, places })
+        Some(Self { facets, vertices, kept, kept_vertices, rims, places, inside })
     }
 
     /// The number of a vertex in this part.
@@ -181,7 +200,7 @@ impl Free {
         let positions = self.vertices.iter().map(|&v| given.positions()[v as usize]).collect();
         let facets = self.facets.iter().map(|&f| given.facets()[f as usize].map(|v| self.number(v))).collect();
         let mesh = TriMesh::new(positions, facets).map_err(|_| RemeshError::AllKept)?;
-        Ok((mesh, self.rims.values().map(|(edge, _)| edge.map(|v| self.number(v))).collect()))
+        Ok((mesh, self.rims.values().map(|(edge, ..)| edge.map(|v| self.number(v))).collect()))
     }
 
     /// Vertices of facets that stay and are not on a rim.
@@ -194,6 +213,8 @@ impl Free {
     fn options(&self, given: &TriMesh, options: &RemeshOptions) -> Result<RemeshOptions> {
         let mut own = options.clone();
         (own.keep, own.only, own.keep_rims, own.measure) = (Vec::new(), Vec::new(), false, false);
+        // A sheet that goes on in another could not face as both do, and what stays of them cannot be turned.
+        own.keep_non_manifold |= !self.kept.is_empty();
         let all = self.inner() + self.places.len();
         let fewer = |points: usize| match points.checked_sub(self.inner()) {
             Some(rest) if rest >= self.places.len() && rest > 0 => Ok(rest),
@@ -220,6 +241,11 @@ impl Free {
         match &mut own.density.source {
             DensitySource::Sizes(values) | DensitySource::Weights(values) => select(values)?,
             _ => {}
+        }
+        for zone in &mut own.density.zones {
+            if let Part::Facets(facets) = &mut zone.part {
+                *facets = facets.iter().filter_map(|f| Some(self.facets.binary_search(f).ok()? as u32)).collect();
+            }
         }
         if !own.creases.is_empty() {
             let class = crate::mesh::adjacency::weld(given);
@@ -257,8 +283,42 @@ impl Free {
                 *count.entry(undirected([a, b])).or_default() += 1;
             }
         }
-        let is_missed = |(at, (_, facets)): &(&[u32; 2], &([u32; 2], usize))| count.get(*at) != Some(facets);
-        self.rims.iter().filter(is_missed).map(|(&at, _)| at).collect()
+        let is_missed = |(at, (_, facets, _)): &(&[u32; 2], &([u32; 2], usize, u32))| count.get(*at) != Some(facets);
+        let absent = self.rims.iter().filter(is_missed).map(|(&at, _)| at);
+        let mut doubled: Vec<[u32; 2]> = count.keys().filter(|at| self.inside.contains(*at)).copied().collect();
+        doubled.sort_unstable();
+        absent.chain(doubled).collect()
+    }
+
+    /// Turns components of a new part over that face another way than what they take the place of: sheets that were moved apart may.
+    fn turn(&self, mut done: Remesh) -> Result<Remesh> {
+        let new = &done.mesh;
+        let place: Vec<Option<u32>> =
+            new.positions().iter().map(|&p| self.places.get(&bits(p)).map(|place| place.0)).collect();
+        let mut components = DisjointSets::new(new.facets().len());
+        EdgeGroups::new(new.positions().len(), new.facets().iter().copied().enumerate()).for_each(|_, halves| {
+            halves.windows(2).for_each(|pair| components.join(pair[0].facet as usize, pair[1].facet as usize));
+        });
+        let mut against: HashMap<usize, i64> = HashMap::new();
+        for (f, &t) in new.facets().iter().enumerate() {
+            for edge in sides(t) {
+                if let [Some(a), Some(b)] = edge.map(|v| place[v as usize])
+                    && let Some(&(_, 1, begins)) = self.rims.get(&undirected([a, b]))
+                {
+                    *against.entry(components.root(f)).or_default() += if begins == a { -1 } else { 1 };
+                }
+            }
+        }
+        if against.values().all(|&count| count <= 0) {
+            return Ok(done);
+        }
+        let facets = new.facets().iter().enumerate().map(|(f, &[a, b, c])| {
+            let turns = against.get(&components.root(f)).is_some_and(|&count| count > 0);
+            if turns { [a, c, b] } else { [a, b, c] }
+        });
+        let broken = |e| RvdError::Internal(format!("a surface was valid before it was turned: {e}"));
+        done.mesh = TriMesh::new(new.positions().to_vec(), facets.collect()).map_err(broken)?;
+        Ok(done)
     }
 
     /// What stays, with the new part.
@@ -270,6 +330,7 @@ impl Free {
         kept: KeptFigures,
         token: &Token,
     ) -> Result<Remesh> {
+        let done = self.turn(done)?;
         let Remesh { mesh: new, vertex_seed, mut curve_edges, mut seeds, mut report, attributes, provenance } = done;
         let renumber = |v: u32| self.kept_vertices.partition_point(|&own| own < v) as u32;
         let first = self.kept_vertices.len() as u32;
@@ -277,8 +338,11 @@ impl Free {
         let mut own: Vec<u32> = Vec::with_capacity(new.positions().len());
         let mut number: Vec<u32> = Vec::with_capacity(new.positions().len());
         let mut seed_of_kept: Vec<Option<u32>> = vec![None; first as usize];
+        // For each place of a rim, a vertex there.
+        let mut on_rims: HashMap<u32, u32> = HashMap::new();
         for (v, &p) in (0..).zip(new.positions()) {
-            match self.places.get(&bits(p)) {
+            let place = self.places.get(&bits(p));
+            match place {
                 Some(&(_, Some(there))) => {
                     let there = renumber(there);
                     seed_of_kept[there as usize].get_or_insert(vertex_seed[v as usize]);
@@ -289,6 +353,7 @@ impl Free {
                     own.push(v);
                 }
             }
+            place.map(|&(place, _)| on_rims.entry(place).or_insert(number[v as usize]));
         }
         let kept_places = self.kept_vertices.iter().map(|&v| given.positions()[v as usize]);
         let places: Vec<DVec3> = kept_places.chain(own.iter().map(|&v| new.positions()[v as usize])).collect();
@@ -306,12 +371,22 @@ impl Free {
         }
         of_vertex.extend(own.iter().map(|&v| vertex_seed[v as usize]));
         curve_edges.iter_mut().for_each(|edge| *edge = edge.map(|v| number[v as usize]));
+        // All edges of rims, and each once.
+        let rims: Vec<[u32; 2]> =
+            self.rims.keys().filter_map(|edge| Some([*on_rims.get(&edge[0])?, *on_rims.get(&edge[1])?])).collect();
+        let of_rims: HashSet<[u32; 2]> = rims.iter().copied().map(undirected).collect();
+        curve_edges.retain(|&edge| !of_rims.contains(&undirected(edge)));
+        curve_edges.extend(rims);
         let attributes = attributes.zip(options.attributes.as_ref()).map(|(new, given)| {
             given.of_part(&self.kept_vertices, &self.kept).followed_by(&kept_facets, new.of_vertices(&own))
         });
         let provenance = if provenance.is_empty() { provenance } else { self.provenance(given, &provenance, &own) };
 
         let whole = preprocess(given, None, token)?;
+        if whole.figures.divided_edges > report.input.divided_edges {
+            let edges = whole.figures.divided_edges - report.input.divided_edges;
+            return Err(RemeshError::KeptAcrossJunction { edges });
+        }
         let adjacency = Adjacency::unless(&mesh, token)?;
         let result = &mut report.result;
         (result.vertices, result.facets) = (mesh.positions().len(), mesh.facets().len());

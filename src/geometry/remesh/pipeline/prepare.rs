@@ -7,9 +7,10 @@ use std::sync::Arc;
 
 use glam::DVec3;
 
-use crate::cvt::density::{self, DensityOptions, DensitySource, Plan};
+use crate::cvt::density::{self, Beside, DensityOptions, DensitySource, Plan};
 use crate::cvt::lifts::CurveLifts;
 use crate::mesh::TriMesh;
+use crate::mesh::apart::Apart;
 use crate::mesh::closest_point::ClosestPoint;
 use crate::remesh::features::{Held, KeptCurves};
 use crate::remesh::lift::{Lift, Lifting};
@@ -59,6 +60,8 @@ pub(super) struct Asked<'a> {
     /// Whether edge lengths are for the least distance.
     pub(super) by_error: bool,
     pub(super) shapes: Shapes,
+    /// The sheets that are apart.
+    pub(super) apart: Option<&'a Apart>,
     /// Where sheets that are apart met, once that is known, and the edges that stay.
     pub(super) held: Held<'a>,
 }
@@ -74,7 +77,7 @@ impl Asked<'_> {
             (Anisotropy::Share(_), _) => Shapes::Slender,
         };
         let by_error = matches!(source, DensitySource::Error | DensitySource::ErrorMax);
-        Self { diagonal: (high - low).length(), by_error, shapes, held: Held::default() }
+        Self { diagonal: (high - low).length(), by_error, shapes, apart: None, held: Held::default() }
     }
 }
 
@@ -87,7 +90,10 @@ pub(super) fn prepare<'a>(
     token: &Token,
 ) -> Result<Prepared<'a>> {
     let lengths_of_rims = rim_lengths(separated, asked.held.rims);
-    let plan = density::plan_beside(separated, &options.density, options.seeds.count(), &lengths_of_rims, token)?;
+    let before = asked.apart.map(|apart| |p: DVec3| apart.back(p));
+    let before = before.as_ref().map(|before| before as &(dyn Fn(DVec3) -> DVec3 + Sync));
+    let beside = Beside { lengths: &lengths_of_rims, before };
+    let plan = density::plan_beside(separated, &options.density, options.seeds.count(), beside, token)?;
     let plan = plan.divided(token)?;
     token.check()?;
     let surface = Arc::new(Surface::unless(&plan.mesh, plan.weights.as_deref(), token)?);

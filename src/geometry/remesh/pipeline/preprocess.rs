@@ -6,7 +6,7 @@
 //! Invariant: depends on the surface and the options alone. Vertices keep their numbers; copies come behind them. Every change is
 //! counted. Must not know: densities, seeds, backends.
 
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 use std::sync::Arc;
 
 use crate::cvt::density::{DensityOptions, DensitySource};
@@ -18,12 +18,14 @@ use crate::mesh::edges::{sides, undirected};
 use crate::mesh::hanging::{self, Divided, DividedEdges};
 use crate::mesh::input::{Reach, make_consistent, stitch_boundaries};
 use crate::mesh::measure::{Topology, topology_unless};
+use crate::mesh::parts::{Part, Reach as PartReach, Zone};
+use crate::mesh::regions::Regions;
 use crate::mesh::sheets::Sheets;
 use crate::mesh::{MeshError, TriMesh};
 use crate::remesh::constants::{MOST_GAP_DIAGONAL, POINTS_PER_COMPONENT, SEPARATION_DIAGONAL, SEPARATION_EDGES};
 use crate::remesh::features::seams::Seams;
 use crate::remesh::report::InputFigures;
-use crate::remesh::{RemeshOptions, Result, Seeds};
+use crate::remesh::{RemeshError, RemeshOptions, Result, Seeds};
 use crate::token::{Stopped, Token};
 
 pub(super) struct Preprocessed {
@@ -133,7 +135,7 @@ impl Preprocessed {
         given: &TriMesh,
         (options, rims): (&RemeshOptions, &[[u32; 2]]),
         token: &Token,
-    ) -> Result<Separated, Stopped> {
+    ) -> Result<Separated, RemeshError> {
         let topology = self.figures.topology;
         let touching = topology.non_manifold_edges + topology.non_manifold_vertices > 0;
         let surface = self.figures.kind != InputKind::Volume;
@@ -184,14 +186,22 @@ impl Preprocessed {
         options: &RemeshOptions,
         apart: Option<(&Apart, &[[u32; 2]])>,
         token: &Token,
-    ) -> Result<Option<RemeshOptions>, Stopped> {
+    ) -> Result<Option<RemeshOptions>, RemeshError> {
         let touching = apart.filter(|(apart, seams)| !(apart.copied.is_empty() && seams.is_empty()));
         let (apart, seams) = touching.map_or((None, &[][..]), |(apart, seams)| (Some(apart), seams));
         let regions = options.attributes.as_ref().and_then(Attributes::regions);
-        if apart.is_none() && regions.is_none() && (options.creases.is_empty() || self.divided.is_none()) {
+        let has_creases = !(options.creases.is_empty() || self.divided.is_none());
+        let by_facets = |zone: &Zone| matches!(zone.part, Part::Region(_) | Part::Facets(_));
+        let has_zones = options.density.zones.iter().any(by_facets);
+        if apart.is_none() && regions.is_none() && !has_creases && !has_zones {
             return Ok(None);
         }
         let mut adapted = options.clone();
+        if has_zones {
+            for zone in &mut adapted.density.zones {
+                self.part_of(clean, regions, &mut zone.part)?;
+            }
+        }
         if !(options.creases.is_empty() && seams.is_empty() && regions.is_none()) {
             let class = weld_unless(clean, token)?;
             if let Some(divided) = &self.divided {
@@ -221,6 +231,26 @@ impl Preprocessed {
             adapted.attributes = options.attributes.as_ref().map(|attributes| attributes.of_vertices(&all));
         }
         Ok(Some(adapted))
+    }
+
+    /// A region as its facets, and facets of the input as those that there are of them now.
+    fn part_of(&self, clean: &TriMesh, regions: Option<&Regions>, part: &mut Part) -> Result<(), RemeshError> {
+        let now = 0..clean.facets().len() as u32;
+        match part {
+            Part::Region(_) => {
+                let regions = regions.map(|regions| regions.of(self.origin.as_deref()));
+                let within = part.facets((clean, regions.as_deref()), PartReach::Within)?;
+                *part = Part::Facets(now.filter(|&f| within[f as usize]).collect());
+            }
+            Part::Facets(facets) => {
+                if let Some(origin) = &self.origin {
+                    let given: HashSet<u32> = facets.iter().copied().collect();
+                    *facets = now.filter(|&f| given.contains(&origin[f as usize])).collect();
+                }
+            }
+            Part::Box { .. } | Part::Sphere { .. } => {}
+        }
+        Ok(())
     }
 
     /// The input's facets, where the sheets are apart.

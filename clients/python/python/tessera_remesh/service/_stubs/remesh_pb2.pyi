@@ -282,16 +282,18 @@ class MeshHeader(_message.Message):
     def __init__(self, vertices: _Optional[int] = ..., facets: _Optional[int] = ..., position_type: _Optional[_Union[PositionType, str]] = ..., weights: _Optional[int] = ..., edge_lengths: _Optional[int] = ..., creases: _Optional[int] = ..., attributes: _Optional[_Iterable[_Union[AttributeHeader, _Mapping]]] = ..., metric: _Optional[int] = ...) -> None: ...
 
 class Density(_message.Message):
-    __slots__ = ("source", "edge_length", "adaptivity", "gradation")
+    __slots__ = ("source", "edge_length", "adaptivity", "gradation", "size_in")
     SOURCE_FIELD_NUMBER: _ClassVar[int]
     EDGE_LENGTH_FIELD_NUMBER: _ClassVar[int]
     ADAPTIVITY_FIELD_NUMBER: _ClassVar[int]
     GRADATION_FIELD_NUMBER: _ClassVar[int]
+    SIZE_IN_FIELD_NUMBER: _ClassVar[int]
     source: DensitySource
     edge_length: float
     adaptivity: float
     gradation: float
-    def __init__(self, source: _Optional[_Union[DensitySource, str]] = ..., edge_length: _Optional[float] = ..., adaptivity: _Optional[float] = ..., gradation: _Optional[float] = ...) -> None: ...
+    size_in: _containers.RepeatedScalarFieldContainer[str]
+    def __init__(self, source: _Optional[_Union[DensitySource, str]] = ..., edge_length: _Optional[float] = ..., adaptivity: _Optional[float] = ..., gradation: _Optional[float] = ..., size_in: _Optional[_Iterable[str]] = ...) -> None: ...
 
 class RemeshOptions(_message.Message):
     __slots__ = ("points", "seed", "density", "lloyd", "newton", "projection", "placement", "crease_angle", "boundaries", "thin", "max_deviation", "max_deviation_length", "max_points", "measure", "points_percent", "facets", "anisotropy", "anisotropy_auto", "weld", "weld_percent", "non_manifold", "keep", "only", "keep_rims", "source_map")
