@@ -50,6 +50,12 @@ fn a_zone_in_the_middle_of_a_facet_is_seen() {
     for (edge, options) in [
         (0.01, sample(3000, &["sphere:0.3,0.6,0,0.1=0.01"])),
         (0.02, implied(0.05, &["sphere:0.3,0.6,0,0.1=0.02"])),
+        // More points than edges of a tenth everywhere have.
+        (0.01, {
+            let density = DensityOptions::from_source(DensitySource::Curvature).with_edge_length(0.1);
+            let density = density.with_zones(zones(&["sphere:0.3,0.6,0,0.1=0.01"]));
+            RemeshOptions::new(Seeds::Implied { seed: 0 }).with_density(density)
+        }),
         // The shortest counts.
         (0.02, implied(0.05, &["sphere:0.3,0.6,0,0.1=0.02", "box:0,0,-1,1,1,1=0.04"])),
     ] {
@@ -115,10 +121,18 @@ fn zones_are_where_they_were_for_sheets_that_touch() {
 #[test]
 fn what_cannot_be_is_refused() {
     let mesh = Shape::Sphere.build(500);
-    let many = run(&mesh, &sample(300, &["sphere:0,0,1,1=0.01"])).unwrap_err();
+    let many = run(&mesh, &sample(300, &["sphere:0,0,1,1=0.03"])).unwrap_err();
     let RemeshError::Density(DensityError::ZonesNeed { needed, points: 300 }) = many else { panic!("{many}") };
+    // Lengths that no memory has room for are refused before any facet is divided so often.
+    let square = Shape::Square.build(2);
+    for tiny in ["sphere:0.3,0.6,0,0.1=1e-300", "box:0,0,-1,1,1,1=1e-9"] {
+        let none = run(&square, &sample(300, &[tiny])).unwrap_err();
+        assert!(matches!(none, RemeshError::Density(DensityError::ZonesNeed { .. })), "{none}");
+        let none = run(&square, &implied(0.1, &[tiny])).unwrap_err();
+        assert!(matches!(none, RemeshError::Density(DensityError::TooManyPoints { .. })), "{none}");
+    }
     // That many do.
-    assert!(run(&mesh, &sample(needed * 11 / 10, &["sphere:0,0,1,1=0.01"])).is_ok(), "{needed}");
+    assert!(run(&mesh, &sample(needed * 11 / 10, &["sphere:0,0,1,1=0.03"])).is_ok(), "{needed}");
     let density = DensityOptions::from_source(DensitySource::Weights(vec![1.0; mesh.positions().len()]));
     let beside = sample(300, &[]).with_density(density.with_zones(zones(&["sphere:0,0,1,1=0.1"])));
     assert!(matches!(run(&mesh, &beside), Err(RemeshError::Density(DensityError::ZonesBeside { other: "weights" }))));

@@ -272,7 +272,11 @@ fn varying<'a>(
     }
     let points = match count {
         Count::Points(points) => points,
-        Count::Implied => rounded(target.unwrap_or(points_implied), options.max_points)?,
+        Count::Implied => {
+            // Zones have their lengths, also where they need more points than the rest was to have.
+            let of_zones = if of_zones.is_empty() { 0.0 } else { points_implied };
+            rounded(target.map_or(points_implied, |target| target.max(of_zones)), options.max_points)?
+        }
     };
     let divided = refine::refine(mesh, &net, &field.sizes, most_facets(mesh, points), token)?;
     let figures = DensityFigures {

@@ -54,10 +54,10 @@ impl Expected {
             let (own, _) = sizes_of(f);
             area += own;
             let least = |sizes: &Vec<f64>| facet.iter().map(|&v| sizes[v as usize]).fold(f64::INFINITY, f64::min);
-            // At most what lies in zones, each of which is as large as it may be in a plane.
+            // At most what lies in zones, each of which is as large as it may be in a plane. A region may be all of the surface.
             for zone in &options.zones {
                 let within = zone.part.most_area() / extent / extent;
-                let touched = zone.part.most_area().is_finite() && touches(&zone.part, mesh.corners(f));
+                let touched = !within.is_finite() || touches(&zone.part, mesh.corners(f));
                 let length = zone.length / extent;
                 implied += if touched { POINTS_PER_AREA * own.min(within) / length / length } else { 0.0 };
             }

@@ -60,20 +60,21 @@ pub(super) fn shorten(mesh: &TriMesh, sizes: &[f64], values: &[f64], most: usize
     Ok(None)
 }
 
-/// Splits facets of `mesh` until edges that `is_wanted` names, by the places of their ends, are halved; `values`, one a vertex, stay
-/// linear. Nothing if there is none.
+/// Splits facets of `mesh` until edges that `is_wanted` names, by the places of their ends, are halved. Values, one a vertex where there
+/// are any, stay linear. Nothing if there is none.
 pub(super) fn resolve(
     mesh: &TriMesh,
-    values: &[f64],
+    [values, others]: &[Vec<f64>; 2],
     is_wanted: impl Fn(DVec3, DVec3) -> bool,
     most: usize,
     token: &Token,
-) -> Finer {
+) -> Result<Option<(TriMesh, [Vec<f64>; 2])>, Stopped> {
     let (low, high) = mesh.bounds();
     let mut draft = Draft::new(mesh, low, (high - low).max_element(), values, token);
+    draft.values = others.clone();
     let is_wanted = |draft: &Draft, a: usize, b: usize| is_wanted(draft.positions[a], draft.positions[b]);
     let any = draft.split_all(is_wanted, most)?;
-    Ok(if any { draft.mesh().map(|mesh| (mesh, draft.sizes)) } else { None })
+    Ok(if any { draft.mesh().map(|mesh| (mesh, [draft.sizes, draft.values])) } else { None })
 }
 
 struct Draft {

@@ -7,6 +7,7 @@ use std::borrow::Cow;
 
 use glam::DVec3;
 
+use super::outline::POINTS_PER_AREA;
 use super::{Beside, Count, DensityError, DensityOptions, DensitySource, Plan, most_facets, refine, varying};
 use crate::mesh::TriMesh;
 use crate::mesh::parts::{Part, PartError, Zone};
@@ -15,8 +16,22 @@ use crate::token::Token;
 /// Edges in a zone are divided until they are so many times its length; a zone has the vertices within the second share of it.
 const DIVIDED: f64 = 1.0;
 const NEAR: f64 = 0.6;
+/// Facets are divided no more where zones need so many times the points that there are. Up to there what they need is found out.
+const FAR_TOO_MANY: f64 = 16.0;
 /// The ball around the middle of a facet's longest edge that holds the facet has this share of the edge as its radius.
 const AROUND_EDGE: f64 = 0.87;
+
+/// How many points the edges of zones need at least: those of facets that are in one wholly.
+fn fewest_points(mesh: &TriMesh, zones: &[Zone], before: impl Fn(DVec3) -> DVec3) -> f64 {
+    let of = |f: usize| {
+        let corners = mesh.corners(f).map(&before);
+        let within = zones.iter().filter(|zone| corners.iter().all(|&p| zone.part.distance(p) == 0.0));
+        let length = within.map(|zone| zone.length).fold(f64::INFINITY, f64::min);
+        let [a, b, c] = corners.map(|p| (p - corners[0]) / length);
+        POINTS_PER_AREA * 0.5 * (b - a).cross(c - a).length()
+    };
+    (0..mesh.facets().len()).map(of).filter(|points| !points.is_nan()).sum()
+}
 
 pub(super) fn plan<'a>(
     mesh: &'a TriMesh,
@@ -41,28 +56,52 @@ pub(super) fn plan<'a>(
             Part::Box { .. } | Part::Sphere { .. } => {}
         }
     }
-    let is_wanted = |a: DVec3, b: DVec3| {
-        let (edge, middle) = (a.distance(b), before(a.midpoint(b)));
-        options
-            .zones
-            .iter()
-            .any(|zone| edge > DIVIDED * zone.length && zone.part.distance(middle) <= AROUND_EDGE * edge)
+    let wanted = |least: f64| {
+        move |a: DVec3, b: DVec3| {
+            let (edge, middle) = (a.distance(b), before(a.midpoint(b)));
+            let is_long = |zone: &&Zone| edge > DIVIDED * zone.length.max(least);
+            options.zones.iter().filter(is_long).any(|zone| zone.part.distance(middle) <= AROUND_EDGE * edge)
+        }
     };
     let points = if let Count::Points(points) = count { points } else { options.max_points };
-    // A number for each vertex that is linear in each facet comes along, and so does which vertices are of zones by facets.
     let most = most_facets(mesh, points);
-    let divided = refine::resolve(mesh, &of_facets, is_wanted, most, token)?;
+    // Edges become shorter step by step, so that a length that needs too many points is refused before there are as many facets.
+    let (low, high) = mesh.bounds();
+    let mut least = (high - low).length();
+    let shortest = options.zones.iter().map(|zone| zone.length).fold(f64::INFINITY, f64::min);
+    // Lengths by vertex come along, and so does which vertices are of zones by facets.
     let mut owned = options.clone();
-    if let (Some(_), DensitySource::Sizes(sizes)) = (&divided, &mut owned.source)
-        && sizes.len() == vertices
-        && let Some((_, all)) = refine::resolve(mesh, sizes, is_wanted, most, token)?
-    {
-        *sizes = all;
+    let sizes = if let DensitySource::Sizes(sizes) = &mut owned.source { std::mem::take(sizes) } else { Vec::new() };
+    if !sizes.is_empty() && sizes.len() != vertices {
+        return Err(DensityError::SizeCount { given: sizes.len(), vertices });
     }
-    let (fine, mut lengths) = match &divided {
-        Some((fine, lengths)) => (fine, lengths.clone()),
-        None => (mesh, of_facets),
-    };
+    let mut values = [of_facets, sizes];
+    let mut divided: Option<TriMesh> = None;
+    loop {
+        let now = divided.as_ref().unwrap_or(mesh);
+        let needed = fewest_points(now, &options.zones, before);
+        match count {
+            Count::Points(points) if needed > FAR_TOO_MANY * points as f64 => {
+                return Err(DensityError::ZonesNeed { needed: needed as usize, points });
+            }
+            Count::Implied if needed > points as f64 => {
+                return Err(DensityError::TooManyPoints { implied: needed, limit: points });
+            }
+            _ => {}
+        }
+        if least <= shortest {
+            break;
+        }
+        least *= 0.5;
+        if let Some((finer, of_finer)) = refine::resolve(now, &values, wanted(least), most, token)? {
+            (divided, values) = (Some(finer), of_finer);
+        }
+    }
+    let [mut lengths, of_sizes] = values;
+    if let DensitySource::Sizes(sizes) = &mut owned.source {
+        *sizes = of_sizes;
+    }
+    let fine = divided.as_ref().unwrap_or(mesh);
     for (length, &p) in lengths.iter_mut().zip(fine.positions()) {
         let place = before(p);
         let near = options.zones.iter().filter(|zone| zone.part.distance(place) <= NEAR * zone.length);
