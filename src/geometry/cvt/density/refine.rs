@@ -60,6 +60,9 @@ pub(super) fn shorten(mesh: &TriMesh, sizes: &[f64], values: &[f64], most: usize
     Ok(None)
 }
 
+/// A finer mesh and two values a vertex, if any facet was divided.
+type Resolved = Result<Option<(TriMesh, [Vec<f64>; 2])>, Stopped>;
+
 /// Splits facets of `mesh` until edges that `is_wanted` names, by the places of their ends, are halved. Values, one a vertex where there
 /// are any, stay linear. Nothing if there is none.
 pub(super) fn resolve(
@@ -68,7 +71,7 @@ pub(super) fn resolve(
     is_wanted: impl Fn(DVec3, DVec3) -> bool,
     most: usize,
     token: &Token,
-) -> Result<Option<(TriMesh, [Vec<f64>; 2])>, Stopped> {
+) -> Resolved {
     let (low, high) = mesh.bounds();
     let mut draft = Draft::new(mesh, low, (high - low).max_element(), values, token);
     draft.values = others.clone();
