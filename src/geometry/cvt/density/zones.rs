@@ -14,8 +14,8 @@ use crate::mesh::parts::{Part, PartError, Zone};
 use crate::token::Token;
 
 /// Edges in a zone are divided until they are so many times its length; a zone has the vertices within the second share of it.
-const DIVIDED: f64 = 1.0;
-const NEAR: f64 = 0.6;
+const DIVIDED: f64 = 2.0;
+const NEAR: f64 = 1.2;
 /// Facets are divided no more where zones need so many times the points that there are. Up to there what they need is found out.
 const FAR_TOO_MANY: f64 = 16.0;
 /// The ball around the middle of a facet's longest edge that holds the facet has this share of the edge as its radius.
