@@ -170,6 +170,7 @@ fn no_interface_lacks_an_option() {
         let same = match (&default, said) {
             (Value::Null, said) => said.is_none(),
             (Value::String(word), said) => said == Some(word),
+            (Value::Bool(is_set), said) => said == Some(&*is_set.to_string()),
             (number, said) => said.and_then(|said| said.parse::<f64>().ok()) == number.as_f64(),
         };
         assert!(same, "{name}: the command's default is {said:?}, the library's {default}");
@@ -215,6 +216,7 @@ fn every_option_of_the_command_is_at_the_service() {
         "client_key",
         "key_file",
         "quiet",
+        "regions",
         "json",
         "log_format",
         "help",

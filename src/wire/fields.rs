@@ -65,6 +65,7 @@ impl Field {
         let usual = to_value(&of_remesh(&Options::usual()));
         let usual = if self.in_density { &usual[DENSITY] } else { &usual };
         match &usual[self.descriptor.name()] {
+            _ if self.descriptor.kind() == Kind::Bool => schema["default"] = false.into(),
             serde_json::Value::String(word) => {
                 let word = word.to_ascii_lowercase();
                 schema["default"] = self.words().into_iter().find(|short| word.ends_with(short.as_str())).into();
