@@ -112,7 +112,7 @@ impl<'py> Options<'py> {
             if !matches!(named, None | Some(0)) || sizes.is_some() || weights.is_some() {
                 return Err(input("density, sizes, weights and metric exclude each other; give one of them"));
             }
-            for name in ["edge_length", "gradation", "adaptivity"] {
+            for name in ["edge_length", "gradation", "adaptivity", "size_in"] {
                 if self.any(name)?.is_some() {
                     return Err(input(format!("{name} is given beside metric; leave one of the two out")));
                 }
