@@ -117,7 +117,9 @@ impl<'a> Boundary<'a> {
             near.take(MOST_NEAR).filter_map(beside)
         };
         let vertices = ascending(self.ends.iter().flatten().copied());
-        let mut found: Vec<Beside> = vertices.par_iter().flat_map_iter(of_vertex).collect();
+        // Where all edges overlap, a query looks at all of them before its first answer.
+        let open = vertices.par_iter().filter(|_| !token.is_stopped());
+        let mut found: Vec<Beside> = open.flat_map_iter(of_vertex).collect();
         token.check()?;
         found.sort_by(|a, b| a.edge.cmp(&b.edge).then(a.share.total_cmp(&b.share)).then(a.vertex.cmp(&b.vertex)));
         Ok(found)
