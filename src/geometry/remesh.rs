@@ -465,7 +465,10 @@ pub enum RemeshError {
         edges: usize,
     },
     /// Vertices that stay are more than the points that were asked for.
-    #[error("{rims} vertices stay, and {points} points are too few beside them; give more points, for example {}", 2 * rims.max(points))]
+    #[error(
+        "{rims} vertices stay, and {points} points are too few beside them; give more points, for example {}, or shorter edges",
+        2 * rims.max(points)
+    )]
     TooFewForRims {
         /// How many points there are.
         points: usize,

@@ -9,7 +9,8 @@ use tessera::mesh::shapes::Shape;
 use super::outputs::{said, tessera};
 
 fn report(folder: &Path, line: &str) -> Value {
-    let out = tessera(folder, &format!("{line} --json"));
+    // Each thread takes memory of its own.
+    let out = tessera(folder, &format!("{line} --threads 2 --json"));
     assert!(out.status.success(), "{line}: {}", said(&out));
     serde_json::from_slice(&out.stdout).unwrap()
 }
@@ -41,7 +42,7 @@ fn windows_and_the_whole_write_the_same_files() {
         assert!(plan["windows"].as_u64().unwrap() >= 1, "{plan}");
     }
     // The plan is told before the work.
-    let out = tessera(at, "rvd in.ply --points 100 --memory-mib 128");
+    let out = tessera(at, "rvd in.ply --points 100 --memory-mib 128 --threads 2");
     let told = String::from_utf8_lossy(&out.stdout).into_owned();
     assert!(told.starts_with("plan: ") && told.contains("at the peak"), "{told}");
 }
@@ -62,7 +63,7 @@ fn what_windows_cannot_do_is_refused_before_any_work() {
         ("rvd - --points 50 --memory-mib 100 --input-format ply", 2, "from a file"),
         ("rvd in.obj --points 50 --memory-mib 100", 65, "binary"),
         ("rvd none.ply --points 50 --memory-mib 100", 66, "none.ply"),
-        ("rvd in.ply --points 50 --memory-mib 100 --scratch nowhere", 74, "nowhere"),
+        ("rvd in.ply --points 50 --memory-mib 100 --threads 2 --scratch nowhere", 74, "nowhere"),
         ("rvd in.ply --points 50 --lloyd 2 --endpoint http://127.0.0.1:1", 2, "--lloyd"),
         ("shape sphere --facets 60000000 -o big.ply", 2, "torus"),
     ] {

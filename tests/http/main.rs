@@ -71,6 +71,14 @@ async fn a_mesh_comes_back_with_the_bits_of_the_library() {
     assert!(same.body == by_the_library(&file, 300, Format::Obj));
     let asked = post(&house, "/v1/remesh?points=300", &["Content-Type: model/obj", "Accept: model/stl"], &file).await;
     assert_eq!((asked.status, asked.header("content-type")), (200, Some("model/stl")));
+    // What stays comes first, in its order.
+    let path = "/v1/remesh?points=300&keep=sphere:1.4,0,0,0.4;sphere:-1.4,0,0,0.4&size_in=sphere:0,1,0,0.3=0.1&to=ply";
+    let kept = post(&house, path, &[], &file).await;
+    assert_eq!(kept.status, 200, "{kept:?}");
+    let (given, kept) = (io::decode(Format::Obj, &file).unwrap(), io::decode(Format::Ply, &kept.body).unwrap());
+    let mut left = given.positions().iter();
+    let first = kept.positions().iter().take_while(|p| left.any(|q| q == *p)).count();
+    assert!((4..200).contains(&first), "{first}");
     // Its jobs are gone.
     for _ in 0..200 {
         let jobs = get(&house, "/v1/jobs", &[]).await.json();
@@ -106,6 +114,8 @@ async fn what_is_wrong_is_told_as_a_problem() {
         ("/v1/remesh?points=x", 400, "points"),
         ("/v1/remesh?point=7", 400, "point"),
         ("/v1/remesh?points=70&to=xyz", 400, "to"),
+        ("/v1/remesh?points=70&keep=sphere:0,0,0,1;box:1", 400, "keep[1]"),
+        ("/v1/remesh?points=70&size_in=steel", 400, "size_in[0]"),
         ("/v1/remesh?points=70&density=blue", 400, "density"),
         ("/v1/blobs?digest=abc", 400, "digest"),
     ] {

@@ -78,7 +78,8 @@ fn zones_grow_by_gradation() {
     for (from, to) in [(0.12, 0.17), (0.17, 0.22)] {
         let mean = mean_edge(&done.mesh, |p| p.x > from && p.x < to);
         let bound = 0.01 + 0.3 * (to - 0.1);
-        assert!(mean < 1.15 * bound, "{mean} above {bound}");
+        // As above, where edges are up to a tenth longer.
+        assert!(mean < 1.12 * bound, "{mean} above {bound}");
     }
     assert!(mean_edge(&done.mesh, |p| p.x > 0.5) > 0.05);
 }

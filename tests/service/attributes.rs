@@ -193,8 +193,9 @@ async fn the_program_carries_them_here_and_there() {
         String::from_utf8_lossy(&out.stderr).into_owned()
     };
     let (here, there) = tokio::task::block_in_place(|| {
-        assert!(!run("here.ply", &[]).contains("cannot hold"));
-        run("there.ply", &["--endpoint", &endpoint]);
+        let options = ["--source-map", "--keep", "sphere:0,0,1,0.5", "--size-in", "sphere:0,0,-1,0.5=0.2"];
+        assert!(!run("here.ply", &options).contains("cannot hold"));
+        run("there.ply", &[&["--endpoint", &endpoint], &options[..]].concat());
         let said = run("here.off", &[]);
         assert!(said.contains("cannot hold") && said.contains("scalar height"), "{said}");
         run("bare.ply", &["--no-attributes"]);
@@ -207,6 +208,9 @@ async fn the_program_carries_them_here_and_there() {
     for (value, p) in loaded.attributes.scalars()[0].values.iter().zip(loaded.mesh.positions()) {
         assert!((value - p.z).abs() < 1e-12);
     }
+    // What stays has the bits that it had.
+    let kept = loaded.mesh.positions().iter().take_while(|p| mesh.positions().contains(p)).count();
+    assert!(kept > 20, "{kept}");
     let labels = &loaded.attributes.scalars()[1];
     assert!(labels.number == NumberType::I32 && labels.values.iter().all(|x| [7.0, -40.0].contains(x)));
     assert!(here == there, "the service gives another file");

@@ -69,6 +69,17 @@ def test_threads_make_no_difference(surface):
         assert np.array_equal(other.vertices, results[0].vertices) and np.array_equal(other.faces, results[0].faces)
 
 
+def test_what_stays_comes_first(surface):
+    vertices, faces = surface
+    result = tessera_remesh.remesh(vertices, faces, points=1200, keep="box:0.9,-9,-9,9,9,9", source_map=True)
+    stays = faces[(vertices[faces][:, :, 0] >= 0.9).any(axis=1)]
+    assert result.report.raw["result"]["kept"]["further_facets"] == 0
+    assert np.array_equal(result.vertices[result.faces[: len(stays)]], vertices[stays])
+    there = result.attributes.scalars["source_facet"].astype(int), result.attributes.scalars["source_barycentric"]
+    places = (vertices[faces[there[0]]] * there[1][:, :, None]).sum(axis=1)
+    assert np.abs(places - result.vertices).max() < 0.1
+
+
 WRONG = [
     ({"points": 0}, "points"),
     ({"points": -1}, "points"),
@@ -102,6 +113,10 @@ WRONG = [
     ({"points": 100, "attributes": {"height": np.zeros(3)}}, "height"),
     ({"points": 100, "attributes": {"\theight": np.zeros(1800)}}, "name"),
     ({"points": 100, "attributes": 7}, "attributes"),
+    ({"points": 100, "keep": ["box:1"]}, "keep"),
+    ({"points": 100, "only": "steel"}, "no region"),
+    ({"points": 100, "size_in": "steel"}, "size_in"),
+    ({"metric": np.tile(np.eye(3), (1800, 1, 1)), "size_in": "box:0,0,0,1,1,1=1"}, "size_in"),
 ]
 
 

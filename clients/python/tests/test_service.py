@@ -47,6 +47,8 @@ OPTIONS = [
     {"seeds": torus(10, 20)[0], "lloyd": 1, "newton": 0},
     {"points": 200, "attributes": {"height": np.arange(1800.0)}},
     {"facets": 500},
+    {"points": 1200, "keep": ["box:0.9,-9,-9,9,9,9"], "source_map": True, "attributes": {"height": np.arange(1800.0)}},
+    {"points": 600, "size_in": "box:0.9,-9,-9,9,9,9=0.4"},
     {"points": "20%"},
 ]
 

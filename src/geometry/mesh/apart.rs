@@ -46,7 +46,8 @@ struct Row {
 
 type Box = (DVec3, DVec3);
 
-fn bits(p: DVec3) -> [u64; 3] {
+/// A place, for comparison.
+pub(crate) fn bits(p: DVec3) -> [u64; 3] {
     // 0 and -0 are one place.
     (p + DVec3::ZERO).to_array().map(f64::to_bits)
 }

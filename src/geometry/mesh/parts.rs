@@ -46,7 +46,7 @@ pub enum Part {
 
 /// Which facets belong to a box or a ball. Regions and lists have facets of their own.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Reach {
+pub(crate) enum Inclusion {
     /// Those that have a point in it.
     Touching,
     /// Those that are in it wholly.
@@ -79,7 +79,7 @@ pub enum PartError {
         known: String,
     },
     /// The surface has no regions at all.
-    #[error("there is no region {name:?}: the input has no regions; give a box, a sphere or a list of facets")]
+    #[error("there is no region {name:?}: the input has none, or they are left aside; give a box or a sphere")]
     NoRegions {
         /// The name that was given.
         name: String,
@@ -134,7 +134,7 @@ impl Part {
     pub(crate) fn facets(
         &self,
         (mesh, regions): (&TriMesh, Option<&Regions>),
-        reach: Reach,
+        inclusion: Inclusion,
     ) -> Result<Vec<bool>, PartError> {
         let count = mesh.facets().len();
         let by_corners = |of: &dyn Fn([DVec3; 3]) -> bool| (0..count).map(|f| of(mesh.corners(f))).collect();
@@ -156,14 +156,14 @@ impl Part {
                 }
                 all
             }
-            &Self::Box { low, high } => match reach {
-                Reach::Within => by_corners(&|t| t.iter().all(|p| p.cmpge(low).all() && p.cmple(high).all())),
-                Reach::Touching => by_corners(&|t| touches_box(t, low, high)),
+            &Self::Box { low, high } => match inclusion {
+                Inclusion::Within => by_corners(&|t| t.iter().all(|p| p.cmpge(low).all() && p.cmple(high).all())),
+                Inclusion::Touching => by_corners(&|t| touches_box(t, low, high)),
             },
-            &Self::Sphere { centre, radius } => match reach {
-                Reach::Within => by_corners(&|t| t.iter().all(|p| p.distance(centre) <= radius)),
+            &Self::Sphere { centre, radius } => match inclusion {
+                Inclusion::Within => by_corners(&|t| t.iter().all(|p| p.distance(centre) <= radius)),
                 // In radii, so that nothing vanishes.
-                Reach::Touching => {
+                Inclusion::Touching => {
                     by_corners(&|t| squared_distance(DVec3::ZERO, t.map(|p| (p - centre) / radius)) <= 1.0)
                 }
             },
@@ -311,8 +311,8 @@ mod tests {
                     Part::Box { low, high } => p.cmpge(low).all() && p.cmple(high).all(),
                     _ => false,
                 };
-                let touching = part.facets((&mesh, None), Reach::Touching).unwrap();
-                let within = part.facets((&mesh, None), Reach::Within).unwrap();
+                let touching = part.facets((&mesh, None), Inclusion::Touching).unwrap();
+                let within = part.facets((&mesh, None), Inclusion::Within).unwrap();
                 for f in 0..mesh.facets().len() {
                     let corners = mesh.corners(f);
                     assert_eq!(within[f], corners.iter().all(holds));
@@ -334,8 +334,9 @@ mod tests {
     #[test]
     fn regions_are_found_by_name_and_then_by_number() {
         let mesh = Shape::Square.build(2);
-        let of =
-            |name: &str, regions: Option<&Regions>| Part::Region(name.into()).facets((&mesh, regions), Reach::Touching);
+        let of = |name: &str, regions: Option<&Regions>| {
+            Part::Region(name.into()).facets((&mesh, regions), Inclusion::Touching)
+        };
         assert_eq!(of("5", Some(&Regions::of_numbers(&[4, 5]).unwrap())), Ok(vec![false, true]));
         let named = |(number, name): (i64, &str)| Region { number, name: name.to_owned() };
         let regions = Regions::new(vec![0, 1], [(4, "5"), (5, "b")].map(named).to_vec()).unwrap();
@@ -345,9 +346,9 @@ mod tests {
             matches!(of("c", Some(&regions)), Err(PartError::NoSuchRegion { known, .. }) if known == "\"5\", \"b\"")
         );
         assert!(matches!(of("c", None), Err(PartError::NoRegions { .. })));
-        let lists = Part::Facets(vec![1, 1]).facets((&mesh, None), Reach::Within);
+        let lists = Part::Facets(vec![1, 1]).facets((&mesh, None), Inclusion::Within);
         assert_eq!(lists, Ok(vec![false, true]));
-        let wrong = Part::Facets(vec![2]).facets((&mesh, None), Reach::Within);
+        let wrong = Part::Facets(vec![2]).facets((&mesh, None), Inclusion::Within);
         assert_eq!(wrong, Err(PartError::NoSuchFacet { facet: 2, facets: 2 }));
     }
 }

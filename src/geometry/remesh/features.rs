@@ -20,6 +20,7 @@ use super::{RemeshError, RemeshOptions, Seeds};
 use crate::cvt::curves::{CurveSeeds, INNER_POINTS, Segment, edge_length};
 use crate::cvt::density::Plan;
 use crate::mesh::TriMesh;
+use crate::mesh::csr::ascending;
 use crate::mesh::edges::undirected;
 use crate::mesh::features::{Curve, CurveKind, FeatureOptions, Features};
 use crate::mesh::sample::spread_unless;
@@ -28,13 +29,6 @@ use crate::token::{Stopped, Token};
 use envelope::CurveSample;
 use polyline::{Polyline, Stretch};
 use seams::Seams;
-
-fn sorted(vertices: impl Iterator<Item = u32>) -> Vec<u32> {
-    let mut all: Vec<u32> = vertices.collect();
-    all.sort_unstable();
-    all.dedup();
-    all
-}
 
 /// For each seed, whether it stays at its place.
 fn staying(seeds: &CurveSeeds, features: &Features) -> Vec<bool> {
@@ -100,7 +94,7 @@ impl KeptCurves {
         let mut criteria = FeatureOptions {
             crease_angle_deg: options.crease_angle_deg,
             given_creases: plan.edges(&options.creases, token)?,
-            given_corners: sorted(rims.iter().flatten().copied()),
+            given_corners: ascending(rims.iter().flatten().copied()),
             rims: plan.edges(rims, token)?,
             min_crease_length: SHORTEST_CREASE * scale,
             turn_reach: BEND_REACH * scale,
@@ -116,7 +110,7 @@ impl KeptCurves {
             while let Some(corners) = seams.map(|seams| seams.corners(&features))
                 && corners.iter().any(|corner| criteria.given_corners.binary_search(corner).is_err())
             {
-                criteria.given_corners = sorted(corners.into_iter().chain(criteria.given_corners));
+                criteria.given_corners = ascending(corners.into_iter().chain(criteria.given_corners));
                 features = Features::find(&plan.mesh, surface.positions(), &criteria, token)?;
             }
             if !options.keep_boundaries || rims_alone {

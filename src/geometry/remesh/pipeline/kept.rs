@@ -9,17 +9,19 @@ use std::collections::{BTreeMap, HashMap, HashSet};
 
 use glam::DVec3;
 
-use super::preprocess::preprocess;
+use super::preprocess::{Preprocessed, preprocess};
 use super::{attributes, compare};
 use crate::cvt::density::{DensityError, DensitySource};
 use crate::mesh::TriMesh;
 use crate::mesh::adjacency::{Adjacency, weld_unless};
+use crate::mesh::apart::bits;
 use crate::mesh::attributes::Attributes;
 use crate::mesh::crossings::crossings;
+use crate::mesh::csr::ascending;
 use crate::mesh::edges::{DisjointSets, EdgeGroups, sides, undirected};
 use crate::mesh::features::Features;
 use crate::mesh::measure::{coincident_vertices, topology_unless};
-use crate::mesh::parts::{Part, Reach};
+use crate::mesh::parts::{Inclusion, Part};
 use crate::remesh::constants::FURTHER_KEPT_ROUNDS;
 use crate::remesh::report::KeptFigures;
 use crate::remesh::{Provenance, Remesh, RemeshError, RemeshOptions, Result, Seeds, Tolerance};
@@ -33,7 +35,7 @@ type Run<'a> = &'a mut dyn FnMut((&TriMesh, &[[u32; 2]]), &RemeshOptions) -> Res
 pub(super) fn remesh(given: &TriMesh, options: &RemeshOptions, run: Run<'_>, token: &Token) -> Result<Remesh> {
     options.attributes.iter().try_for_each(|attributes| attributes.check_mesh(given))?;
     Features::check(given, options.crease_angle_deg, &options.creases, token)?;
-    let mut stays = staying(given, options)?;
+    let mut stays = staying(given, options, token)?;
     let class = weld_unless(given, token)?;
     // Vertices in one place that differ in nothing are one, as in files that name no vertices.
     let alike = options.attributes.as_ref().is_none_or(|attributes| !attributes.are_by_vertex());
@@ -44,17 +46,25 @@ pub(super) fn remesh(given: &TriMesh, options: &RemeshOptions, run: Run<'_>, tok
     let welded = welded.transpose().map_err(|e| RvdError::Internal(format!("a surface was valid before: {e}")))?;
     let given = welded.as_ref().unwrap_or(given);
     let asked = count(&stays);
+    let whole = preprocess(given, None, token)?;
     let mut farthest = None;
     stay_without_area(given, &class, &mut stays);
     for round in 1.. {
+        token.check()?;
         let Some(free) = Free::of(given, &class, &stays, options.keep_rims) else {
             return Err(farthest.unwrap_or(RemeshError::AllKept));
         };
         let (part, own) = free.mesh(given)?;
-        let inner = free.options(given, options)?;
+        if whole.figures.divided_edges > 0 {
+            let within = preprocess(&part, None, token)?.figures.divided_edges;
+            if within < whole.figures.divided_edges {
+                return Err(RemeshError::KeptAcrossJunction { edges: whole.figures.divided_edges - within });
+            }
+        }
+        let inner = free.options((given, &class), options)?;
         let done = run((&part, &own), &inner).map_err(|error| free.counted(error))?;
         token.check()?;
-        let missed = free.missed(&class, &done.mesh);
+        let missed = free.missed(&done.mesh);
         if missed.is_empty() {
             let further_facets = count(&stays) - asked;
             let kept = KeptFigures {
@@ -63,7 +73,7 @@ pub(super) fn remesh(given: &TriMesh, options: &RemeshOptions, run: Run<'_>, tok
                 rim_edges: free.rims.len(),
                 further_facets,
             };
-            return free.join(given, options, done, kept, token);
+            return free.join((given, whole), options, done, kept, token);
         }
         let [a, b] = missed[0].map(|v| given.positions()[v as usize]);
         let error = RemeshError::RimsMissed { edges: missed.len(), place: a.midpoint(b) };
@@ -91,15 +101,17 @@ fn count(stays: &[bool]) -> usize {
 }
 
 /// For each facet whether it is to stay.
-fn staying(given: &TriMesh, options: &RemeshOptions) -> Result<Vec<bool>> {
+fn staying(given: &TriMesh, options: &RemeshOptions, token: &Token) -> Result<Vec<bool>> {
     let regions = options.attributes.as_ref().and_then(Attributes::regions);
     let mut stays = vec![!options.only.is_empty(); given.facets().len()];
     for part in &options.only {
-        let within = part.facets((given, regions), Reach::Within)?;
+        token.check()?;
+        let within = part.facets((given, regions), Inclusion::Within)?;
         stays.iter_mut().zip(within).for_each(|(stays, within)| *stays &= !within);
     }
     for part in &options.keep {
-        let touching = part.facets((given, regions), Reach::Touching)?;
+        token.check()?;
+        let touching = part.facets((given, regions), Inclusion::Touching)?;
         stays.iter_mut().zip(touching).for_each(|(stays, touching)| *stays |= touching);
     }
     Ok(stays)
@@ -144,11 +156,6 @@ struct Free {
     inside: HashSet<[u32; 2]>,
 }
 
-fn bits(p: DVec3) -> [u64; 3] {
-    // Zeros of either sign are one place.
-    (p + DVec3::ZERO).to_array().map(f64::to_bits)
-}
-
 impl Free {
     /// `None` if there is nothing. `class` has the lowest vertex in the place of each.
     fn of(given: &TriMesh, class: &[u32], stays: &[bool], keep_rims: bool) -> Option<Self> {
@@ -156,12 +163,7 @@ impl Free {
         if facets.iter().all(|&f| given.is_degenerate(f as usize)) {
             return None;
         }
-        let corners = |facets: &[u32]| {
-            let mut all: Vec<u32> = facets.iter().flat_map(|&f| given.facets()[f as usize]).collect();
-            all.sort_unstable();
-            all.dedup();
-            all
-        };
+        let corners = |facets: &[u32]| ascending(facets.iter().flat_map(|&f| given.facets()[f as usize]));
         let (vertices, kept_vertices) = (corners(&facets), corners(&kept));
         let welded = |edge: [u32; 2]| undirected(edge.map(|v| class[v as usize]));
         let edges_of = |facets: &[u32]| -> Vec<([u32; 2], [u32; 2])> {
@@ -210,7 +212,7 @@ impl Free {
     }
 
     /// The options for this part.
-    fn options(&self, given: &TriMesh, options: &RemeshOptions) -> Result<RemeshOptions> {
+    fn options(&self, (given, class): (&TriMesh, &[u32]), options: &RemeshOptions) -> Result<RemeshOptions> {
         let mut own = options.clone();
         (own.keep, own.only, own.keep_rims, own.measure) = (Vec::new(), Vec::new(), false, false);
         // A sheet that goes on in another could not face as both do, and what stays of them cannot be turned.
@@ -248,7 +250,6 @@ impl Free {
             }
         }
         if !own.creases.is_empty() {
-            let class = crate::mesh::adjacency::weld(given);
             let welded = |edge: [u32; 2]| undirected(edge.map(|v| class[v as usize]));
             let edges = self.facets.iter().flat_map(|&f| sides(given.facets()[f as usize]));
             let known: HashMap<[u32; 2], [u32; 2]> = edges.map(|edge| (welded(edge), edge)).collect();
@@ -272,11 +273,14 @@ impl Free {
         }
     }
 
+    /// For each vertex of a new part, the lowest vertex in its place if that is on a rim.
+    fn places_of(&self, new: &TriMesh) -> Vec<Option<u32>> {
+        new.positions().iter().map(|&p| self.places.get(&bits(p)).map(|place| place.0)).collect()
+    }
+
     /// Edges of rims, by the lowest vertices in their places, that a new part has not as often as this one.
-    fn missed(&self, class: &[u32], new: &TriMesh) -> Vec<[u32; 2]> {
-        debug_assert!(self.places.values().all(|&(v, _)| class[v as usize] == v));
-        let place: Vec<Option<u32>> =
-            new.positions().iter().map(|&p| self.places.get(&bits(p)).map(|place| place.0)).collect();
+    fn missed(&self, new: &TriMesh) -> Vec<[u32; 2]> {
+        let place = self.places_of(new);
         let mut count: HashMap<[u32; 2], usize> = HashMap::new();
         for edge in new.facets().iter().flat_map(|&t| sides(t)) {
             if let [Some(a), Some(b)] = edge.map(|v| place[v as usize]) {
@@ -293,8 +297,7 @@ impl Free {
     /// Turns components of a new part over that face another way than what they take the place of: sheets that were moved apart may.
     fn turn(&self, mut done: Remesh) -> Result<Remesh> {
         let new = &done.mesh;
-        let place: Vec<Option<u32>> =
-            new.positions().iter().map(|&p| self.places.get(&bits(p)).map(|place| place.0)).collect();
+        let place = self.places_of(new);
         let mut components = DisjointSets::new(new.facets().len());
         EdgeGroups::new(new.positions().len(), new.facets().iter().copied().enumerate()).for_each(|_, halves| {
             halves.windows(2).for_each(|pair| components.join(pair[0].facet as usize, pair[1].facet as usize));
@@ -324,7 +327,7 @@ impl Free {
     /// What stays, with the new part.
     fn join(
         &self,
-        given: &TriMesh,
+        (given, whole): (&TriMesh, Preprocessed),
         options: &RemeshOptions,
         done: Remesh,
         kept: KeptFigures,
@@ -382,23 +385,15 @@ impl Free {
         });
         let provenance = if provenance.is_empty() { provenance } else { self.provenance(given, &provenance, &own) };
 
-        let whole = preprocess(given, None, token)?;
-        if whole.figures.divided_edges > report.input.divided_edges {
-            let edges = whole.figures.divided_edges - report.input.divided_edges;
-            return Err(RemeshError::KeptAcrossJunction { edges });
-        }
         let adjacency = Adjacency::unless(&mesh, token)?;
         let result = &mut report.result;
         (result.vertices, result.facets) = (mesh.positions().len(), mesh.facets().len());
         result.topology = topology_unless(&mesh, &adjacency, token)?;
         result.coincident_vertices = coincident_vertices(&mesh, token)?;
         result.kept = Some(kept);
-        if let Some((regions, of_facet)) =
-            attributes.as_ref().and_then(Attributes::regions).map(|regions| (regions, regions.of_facet()))
-            && let Some(before) = options.attributes.as_ref().and_then(Attributes::regions)
-        {
-            debug_assert_eq!(regions.all(), before.all());
-            result.regions = attributes::regions::figures(before, given, (&mesh, of_facet));
+        let regions = |attributes: Option<&Attributes>| attributes.and_then(Attributes::regions).cloned();
+        if let Some((before, after)) = regions(options.attributes.as_ref()).zip(regions(attributes.as_ref())) {
+            result.regions = attributes::regions::figures(&before, given, (&mesh, after.of_facet()));
         }
         if options.measure {
             (result.quality, result.lost) = Some(compare(whole.mesh(given), None, &mesh, token)?).unzip();

@@ -18,7 +18,7 @@ use crate::mesh::edges::{sides, undirected};
 use crate::mesh::hanging::{self, Divided, DividedEdges};
 use crate::mesh::input::{Reach, make_consistent, stitch_boundaries};
 use crate::mesh::measure::{Topology, topology_unless};
-use crate::mesh::parts::{Part, Reach as PartReach, Zone};
+use crate::mesh::parts::{Inclusion, Part, Zone};
 use crate::mesh::regions::Regions;
 use crate::mesh::sheets::Sheets;
 use crate::mesh::{MeshError, TriMesh};
@@ -239,7 +239,7 @@ impl Preprocessed {
         match part {
             Part::Region(_) => {
                 let regions = regions.map(|regions| regions.of(self.origin.as_deref()));
-                let within = part.facets((clean, regions.as_deref()), PartReach::Within)?;
+                let within = part.facets((clean, regions.as_deref()), Inclusion::Within)?;
                 *part = Part::Facets(now.filter(|&f| within[f as usize]).collect());
             }
             Part::Facets(facets) => {
