@@ -40,6 +40,15 @@ impl Raw {
 
     /// The same with more headers.
     pub async fn begin_with(&mut self, path: &str, more: &[(&str, &str)]) -> (ResponseFuture, SendStream<Bytes>) {
+        self.try_begin(path, more).await.unwrap()
+    }
+
+    /// The same on a connection that the server may close at any moment.
+    pub async fn try_begin(
+        &mut self,
+        path: &str,
+        more: &[(&str, &str)],
+    ) -> Result<(ResponseFuture, SendStream<Bytes>), h2::Error> {
         let mut request = http::Request::post(format!("http://localhost{path}"))
             .header("content-type", "application/grpc")
             .header("te", "trailers");
@@ -47,7 +56,7 @@ impl Raw {
             request = request.header(*name, *value);
         }
         let request = request.body(()).unwrap();
-        self.send.clone().ready().await.unwrap().send_request(request, false).unwrap()
+        self.send.clone().ready().await?.send_request(request, false)
     }
 
     /// Sends bytes as a whole request; gives all that is said of its end: status, message, details and other headers.
@@ -66,7 +75,7 @@ impl Raw {
 
     /// Sends a whole request; gives the answer's body.
     pub async fn ask<M: Message>(&mut self, path: &str, messages: &[M]) -> Result<RecvStream, h2::Error> {
-        let (response, mut body) = self.begin(path).await;
+        let (response, mut body) = self.try_begin(path, &[]).await?;
         for message in messages {
             body.send_data(framed(message), false)?;
         }
