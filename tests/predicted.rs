@@ -251,6 +251,7 @@ fn cases(server: &Server) -> Vec<Case> {
             values: server.array(ArrayForm::F64, vertices, values(k)),
             corners: None,
             components: 0,
+            regions: Vec::new(),
         };
         let source = job_mesh::Source::Arrays(MeshArrays {
             positions: server.array(ArrayForm::F64, vertices, positions),

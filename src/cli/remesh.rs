@@ -107,16 +107,13 @@ fn alone(args: &RemeshArgs, task: &Task, mut worker: Worker) -> Result<()> {
 /// Reads, remeshes and writes a file. Ctrl-C ends the process until the work begins, if `listen` says that no handler is there yet.
 fn one(args: &RemeshArgs, task: &Task, worker: &mut Worker, progress: &mut Progress, listen: bool) -> Result<Remeshed> {
     let start = Instant::now();
-    let Loaded { mesh, attributes, creases, mut warnings } = match args.files.no_attributes {
+    let Loaded { mesh, attributes, creases, warnings } = match args.files.no_attributes {
         true => {
             let mesh = task.input.read_mesh()?;
             Loaded { mesh, attributes: None, creases: Vec::new(), warnings: Vec::new() }
         }
         false => task.input.read_loaded(args.files.regions.as_ref().unwrap_or(&RegionChoice::Named))?,
     };
-    if worker.server.is_some() && attributes.as_ref().is_some_and(|attributes| attributes.regions().is_some()) {
-        warnings.push(Warning::left_aside("regions: streams do not carry them; `tessera jobs submit remesh` does"));
-    }
     let asked = args.options(&mesh, attributes, creases)?;
     let options = &asked.1;
     let read_ms = ms(start);

@@ -9,13 +9,20 @@ use glam::{DVec2, DVec3};
 use super::chunks::{chunks as cut, facet_chunks, number_chunks, point_chunks};
 use super::counts::MeshCounts;
 use super::options::within;
-use super::proto::{ArrayForm, ArrayKind, AttributeHeader, AttributeKind, AttributeType, Chunk};
+use super::proto::{self, ArrayForm, ArrayKind, AttributeHeader, AttributeKind, AttributeType, Chunk};
 use super::{WireError, unknown_enum};
 use geometry::mesh::TriMesh;
 use geometry::mesh::attributes::{
     AttributeError, Attributes, ColourDepth, Colours, MAX_COMPONENTS, Normals, PerCorner, Scalar, check_name,
 };
 use geometry::mesh::numbers::{NumberType, Order};
+use geometry::mesh::regions::{MAX_REGIONS, Region, Regions};
+
+/// Doubles hold all whole numbers up to this one.
+const LARGEST_EXACT: f64 = 9_007_199_254_740_991.0;
+
+/// The most bytes of names of regions.
+const MOST_OF_NAMES: usize = 2 << 20;
 
 /// The most attributes of a surface.
 const MOST: usize = 256;
@@ -64,6 +71,8 @@ pub struct AttributeCounts {
     pub numbers: u64,
     pub number: NumberType,
     pub by_corner: bool,
+    /// Regions that have names.
+    pub regions: Vec<Region>,
 }
 
 impl AttributeCounts {
@@ -73,6 +82,7 @@ impl AttributeCounts {
             AttributeKind::Normals => (ArrayKind::Normals, ArrayKind::NormalCorners),
             AttributeKind::TextureCoordinates => (ArrayKind::TextureCoordinates, ArrayKind::TextureCorners),
             AttributeKind::Colours => (ArrayKind::Colours, ArrayKind::Unspecified),
+            AttributeKind::Regions => (ArrayKind::Regions, ArrayKind::Unspecified),
             AttributeKind::Scalar | AttributeKind::Unspecified => (ArrayKind::Scalars, ArrayKind::Unspecified),
         }
     }
@@ -89,12 +99,22 @@ pub struct UploadedAttribute {
 
 /// Checks what is said of a mesh before anything of it arrives.
 pub fn check(headers: &[AttributeHeader], mesh: MeshCounts) -> Result<Vec<AttributeCounts>, WireError> {
+    // More values than corners cannot be of use, and would get around the limit on facets.
+    check_within(headers, mesh, 3 * mesh.facets)
+}
+
+/// The same, with at most so many values by corner.
+pub fn check_within(
+    headers: &[AttributeHeader],
+    mesh: MeshCounts,
+    by_corner: u64,
+) -> Result<Vec<AttributeCounts>, WireError> {
     if headers.len() > MOST {
         return Err(WireError::field("attributes", format!("has {} entries; {MOST} may be", headers.len())));
     }
     let mut all: Vec<AttributeCounts> = Vec::with_capacity(headers.len());
     for (i, header) in headers.iter().enumerate() {
-        let counts = check_one(i, header, mesh)?;
+        let counts = check_one(i, header, mesh, by_corner)?;
         if all.iter().any(|other| (other.kind, &other.name) == (counts.kind, &counts.name)) {
             let text = "is a second one of its kind and name";
             return Err(WireError::field(format!("attributes[{i}]"), text));
@@ -104,17 +124,39 @@ pub fn check(headers: &[AttributeHeader], mesh: MeshCounts) -> Result<Vec<Attrib
     Ok(all)
 }
 
-fn check_one(i: usize, header: &AttributeHeader, mesh: MeshCounts) -> Result<AttributeCounts, WireError> {
+fn check_one(i: usize, header: &AttributeHeader, mesh: MeshCounts, most: u64) -> Result<AttributeCounts, WireError> {
     let path = |field: &str| format!("attributes[{i}].{field}");
     let unknown = |field: &str, value: i32| unknown_enum(path(field), value);
-    let AttributeHeader { kind, name, r#type, values, by_corner, components } = header.clone();
+    let AttributeHeader { kind, name, r#type, values, by_corner, components, regions } = header.clone();
     let known = AttributeKind::try_from(kind).ok().filter(|known| *known != AttributeKind::Unspecified);
     let kind = known.ok_or_else(|| unknown("kind", kind))?;
     let number = AttributeType::try_from(r#type).map(number).map_err(|_| unknown("type", r#type))?;
-    let is_scalar = kind == AttributeKind::Scalar;
-    if !(number.is_float() || is_scalar || kind == AttributeKind::Colours && number == NumberType::U8) {
-        return Err(WireError::field(path("type"), "is one of whole numbers; scalars have these, and colours U8"));
+    let (is_scalar, is_region) = (kind == AttributeKind::Scalar, kind == AttributeKind::Regions);
+    let is_wrong = match kind {
+        AttributeKind::Regions => number.is_float(),
+        AttributeKind::Colours => !number.is_float() && number != NumberType::U8,
+        _ => !number.is_float() && !is_scalar,
+    };
+    if is_wrong && is_region {
+        return Err(WireError::field(path("type"), "is one of numbers with fractions; regions have whole ones"));
+    } else if is_wrong {
+        let text = "is one of whole numbers; scalars and regions have these, and colours U8";
+        return Err(WireError::field(path("type"), text));
     }
+    if !is_region && !regions.is_empty() {
+        return Err(WireError::field(path("regions"), "is given; it is for regions"));
+    }
+    if regions.len() > MAX_REGIONS {
+        let text = format!("has {} entries; {MAX_REGIONS} may be", regions.len());
+        return Err(WireError::field(path("regions"), text));
+    }
+    // They come back in one message, which clients take up to 4 MiB of.
+    if regions.iter().map(|region| region.name.len()).sum::<usize>() > MOST_OF_NAMES {
+        let text = format!("has names of more than {MOST_OF_NAMES} bytes; shorten them");
+        return Err(WireError::field(path("regions"), text));
+    }
+    let named = |region: proto::Region| Region { number: region.number, name: region.name };
+    let regions = regions.into_iter().map(named).collect();
     if is_scalar {
         check_name(&name).map_err(|error| WireError::field(path("name"), error.to_string()))?;
     } else if !name.is_empty() {
@@ -127,18 +169,23 @@ fn check_one(i: usize, header: &AttributeHeader, mesh: MeshCounts) -> Result<Att
         AttributeKind::Normals => (3, by_corner),
         AttributeKind::TextureCoordinates => (2, true),
         AttributeKind::Colours => (4, false),
+        AttributeKind::Regions => (1, false),
         AttributeKind::Scalar | AttributeKind::Unspecified => (components.max(1).into(), false),
     };
     match by_corner {
-        // More values than corners cannot be of use, and would get around the limit on facets.
-        true => within(&path("values"), values, 1, 3 * mesh.facets)?,
+        true => within(&path("values"), values, 1, most)?,
+        false if is_region && values != mesh.facets => {
+            let text = format!("is {values}; give one value for each of the {} facets", mesh.facets);
+            return Err(WireError::field(path("values"), text));
+        }
+        false if is_region => {}
         false if values != mesh.vertices => {
             let text = format!("is {values}; give one value for each of the {} vertices", mesh.vertices);
             return Err(WireError::field(path("values"), text));
         }
         false => {}
     }
-    Ok(AttributeCounts { kind, name, values, numbers, number, by_corner })
+    Ok(AttributeCounts { kind, name, values, numbers, number, by_corner, regions })
 }
 
 pub fn collect(mesh: &TriMesh, uploaded: Vec<UploadedAttribute>) -> Result<Attributes, WireError> {
@@ -160,6 +207,15 @@ pub fn collect(mesh: &TriMesh, uploaded: Vec<UploadedAttribute>) -> Result<Attri
                     numbers.iter_mut().for_each(|x| *x /= 255.0);
                 }
                 attributes.set_colours(Colours { values: numbers.as_chunks::<4>().0.to_vec(), depth })
+            }
+            AttributeKind::Regions => {
+                if let Some(at) = numbers.iter().position(|x| x.abs() > LARGEST_EXACT) {
+                    let text = "is not below 2^53, where whole numbers are rounded; give smaller ones";
+                    return Err(WireError::field(format!("attributes[{i}].values[{at}]"), text));
+                }
+                let numbers: Vec<i64> = numbers.iter().map(|&x| x as i64).collect();
+                let regions = Regions::of_named(&numbers, counts.regions).map_err(AttributeError::from);
+                regions.and_then(|regions| attributes.set_regions(regions))
             }
             AttributeKind::Scalar | AttributeKind::Unspecified => attributes.add_scalar(Scalar {
                 name: counts.name,
@@ -194,6 +250,7 @@ pub fn headers(attributes: &Attributes) -> Vec<AttributeHeader> {
             values: values as u64,
             by_corner,
             components: 0,
+            regions: Vec::new(),
         });
     };
     match attributes.normals() {
@@ -217,6 +274,17 @@ pub fn headers(attributes: &Attributes) -> Vec<AttributeHeader> {
             values: (values.len() / components) as u64,
             by_corner: false,
             components: *components as u32,
+            regions: Vec::new(),
+        });
+    }
+    if let Some(regions) = attributes.regions() {
+        let of = |region: &Region| proto::Region { number: region.number, name: region.name.clone() };
+        all.push(AttributeHeader {
+            kind: AttributeKind::Regions.into(),
+            r#type: AttributeType::I64.into(),
+            values: regions.of_facet().len() as u64,
+            regions: regions.all().iter().map(of).collect(),
+            ..AttributeHeader::default()
         });
     }
     all
@@ -269,6 +337,12 @@ pub fn chunks<'a>(attributes: &'a Attributes, headers: &[AttributeHeader]) -> Ve
         let numbers = cut(ArrayKind::Scalars, values, number.bytes(), put);
         all.push(Box::new(numbers.map(move |chunk| Chunk { attribute, ..chunk })));
     }
+    if let Some(regions) = attributes.regions() {
+        let put = |&region: &u32, out: &mut Vec<u8>| {
+            out.extend_from_slice(&regions.all()[region as usize].number.to_le_bytes());
+        };
+        all.push(Box::new(cut(ArrayKind::Regions, regions.of_facet(), 8, put)));
+    }
     all
 }
 
@@ -303,5 +377,16 @@ mod tests {
         assert_eq!(path(&[AttributeHeader { components: 2, ..texture() }]), "attributes[0].components");
         assert_eq!(path(&[AttributeHeader { components: 65, ..scalar.clone() }]), "attributes[0].components");
         assert_eq!(path(&vec![scalar; 257]), "attributes");
+        let regions = AttributeHeader { r#type: 8, ..header(AttributeKind::Regions, 2) };
+        assert_eq!(check(std::slice::from_ref(&regions), mesh).unwrap()[0].numbers, 1);
+        assert_eq!(path(&[AttributeHeader { values: 4, ..regions.clone() }]), "attributes[0].values");
+        assert_eq!(path(&[AttributeHeader { r#type: 2, ..regions.clone() }]), "attributes[0].type");
+        assert_eq!(path(&[AttributeHeader { name: "a".into(), ..regions.clone() }]), "attributes[0].name");
+        let named = vec![proto::Region { number: 1, name: "steel".into() }];
+        assert_eq!(path(&[AttributeHeader { regions: named.clone(), ..texture() }]), "attributes[0].regions");
+        assert!(check(&[AttributeHeader { regions: named, ..regions.clone() }], mesh).is_ok());
+        let long = |number| proto::Region { number, name: "a".repeat(128) };
+        let long = (0..1 + (MOST_OF_NAMES / 128) as i64).map(long).collect();
+        assert_eq!(path(&[AttributeHeader { regions: long, ..regions }]), "attributes[0].regions");
     }
 }

@@ -152,7 +152,15 @@ fn client(data: &[u8], carried: u8) -> (Vec<u8>, bool) {
 fn announced(carried: u8, vertices: u64, facets: u64) -> Vec<AttributeHeader> {
     let header = |kind: AttributeKind, r#type: AttributeType, values, by_corner| {
         let name = if kind == AttributeKind::Scalar { "a".to_owned() } else { String::new() };
-        AttributeHeader { kind: kind.into(), name, r#type: r#type.into(), values, by_corner, components: 0 }
+        AttributeHeader {
+            kind: kind.into(),
+            name,
+            r#type: r#type.into(),
+            values,
+            by_corner,
+            components: 0,
+            regions: Vec::new(),
+        }
     };
     let mut all = Vec::new();
     if carried & 1 != 0 {
@@ -179,6 +187,7 @@ fn arrays_of(header: &AttributeHeader, facets: u64) -> Vec<(ArrayKind, Vec<u8>)>
         }
         AttributeKind::Colours => vec![(ArrayKind::Colours, zeros(4))],
         AttributeKind::Normals => vec![(ArrayKind::Normals, zeros(24)), (ArrayKind::NormalCorners, corners)],
+        AttributeKind::Regions => vec![(ArrayKind::Regions, zeros(8))],
         AttributeKind::Unspecified => Vec::new(),
     }
 }

@@ -7,6 +7,7 @@ use tessera::mesh::TriMesh;
 use tessera::mesh::attributes::{Attributes, ColourDepth, Colours, Normals, PerCorner, Scalar};
 use tessera::mesh::io::{read_with_attributes, write_with_attributes};
 use tessera::mesh::numbers::NumberType;
+use tessera::mesh::regions::Regions;
 use tessera::proto::remesh_response::Message as Answer;
 use tessera::proto::*;
 use tonic::{Code, Status};
@@ -18,7 +19,7 @@ fn bytes(numbers: impl IntoIterator<Item = f64>) -> Vec<u8> {
 
 fn header(kind: AttributeKind, name: &str, r#type: AttributeType, values: usize) -> AttributeHeader {
     let (kind, r#type, name) = (kind.into(), r#type.into(), name.to_owned());
-    AttributeHeader { kind, name, r#type, values: values as u64, by_corner: false, components: 0 }
+    AttributeHeader { kind, name, r#type, values: values as u64, by_corner: false, components: 0, regions: Vec::new() }
 }
 
 fn scalar(attribute: u32, data: &[u8]) -> Vec<Chunk> {
@@ -120,6 +121,33 @@ async fn attributes_come_back_with_the_remesh() {
     server.stop().await.unwrap();
 }
 
+/// Regions come with their names, and go with those that no facet has any more.
+#[tokio::test(flavor = "multi_thread")]
+async fn regions_come_back_with_their_names() {
+    let server = Server::start(Setup::default()).await;
+    let (points, facets) = sphere(3);
+    let north = |f: usize| facets[f].iter().map(|&v| points[v as usize].z).sum::<f64>() > 0.0;
+    let named = |number: i64, name: &str| Region { number, name: name.to_owned() };
+    let regions = vec![named(7, "north"), named(9, "nowhere")];
+    let header = AttributeHeader { regions, ..header(AttributeKind::Regions, "", AttributeType::I32, facets.len()) };
+    let labels: Vec<u8> = (0..facets.len()).flat_map(|f| if north(f) { 7i32 } else { -2 }.to_le_bytes()).collect();
+    let arrays = chunks(ArrayKind::Regions, &labels);
+    let (got, done) = ask(&mut server.client().await, request(vec![header], arrays)).await.unwrap();
+    let all = vec![named(7, "north"), named(9, "nowhere"), named(-2, "")];
+    assert_eq!((done.attributes[0].regions.clone(), done.attributes[0].r#type()), (all, AttributeType::I64));
+    let vertices = points_of(&gather(&got, ArrayKind::Positions));
+    let new_facets = u32s(&gather(&got, ArrayKind::Facets));
+    let labels = gather(&got, ArrayKind::Regions);
+    let labels: Vec<i64> = labels.as_chunks::<8>().0.iter().map(|bytes| i64::from_le_bytes(*bytes)).collect();
+    assert_eq!(3 * labels.len(), new_facets.len());
+    let odd = labels.iter().zip(new_facets.as_chunks::<3>().0).filter(|(label, corners)| {
+        let z = corners.iter().map(|&v| vertices[v as usize].z).sum::<f64>();
+        (**label == 7) != (z > 0.0) && z.abs() > 0.3
+    });
+    assert_eq!(odd.count(), 0);
+    server.stop().await.unwrap();
+}
+
 #[tokio::test(flavor = "multi_thread")]
 async fn what_is_wrong_is_named() {
     let server = Server::start(Setup::default()).await;
@@ -180,6 +208,9 @@ async fn the_program_carries_them_here_and_there() {
     all.add_scalar(Scalar::new("height", mesh.positions().iter().map(|p| p.z).collect())).unwrap();
     let labels = mesh.positions().iter().map(|p| if p.x > 0.0 { 7.0 } else { -40.0 }).collect();
     all.add_scalar(Scalar { number: NumberType::I32, ..Scalar::new("label", labels) }).unwrap();
+    let regions: Vec<i64> =
+        (0..mesh.facets().len()).map(|f| if mesh.corners(f)[0].y > 0.0 { 3 } else { -11 }).collect();
+    all.set_regions(Regions::of_numbers(&regions).unwrap()).unwrap();
     let folder = tempfile::tempdir().unwrap();
     let path = |name: &str| folder.path().join(name);
     assert!(write_with_attributes(&path("in.ply"), &mesh, &all).unwrap().is_empty());
@@ -195,7 +226,8 @@ async fn the_program_carries_them_here_and_there() {
     let (here, there) = tokio::task::block_in_place(|| {
         let options = ["--source-map", "--keep", "sphere:0,0,1,0.5", "--size-in", "sphere:0,0,-1,0.5=0.2"];
         assert!(!run("here.ply", &options).contains("cannot hold"));
-        run("there.ply", &[&["--endpoint", &endpoint], &options[..]].concat());
+        let there = run("there.ply", &[&["--endpoint", &endpoint], &options[..]].concat());
+        assert!(!there.contains("left aside"), "{there}");
         let said = run("here.off", &[]);
         assert!(said.contains("cannot hold") && said.contains("scalar height"), "{said}");
         run("bare.ply", &["--no-attributes"]);
@@ -213,6 +245,9 @@ async fn the_program_carries_them_here_and_there() {
     assert!(kept > 20, "{kept}");
     let labels = &loaded.attributes.scalars()[1];
     assert!(labels.number == NumberType::I32 && labels.values.iter().all(|x| [7.0, -40.0].contains(x)));
+    let regions = loaded.attributes.regions().unwrap();
+    assert_eq!(regions.all().iter().map(|region| region.number).collect::<Vec<_>>(), [-11, 3]);
+    assert!(loaded.attributes.scalars().iter().any(|scalar| scalar.name == "source_facet"));
     assert!(here == there, "the service gives another file");
     server.stop().await.unwrap();
 }

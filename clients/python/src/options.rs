@@ -11,6 +11,7 @@ use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyString};
 use tessera::mesh::attributes::{Attributes, ColourDepth, Colours, Normals, PerCorner, Scalar};
 use tessera::mesh::parts::PartError;
+use tessera::mesh::regions::{Region, Regions};
 use tessera::{
     Anisotropy, DensityOptions, DensitySource, Placement, Projection, Refine, RemeshOptions, Seeds, Share, Tolerance,
     TriMesh,
@@ -271,6 +272,15 @@ pub(crate) fn attributes(given: &Bound<'_, PyAny>, mesh: &TriMesh) -> PyResult<A
             let values = arrays::numbers(&values, &name)?;
             attributes.add_scalar(Scalar { name, number, components, values }).map_err(input)?;
         }
+    }
+    if let Some(numbers) = options.any("regions")? {
+        let numbers = arrays::numbers(&numbers, "regions")?.into_iter().map(|x| x as i64).collect::<Vec<_>>();
+        let names: Vec<(i64, String)> = options.get("region_names", "numbers with names")?.unwrap_or_default();
+        let named = names.into_iter().map(|(number, name)| Region { number, name }).collect();
+        let regions = Regions::of_named(&numbers, named).map_err(input)?;
+        attributes.set_regions(regions).map_err(input)?;
+    } else {
+        options.any("region_names")?;
     }
     options.end()?;
     Ok(attributes)

@@ -91,6 +91,11 @@ pub(crate) fn carried<'py>(py: Python<'py>, attributes: &Attributes) -> PyResult
         dict.set_item("colours", arrays::of_fours(py, colours.values.clone())?)?;
         dict.set_item("colours_of_eight_bits", colours.depth == ColourDepth::Eight)?;
     }
+    if let Some(regions) = attributes.regions() {
+        dict.set_item("regions", arrays::of_numbers(py, regions.numbers().map(|number| number as f64).collect()))?;
+        let named = regions.all().iter().map(|region| (region.number, region.name.clone())).collect::<Vec<_>>();
+        dict.set_item("region_names", named)?;
+    }
     let scalars = PyDict::new(py);
     for scalar in attributes.scalars() {
         let values = arrays::of_numbers(py, scalar.values.clone());

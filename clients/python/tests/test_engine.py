@@ -8,6 +8,7 @@ import subprocess
 import sys
 import threading
 import time
+import warnings
 
 import numpy as np
 import pytest
@@ -252,6 +253,26 @@ def test_labels_keep_their_values_and_their_type(surface):
     for columns in (0, 65):
         with pytest.raises(InputError, match="numbers a vertex"):
             tessera_remesh.remesh(*surface, points=300, attributes={"wide": np.zeros((len(vertices), columns))})
+
+
+def test_regions_come_and_go(surface, tmp_path):
+    vertices, faces = surface
+    regions = np.where(vertices[faces].mean(axis=1)[:, 0] > 0.3, 5, 2)
+    given = tessera_remesh.Attributes(regions=regions, region_names={5: "steel"})
+    result = tessera_remesh.remesh(*surface, points=300, attributes=given)
+    assert set(result.attributes.regions) == {5, 2} and result.attributes.region_names == {5: "steel"}
+    assert not result.face_data and repr(result.attributes) == "Attributes(regions)"
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        result.save(tmp_path / "regions.msh")
+        again = tessera_remesh.remesh(tessera_remesh.read(tmp_path / "regions.msh"), points=300)
+    assert set(again.attributes.regions) == {5, 2} and not again.face_data
+    kept = tessera_remesh.remesh(*surface, points=2000, attributes=given, keep="steel")
+    count = int((regions == 5).sum())
+    assert (kept.attributes.regions[:count] == 5).all()
+    for wrong, words in ((regions[1:], "regions"), (regions + 2**53, r"2\^53"), (regions * 1.5, "integer"), (regions[:, None], "shape")):
+        with pytest.raises(InputError, match=words):
+            tessera_remesh.remesh(*surface, points=300, attributes=tessera_remesh.Attributes(regions=wrong))
 
 
 def test_gaps_of_a_scalar_stay_gaps(surface):

@@ -87,6 +87,34 @@ def test_face_data_are_those_of_the_face_below(surface):
     assert (result.face_data["part"][clear] == np.where(middle < 1, 1, 2)[clear]).all()
 
 
+def test_data_of_faces_may_be_regions(surface):
+    pyvista, meshio = (pytest.importorskip(name) for name in ("pyvista", "meshio"))
+    vertices, faces = surface
+    # A slanted border, which no crease has.
+    middle = vertices[faces].mean(axis=1)
+    material = np.where(middle @ [1, 2, 3] > 0.7, 7, -1).astype(np.int16)
+    objects = [pyvista.PolyData.from_regular_faces(vertices, faces), meshio.Mesh(vertices, [("triangle", faces)])]
+    objects[0].cell_data["material"], objects[1].cell_data["material"] = material, [material.astype(float)]
+    for mesh, get in zip(objects, (lambda mesh: mesh.cell_data["material"], lambda mesh: mesh.cell_data["material"][0])):
+        result = tessera_remesh.remesh(mesh, points=600, regions="material")
+        found = np.asarray(get(result.mesh))
+        assert set(found) == {7, -1} and np.array_equal(found, result.attributes.regions)
+        corners = result.vertices[result.faces]
+        areas = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1) / 2
+        was = vertices[faces]
+        were = np.linalg.norm(np.cross(was[:, 1] - was[:, 0], was[:, 2] - was[:, 0]), axis=1) / 2
+        # Chords of 600 points lose less than this.
+        assert abs(areas[found == 7].sum() / were[material == 7].sum() - 1) < 0.02
+        report = result.report.raw["result"]["regions"]
+        assert {region["number"] for region in report} == {7, -1}
+    assert np.asarray(get(objects[1])).dtype == np.float64
+    with pytest.raises(tessera_remesh.InputError, match="the faces have the data 'material'"):
+        tessera_remesh.remesh(objects[0], points=100, regions="materials")
+    objects[0].cell_data["height"] = middle[:, 2]
+    with pytest.raises(tessera_remesh.InputError, match="integer is needed"):
+        tessera_remesh.remesh(objects[0], points=100, regions="height")
+
+
 def test_texture_and_normals_reach_the_libraries(surface):
     pyvista, trimesh = (pytest.importorskip(name) for name in ("pyvista", "trimesh"))
     sphere = pyvista.Sphere(theta_resolution=40, phi_resolution=40)

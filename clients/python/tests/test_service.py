@@ -100,6 +100,8 @@ def test_all_attributes_travel(surface, endpoint):
             "velocity": vertices * 2,
             "pair": np.tile([[3, 4]], (len(vertices), 1)),
         },
+        regions=np.where(vertices[faces].sum(axis=1)[:, 2] > 0.4, 3, -200).astype(np.int16),
+        region_names={3: "north", 8: "nowhere"},
     )
     here = tessera_remesh.remesh(vertices, faces, points=200, attributes=attributes, backend="parallel").attributes
     there = tessera_remesh.remesh(vertices, faces, points=200, attributes=attributes, endpoint=endpoint).attributes
@@ -112,6 +114,8 @@ def test_all_attributes_travel(surface, endpoint):
         assert np.array_equal(here.scalars[name], there.scalars[name]), name
         assert here.scalars[name].shape[1:] == values.shape[1:], name
     assert set(there.scalars["label"]) == {-7, 40} and (there.scalars["pair"] == [3, 4]).all()
+    assert here.regions.dtype == there.regions.dtype == np.int16 and np.array_equal(here.regions, there.regions)
+    assert set(there.regions) == {3, -200} and here.region_names == there.region_names == attributes.region_names
 
 
 def test_diagrams_and_steps(surface, endpoint):

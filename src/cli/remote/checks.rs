@@ -71,6 +71,7 @@ impl Expected {
                     let numbers = u64::from(header.components.max(1));
                     expected.add(ArrayKind::Scalars, place, Room::of(1, 8 * numbers * vertices));
                 }
+                Ok(AttributeKind::Regions) => expected.add(ArrayKind::Regions, 0, Room::of(8, facets)),
                 Ok(AttributeKind::Unspecified) | Err(_) => {}
             }
         }

@@ -4,7 +4,7 @@
 //! Invariant: every facet has a region that is there; no two regions have one number. Must not know: files, what borders are for.
 
 use std::borrow::Cow;
-use std::collections::{BTreeMap, HashMap, HashSet};
+use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
 
 use super::edges::{sides, undirected};
 
@@ -91,10 +91,19 @@ impl Regions {
 
     /// A region for each number, in the order of the numbers, without names.
     pub fn of_numbers(numbers: &[i64]) -> Result<Self, RegionsError> {
-        let mut index: BTreeMap<i64, u32> = numbers.iter().map(|&number| (number, 0)).collect();
-        index.values_mut().zip(0..).for_each(|(index, k)| *index = k);
+        Self::of_named(numbers, Vec::new())
+    }
+
+    /// The `named` regions, and after them one without a name for each other number.
+    pub fn of_named(numbers: &[i64], named: Vec<Region>) -> Result<Self, RegionsError> {
+        let known: BTreeMap<i64, u32> = named.iter().map(|region| region.number).zip(0..).collect();
+        let others: BTreeSet<i64> = numbers.iter().copied().filter(|number| !known.contains_key(number)).collect();
+        let first = named.len() as u32;
+        let mut index = known;
+        index.extend(others.iter().copied().zip(first..));
         let of_facet = numbers.iter().map(|number| index[number]).collect();
-        Self::new(of_facet, index.into_keys().map(|number| Region { number, name: String::new() }).collect())
+        let others = others.into_iter().map(|number| Region { number, name: String::new() });
+        Self::new(of_facet, named.into_iter().chain(others).collect())
     }
 
     /// For each facet its region: an index into [`Regions::all`].

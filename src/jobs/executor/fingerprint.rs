@@ -132,6 +132,7 @@ mod tests {
             values: array(ArrayForm::F32),
             corners: array(ArrayForm::U32),
             components: 2,
+            regions: vec![Region { number: 7, name: "steel".to_owned() }],
         };
         let file = MeshFile { digest: "02".repeat(32), format: MeshFormat::Obj.into(), attributes: Some(true) };
         let (positions, facets) = (array(ArrayForm::F64), array(ArrayForm::U32));

@@ -6,7 +6,7 @@
 
 use bytes::Bytes;
 use glam::DVec3;
-use serde_json::json;
+use serde_json::{Value, json};
 use std::io::Cursor;
 use std::sync::Arc;
 
@@ -152,6 +152,12 @@ fn carried(attributes: &Attributes, parts: &mut Parts) {
             name.push_str(&format!(".{}.{}", attributes::word_of(scalar.number), scalar.components));
         }
         push(&name, bytes.into());
+    }
+    if let Some(regions) = attributes.regions() {
+        push("regions", regions.numbers().flat_map(i64::to_le_bytes).collect::<Vec<u8>>().into());
+        let named: Vec<Value> =
+            regions.all().iter().map(|region| json!({ "number": region.number, "name": region.name })).collect();
+        push("region_names", Value::from(named).to_string().into());
     }
 }
 

@@ -343,9 +343,8 @@ impl MeshSource {
         }
         let headers: Vec<_> = given.attributes.iter().map(header).collect();
         // Values by corner may be as many as any array has: the estimate counts them.
-        let most = Bounds::WIDEST.max_seeds / 3;
-        let counts = MeshCounts { vertices: positions.count, facets: most, ..MeshCounts::default() };
-        let counts = attributes::check(&headers, counts).map_err(of_header)?;
+        let counts = MeshCounts { vertices: positions.count, facets: facets.count, ..MeshCounts::default() };
+        let counts = attributes::check_within(&headers, counts, Bounds::WIDEST.max_seeds).map_err(of_header)?;
         let attribute = |(i, (counts, given)): (usize, (AttributeCounts, &proto::AttributeArrays))| {
             let read = || {
                 let values = need("values", given.values.as_ref(), "name a blob")?;
@@ -381,6 +380,7 @@ fn header(given: &proto::AttributeArrays) -> proto::AttributeHeader {
         values: given.values.as_ref().map_or(0, |values| values.count),
         by_corner: given.corners.is_some(),
         components: given.components,
+        regions: given.regions.clone(),
     }
 }
 

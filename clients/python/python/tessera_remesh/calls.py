@@ -5,6 +5,7 @@ from __future__ import annotations
 import inspect
 import re
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -95,12 +96,28 @@ def _counted(surface: Surface, given: dict[str, Any]) -> dict[str, Any]:
     return {**given, **counts}
 
 
+def _with_regions(attributes: Attributes | None, name: str | None, surface: Surface) -> Attributes | None:
+    """The same with the data of faces of this name as regions."""
+    if name is None:
+        return attributes
+    if name not in surface.face_data:
+        known = ", ".join(repr(known) for known in surface.face_data) or "none"
+        raise _engine.InputError(f"regions is {name!r}; the faces have the data {known}")
+    regions = np.asarray(surface.face_data[name])
+    if regions.dtype.kind == "f" and np.array_equal(regions, np.rint(regions)):
+        regions = regions.astype(np.int64)
+    carried = replace(attributes or Attributes(), regions=regions, regions_from=name)
+    if attributes is surface.attributes:
+        surface.attributes = carried
+    return carried
+
+
 def remesh_options(surface: Surface, given: dict[str, Any]) -> tuple[dict[str, Any], Attributes | None]:
     """What the engine and the service take, and what the surface carries. `given` are the arguments of `remesh`."""
     given = _counted(surface, given)
     _one_size(given["edge_length"], **{name: given[name] for name in ("points", "facets", "sizes", "metric")})
     named = None if given["attributes"] is False else surface.creases
-    attributes = _carried(given.pop("attributes"), surface)
+    attributes = _with_regions(_carried(given.pop("attributes"), surface), given.pop("regions"), surface)
     given.update(_density(given.pop("density")))
     given["sizes"], given["seeds"] = meshes._floats(given["sizes"]), meshes._floats(given["seeds"])
     given["metric"] = _tensors(given["metric"])
@@ -144,6 +161,7 @@ def remesh(
     seed: int | None = None,
     seeds: ArrayLike | None = None,
     attributes: bool | Attributes | dict[str, ArrayLike] = True,
+    regions: str | None = None,
     measure: bool = True,
     backend: Literal["auto", "gpu", "parallel", "serial"] | None = None,
     threads: int | None = None,
@@ -204,6 +222,8 @@ def remesh(
         seeds: (s, 3) float: first seeds, instead of `points`.
         attributes: True: the result carries what the object carries; False: nothing; or `Attributes`, or a dictionary of (n,)
             scalars, for vertices and faces.
+        regions: the name of data of faces, as of `cell_data`, that are the regions of faces: whole numbers. A remesh keeps the
+            borders between regions, and the result has the region of each face under the same name.
         measure: whether to measure quality and distance for the report.
         backend: "auto" (the GPU if there is one, else all cores), "gpu", "parallel", "serial".
         threads: threads of this call; all cores if None. Not for a server.
@@ -248,14 +268,12 @@ def to_remesh(surface: Surface, carried: Attributes | None, done: dict[str, Any]
     report = Report.from_json(done.pop("report"))
     for warning in report.warnings:
         warn(warning["message"])
-    return Remesh(
-        report=report,
-        attributes=None if attributes is None else Attributes._from_engine(attributes)._like(carried),
-        library=surface.library,
-        # Given attributes take the place of all that the object carries.
-        face_data=meshes.below(surface, done["vertices"], done["faces"]) if carried is surface.attributes else {},
-        **done,
-    )
+    made = None if attributes is None else Attributes._from_engine(attributes)._like(carried)
+    # Given attributes take the place of all that the object carries.
+    face_data = meshes.below(surface, done["vertices"], done["faces"]) if carried is surface.attributes else {}
+    if made is not None and made.regions is not None and made.regions_from:
+        face_data[made.regions_from] = made.regions
+    return Remesh(report=report, attributes=made, library=surface.library, face_data=face_data, **done)
 
 
 def _no_server(server: dict[str, Any]) -> None:

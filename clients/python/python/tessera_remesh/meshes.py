@@ -51,12 +51,18 @@ class Attributes:
     texture_corners: Array | None = None
     #: (n, 3) or (n, 4), red, green, blue and opacity of each vertex: float from 0 to 1, or uint8.
     colours: Array | None = None
+    #: (m,) integer: the region of each face, as a material or a physical group. A remesh keeps the borders between regions.
+    regions: Array | None = None
+    #: Names of regions, by their numbers.
+    region_names: dict[int, str] = field(default_factory=dict)
+    #: The name of the data of faces that the regions come from.
+    regions_from: str | None = None
     #: (n,) or (n, k) each, under a name of at most 128 bytes. Float is interpolated; integer
     #: and bool are those of the nearest vertex, and keep their type.
     scalars: dict[str, Array] = field(default_factory=dict)
 
     def __repr__(self) -> str:
-        named = [name for name in ("normals", "texture", "colours") if getattr(self, name) is not None]
+        named = [name for name in ("normals", "texture", "colours", "regions") if getattr(self, name) is not None]
         return f"Attributes({', '.join([*named, *(f'scalar {name}' for name in self.scalars)])})"
 
     def _to_engine(self) -> dict[str, Any]:
@@ -67,6 +73,14 @@ class Attributes:
             "texture_corners": self.texture_corners,
             "scalars": {name: _numbers(name, values) for name, values in self.scalars.items()},
         }
+        if self.regions is not None:
+            regions = np.asarray(self.regions)
+            if regions.dtype.kind not in "iub" or regions.ndim != 1:
+                raise InputError(f"regions has the type {regions.dtype} and the shape {regions.shape}; (m,) integer is needed")
+            if regions.size and np.abs(regions.astype(np.float64)).max() >= 2**53:
+                raise InputError("regions has numbers of 2^53 or more; give smaller ones")
+            given["regions"] = regions.astype(np.float64)
+            given["region_names"] = [(int(number), str(name)) for number, name in self.region_names.items()]
         if self.colours is not None:
             colours = np.asarray(self.colours)
             given["colours_of_eight_bits"] = colours.dtype == np.uint8
@@ -83,10 +97,16 @@ class Attributes:
         if given.pop("colours_of_eight_bits", False):
             given["colours"] = np.rint(np.clip(given["colours"], 0, 1) * 255).astype(np.uint8)
         given["scalars"] = {name: _array(*scalar) for name, scalar in given["scalars"].items()}
+        if "regions" in given:
+            given["regions"] = given["regions"].astype(np.int64)
+            given["region_names"] = {number: name for number, name in given["region_names"] if name}
         return cls(**given)
 
     def _like(self, given: Attributes | None) -> Attributes:
-        """With bool, and with one column, where `given` has these: the engine knows neither."""
+        """With bool, with one column, and with small types of regions, where `given` has these: the engine knows none of them."""
+        if given is not None and given.regions is not None and self.regions is not None:
+            self.regions_from = given.regions_from
+            self.regions = self.regions.astype(np.asarray(given.regions).dtype)
         for name, values in (given.scalars if given is not None else {}).items():
             was, carried = np.asarray(values), self.scalars.get(name)
             if carried is not None:
@@ -134,7 +154,8 @@ def save(path: str | os.PathLike[str], surface: Surface) -> None:
     """Writes a surface to a file, in the format of the name's ending. Warns of what the format cannot hold."""
     carried = None if surface.attributes is None else surface.attributes._to_engine()
     left_out = _engine.write(path, surface.vertices, surface.faces, carried)
-    left_out += [f"data of faces {name}" for name in surface.face_data]
+    held = None if surface.attributes is None else surface.attributes.regions_from
+    left_out += [f"data of faces {name}" for name in surface.face_data if name != held]
     if left_out:
         warn(f"{os.fspath(path)}: this format cannot hold: {', '.join(left_out)}")
 
@@ -396,12 +417,20 @@ def to_trimesh(surface: Surface) -> Any:
         mesh.visual = trimesh.visual.ColorVisuals(mesh, vertex_colors=attributes.colours)
     for name, values in attributes.scalars.items():
         mesh.vertex_attributes[name] = values
-    for name, values in surface.face_data.items():
+    for name, values in _data_of_faces(surface).items():
         if name != FACE_COLOURS:
             mesh.face_attributes[name] = values
         elif attributes.texture is None and attributes.colours is None:
             mesh.visual = trimesh.visual.ColorVisuals(mesh, face_colors=values)
     return mesh
+
+
+def _data_of_faces(surface: Surface) -> dict[str, Array]:
+    """With regions that come from no data of faces, as those of a file."""
+    attributes = surface.attributes
+    if attributes is None or attributes.regions is None or attributes.regions_from:
+        return surface.face_data
+    return {**surface.face_data, "regions": attributes.regions}
 
 
 def to_pyvista(surface: Surface) -> Any:
@@ -417,7 +446,7 @@ def to_pyvista(surface: Surface) -> Any:
         mesh.point_data.active_normals = attributes.normals
     if attributes.texture is not None:
         mesh.active_texture_coordinates = attributes.texture
-    for name, values in surface.face_data.items():
+    for name, values in _data_of_faces(surface).items():
         mesh.cell_data[name] = values
     return mesh
 
@@ -430,5 +459,5 @@ def to_meshio(surface: Surface) -> Any:
     for name, values in (("RGBA", attributes.colours), ("Normals", attributes.normals), ("UV", attributes.texture)):
         if values is not None:
             data[name] = values
-    cell_data = {name: [values] for name, values in surface.face_data.items()}
+    cell_data = {name: [values] for name, values in _data_of_faces(surface).items()}
     return meshio.Mesh(surface.vertices, [("triangle", surface.faces)], point_data=data, cell_data=cell_data)

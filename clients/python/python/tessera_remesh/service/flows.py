@@ -7,6 +7,7 @@ A flow knows no connection, so that the same one serves the blocking client and 
 from __future__ import annotations
 
 import hashlib
+import json
 import secrets
 from collections.abc import Callable, Generator, Iterator
 from dataclasses import dataclass
@@ -286,6 +287,11 @@ def _mesh(surface: Surface, carried: Attributes | None, patience: float) -> Flow
             colours = np.rint(given["colours"] * 255) if eight else given["colours"]
             values = yield from (_array(colours, "U8", patience) if eight else _floats(colours, patience))
             add(remesh_pb2.ATTRIBUTE_KIND_COLOURS, "", values, None)
+        if given.get("regions") is not None:
+            regions = yield from _array(given["regions"], "I64", patience)
+            add(remesh_pb2.ATTRIBUTE_KIND_REGIONS, "", regions, None)
+            named = (remesh_pb2.Region(number=number, name=name) for number, name in given["region_names"])
+            arrays.attributes[-1].regions.extend(named)
         for name, (numbers, form, components) in given["scalars"].items():
             values = yield from _array(numbers.reshape(-1, components), form, patience)
             add(remesh_pb2.ATTRIBUTE_KIND_SCALAR, name, values, None, components)
@@ -391,6 +397,10 @@ def remesh_arrays(blobs: dict[str, bytes]) -> dict[str, Any]:
         colours = _table(blobs["colours"], "u1" if eight else "<f8", 4)
         attributes["colours"] = colours / 255.0 if eight else colours
         attributes["colours_of_eight_bits"] = eight
+    if "regions" in blobs:
+        attributes["regions"] = np.frombuffer(blobs["regions"], "<i8")
+        named = json.loads(blobs["region_names"])
+        attributes["region_names"] = [(region["number"], region["name"]) for region in named]
     scalars = {}
     for name, data in blobs.items():
         if name.startswith("scalar."):

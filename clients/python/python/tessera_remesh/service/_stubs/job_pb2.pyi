@@ -134,18 +134,20 @@ class MeshFile(_message.Message):
     def __init__(self, digest: _Optional[str] = ..., format: _Optional[_Union[MeshFormat, str]] = ..., attributes: bool = ...) -> None: ...
 
 class AttributeArrays(_message.Message):
-    __slots__ = ("kind", "name", "values", "corners", "components")
+    __slots__ = ("kind", "name", "values", "corners", "components", "regions")
     KIND_FIELD_NUMBER: _ClassVar[int]
     NAME_FIELD_NUMBER: _ClassVar[int]
     VALUES_FIELD_NUMBER: _ClassVar[int]
     CORNERS_FIELD_NUMBER: _ClassVar[int]
     COMPONENTS_FIELD_NUMBER: _ClassVar[int]
+    REGIONS_FIELD_NUMBER: _ClassVar[int]
     kind: _remesh_pb2.AttributeKind
     name: str
     values: ArrayRef
     corners: ArrayRef
     components: int
-    def __init__(self, kind: _Optional[_Union[_remesh_pb2.AttributeKind, str]] = ..., name: _Optional[str] = ..., values: _Optional[_Union[ArrayRef, _Mapping]] = ..., corners: _Optional[_Union[ArrayRef, _Mapping]] = ..., components: _Optional[int] = ...) -> None: ...
+    regions: _containers.RepeatedCompositeFieldContainer[_remesh_pb2.Region]
+    def __init__(self, kind: _Optional[_Union[_remesh_pb2.AttributeKind, str]] = ..., name: _Optional[str] = ..., values: _Optional[_Union[ArrayRef, _Mapping]] = ..., corners: _Optional[_Union[ArrayRef, _Mapping]] = ..., components: _Optional[int] = ..., regions: _Optional[_Iterable[_Union[_remesh_pb2.Region, _Mapping]]] = ...) -> None: ...
 
 class MeshArrays(_message.Message):
     __slots__ = ("positions", "facets", "attributes")

@@ -48,6 +48,7 @@ class ArrayKind(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
     ARRAY_KIND_TEXTURE_CORNERS: _ClassVar[ArrayKind]
     ARRAY_KIND_COLOURS: _ClassVar[ArrayKind]
     ARRAY_KIND_SCALARS: _ClassVar[ArrayKind]
+    ARRAY_KIND_REGIONS: _ClassVar[ArrayKind]
     ARRAY_KIND_REPORT: _ClassVar[ArrayKind]
 
 class RvdOutput(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
@@ -64,6 +65,7 @@ class AttributeKind(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
     ATTRIBUTE_KIND_TEXTURE_COORDINATES: _ClassVar[AttributeKind]
     ATTRIBUTE_KIND_COLOURS: _ClassVar[AttributeKind]
     ATTRIBUTE_KIND_SCALAR: _ClassVar[AttributeKind]
+    ATTRIBUTE_KIND_REGIONS: _ClassVar[AttributeKind]
 
 class AttributeType(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
     __slots__ = ()
@@ -171,6 +173,7 @@ ARRAY_KIND_TEXTURE_COORDINATES: ArrayKind
 ARRAY_KIND_TEXTURE_CORNERS: ArrayKind
 ARRAY_KIND_COLOURS: ArrayKind
 ARRAY_KIND_SCALARS: ArrayKind
+ARRAY_KIND_REGIONS: ArrayKind
 ARRAY_KIND_REPORT: ArrayKind
 RVD_OUTPUT_UNSPECIFIED: RvdOutput
 RVD_OUTPUT_CELLS: RvdOutput
@@ -181,6 +184,7 @@ ATTRIBUTE_KIND_NORMALS: AttributeKind
 ATTRIBUTE_KIND_TEXTURE_COORDINATES: AttributeKind
 ATTRIBUTE_KIND_COLOURS: AttributeKind
 ATTRIBUTE_KIND_SCALAR: AttributeKind
+ATTRIBUTE_KIND_REGIONS: AttributeKind
 ATTRIBUTE_TYPE_UNSPECIFIED: AttributeType
 ATTRIBUTE_TYPE_F32: AttributeType
 ATTRIBUTE_TYPE_F64: AttributeType
@@ -245,21 +249,31 @@ class Chunk(_message.Message):
     attribute: int
     def __init__(self, kind: _Optional[_Union[ArrayKind, str]] = ..., offset: _Optional[int] = ..., data: _Optional[bytes] = ..., crc32c: _Optional[int] = ..., total_bytes: _Optional[int] = ..., attribute: _Optional[int] = ...) -> None: ...
 
+class Region(_message.Message):
+    __slots__ = ("number", "name")
+    NUMBER_FIELD_NUMBER: _ClassVar[int]
+    NAME_FIELD_NUMBER: _ClassVar[int]
+    number: int
+    name: str
+    def __init__(self, number: _Optional[int] = ..., name: _Optional[str] = ...) -> None: ...
+
 class AttributeHeader(_message.Message):
-    __slots__ = ("kind", "name", "type", "values", "by_corner", "components")
+    __slots__ = ("kind", "name", "type", "values", "by_corner", "components", "regions")
     KIND_FIELD_NUMBER: _ClassVar[int]
     NAME_FIELD_NUMBER: _ClassVar[int]
     TYPE_FIELD_NUMBER: _ClassVar[int]
     VALUES_FIELD_NUMBER: _ClassVar[int]
     BY_CORNER_FIELD_NUMBER: _ClassVar[int]
     COMPONENTS_FIELD_NUMBER: _ClassVar[int]
+    REGIONS_FIELD_NUMBER: _ClassVar[int]
     kind: AttributeKind
     name: str
     type: AttributeType
     values: int
     by_corner: bool
     components: int
-    def __init__(self, kind: _Optional[_Union[AttributeKind, str]] = ..., name: _Optional[str] = ..., type: _Optional[_Union[AttributeType, str]] = ..., values: _Optional[int] = ..., by_corner: bool = ..., components: _Optional[int] = ...) -> None: ...
+    regions: _containers.RepeatedCompositeFieldContainer[Region]
+    def __init__(self, kind: _Optional[_Union[AttributeKind, str]] = ..., name: _Optional[str] = ..., type: _Optional[_Union[AttributeType, str]] = ..., values: _Optional[int] = ..., by_corner: bool = ..., components: _Optional[int] = ..., regions: _Optional[_Iterable[_Union[Region, _Mapping]]] = ...) -> None: ...
 
 class MeshHeader(_message.Message):
     __slots__ = ("vertices", "facets", "position_type", "weights", "edge_lengths", "creases", "attributes", "metric")
