@@ -66,6 +66,7 @@ fn link(full: &str) -> String {
 fn kind(field: &FieldDescriptorProto, message: &DescriptorProto) -> String {
     let scalar = match field.r#type() {
         Type::Double => "double",
+        Type::Int64 => "int64",
         Type::Uint64 => "uint64",
         Type::Int32 => "int32",
         Type::Uint32 => "uint32",

@@ -64,7 +64,11 @@ impl Adjacency {
 
     /// As [`Self::new`], unless it is stopped.
     pub fn unless(mesh: &TriMesh, token: &Token) -> Result<Self, Stopped> {
-        let representative = weld_unless(mesh, token)?;
+        Self::with(mesh, weld_unless(mesh, token)?, token)
+    }
+
+    /// The same where vertices with one representative, the lowest of them, are one, and no others.
+    pub fn with(mesh: &TriMesh, representative: Vec<u32>, token: &Token) -> Result<Self, Stopped> {
         let halves = 3 * mesh.facets().len();
         let welded = |corners: &[u32; 3]| corners.map(|c| representative[c as usize]);
         let facets = mesh.facets().iter().map(welded).enumerate();

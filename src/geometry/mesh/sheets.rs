@@ -6,6 +6,8 @@
 //! Invariant: depends on the mesh alone, and on the area below which a sheet counts as noise: that one stays with a sheet it
 //! touches. A facet that names a point twice is of a sheet that it touches. Must not know: why sheets are wanted.
 
+pub(crate) mod pieces;
+
 use std::collections::BTreeMap;
 
 use glam::DVec3;
@@ -24,11 +26,18 @@ pub(crate) struct Sheets {
     /// The sheet of each facet.
     pub of_facet: Vec<u32>,
     pub count: usize,
+    /// Without what divides sheets that touch themselves.
+    pub whole: usize,
     /// Edges at which several sheets meet, by their lowest vertices; ascending.
     pub seams: Vec<[u32; 2]>,
+    /// Seams at which one sheet was divided, with two facets of its pieces that go on in each other.
+    pub joined: Vec<([u32; 2], Link)>,
     /// Whether any two sheets have a place in common that is a vertex of both.
     pub touch: bool,
 }
+
+/// Two facets with an edge, through which a sheet goes on.
+pub(crate) type Link = [u32; 2];
 
 /// A facet at an edge, seen along the edge from its lower end.
 struct Side {
@@ -49,20 +58,12 @@ impl Sheets {
     pub(crate) fn of(mesh: &TriMesh, least: f64, go_on: bool, token: &Token) -> Result<Self, Stopped> {
         let class = weld_unless(mesh, token)?;
         let welded = |t: &[u32; 3]| t.map(|v| class[v as usize]);
-        let whole = |[a, b, c]: &[u32; 3]| a != b && b != c && c != a;
-        let facets = mesh.facets().iter().map(welded).enumerate().filter(|(_, t)| whole(t));
-        let groups = EdgeGroups::unless(class.len(), facets, token)?;
+        let groups = EdgeGroups::unless(class.len(), whole_facets(mesh, &class), token)?;
         let outward = signed_volume(mesh) >= 0.0;
         let mut sets = DisjointSets::new(mesh.facets().len());
-        groups.for_each(|low, halves| match *halves {
-            [_] => {}
-            [a, b] => sets.join(a.facet as usize, b.facet as usize),
-            // No sheets meet like that.
-            ref fan if fan.len() > MOST_AT_EDGE => {
-                fan.windows(2).for_each(|pair| sets.join(pair[0].facet as usize, pair[1].facet as usize));
-            }
-            _ if !go_on => {}
-            _ => pairs(sides(mesh, &class, low, halves), outward).iter().for_each(|&[a, b]| sets.join(a, b)),
+        groups.for_each(|low, halves| {
+            let links = links((mesh, &class), low, halves, (go_on, outward));
+            links.iter().for_each(|&[a, b]| sets.join(a as usize, b as usize));
         });
         token.check()?;
         let mut area = vec![0.0; mesh.facets().len()];
@@ -81,7 +82,11 @@ impl Sheets {
                 }
             }
         }
-        // By their first vertices.
+        Ok(Self::numbered(mesh, &class, &groups, &mut sets))
+    }
+
+    /// Sheets of these facets, by their first vertices.
+    fn numbered(mesh: &TriMesh, class: &[u32], groups: &EdgeGroups, sets: &mut DisjointSets) -> Self {
         let mut lowest: BTreeMap<usize, u32> = BTreeMap::new();
         for (f, corners) in mesh.facets().iter().enumerate() {
             let low = lowest.entry(sets.root(f)).or_insert(u32::MAX);
@@ -95,18 +100,37 @@ impl Sheets {
         let mut seams = Vec::new();
         groups.for_each(|_, halves| {
             let mut sheets = halves.iter().map(|half| of_facet[half.facet as usize]);
-            if let (true, Some(first)) = (halves.len() > 2, sheets.next())
+            if let Some(first) = sheets.next()
                 && sheets.any(|sheet| sheet != first)
             {
-                let t = welded(&mesh.facets()[halves[0].facet as usize]);
+                let t = mesh.facets()[halves[0].facet as usize].map(|v| class[v as usize]);
                 seams.push(undirected([t[halves[0].side], t[(halves[0].side + 1) % 3]]));
             }
         });
-        let touches = |(f, corners): (usize, &[u32; 3])| {
-            welded(corners).iter().any(|&v| first[v as usize].is_some_and(|first| of_facet[first] != of_facet[f]))
+        let mut first = vec![None; class.len()];
+        let touches = |(sheet, corners): (&u32, &[u32; 3])| {
+            corners.iter().any(|&v| *first[class[v as usize] as usize].get_or_insert(*sheet) != *sheet)
         };
-        let touch = mesh.facets().iter().enumerate().any(touches);
-        Ok(Self { of_facet, count: order.len(), seams, touch })
+        let touch = of_facet.iter().zip(mesh.facets()).any(touches);
+        Self { of_facet, count: order.len(), whole: order.len(), seams, touch, joined: Vec::new() }
+    }
+}
+
+/// The facets that do not name a point twice, with their numbers, by the lowest vertices at their corners.
+fn whole_facets<'a>(mesh: &'a TriMesh, class: &'a [u32]) -> impl Iterator<Item = (usize, [u32; 3])> + Clone + 'a {
+    let facets = mesh.facets().iter().map(|t| t.map(|v| class[v as usize])).enumerate();
+    facets.filter(|(_, [a, b, c])| a != b && b != c && c != a)
+}
+
+/// The pairs of facets at an edge through which a sheet goes on. Unless sheets `go_on`, they end at edges of more than two.
+fn links((mesh, class): (&TriMesh, &[u32]), low: u32, halves: &[Half], (go_on, outward): (bool, bool)) -> Vec<Link> {
+    match *halves {
+        [_] => Vec::new(),
+        [a, b] => vec![[a.facet, b.facet]],
+        // No sheets meet like that.
+        ref fan if fan.len() > MOST_AT_EDGE => fan.windows(2).map(|pair| [pair[0].facet, pair[1].facet]).collect(),
+        _ if !go_on => Vec::new(),
+        _ => pairs(sides(mesh, class, low, halves), outward).iter().map(|pair| pair.map(|f| f as u32)).collect(),
     }
 }
 
@@ -201,6 +225,7 @@ fn by_continuation(mut sides: Vec<Side>, found: &mut Vec<[usize; 2]>) {
 mod tests {
     #![allow(clippy::unwrap_used)]
 
+    use super::pieces::PieceOptions;
     use super::*;
     use crate::mesh::adjacency::Adjacency;
     use crate::mesh::apart::Apart;
@@ -268,6 +293,34 @@ mod tests {
         }
         // Solids that share a side are one if the side is left out.
         assert_eq!(of(&voxels(&[[0, 0, 0], [1, 0, 0]], false)).count, 1);
+    }
+
+    #[test]
+    fn a_solid_that_touches_itself_is_in_pieces() {
+        let options = PieceOptions { least: 0.5, go_on: true, crease: 0.5 };
+        let pieces = |mesh: &TriMesh| of(mesh).in_pieces(mesh, options, &Token::default()).unwrap();
+        // Ends of a chain that meet in an edge; in a corner; two squares of one plane; a ring around nothing.
+        for cubes in [
+            &[[0, 0, 0], [1, 0, 0], [1, 0, 1], [0, 1, 0], [1, 1, 1]][..],
+            &[[0, 0, 0], [1, 0, 0], [2, 0, 0], [2, 1, 0], [2, 1, 1], [1, 1, 1]],
+            &[[0, 0, 0], [0, 0, 1], [1, 0, 0], [1, 1, 0], [1, 1, 1]],
+        ] {
+            for mesh in [voxels(cubes, false), turned(&voxels(cubes, false))] {
+                let whole = of(&mesh);
+                let pieces = pieces(&mesh).unwrap();
+                assert_eq!((whole.count, pieces.whole), (1, 1), "{cubes:?}");
+                assert!(pieces.count > 1 && !pieces.joined.is_empty());
+                let apart = Apart::of(&mesh, &pieces, 0.5).unwrap().mesh;
+                let topology = topology(&apart);
+                let flaws = (topology.non_manifold_edges, topology.non_manifold_vertices);
+                assert_eq!((topology.components, flaws), (pieces.count, (0, 0)), "{cubes:?}");
+                // Whatever is smaller than a piece would have to be stays as it is.
+                let least = PieceOptions { least: mesh.area(), ..options };
+                assert_eq!(whole.in_pieces(&mesh, least, &Token::default()), Ok(None));
+            }
+        }
+        let ring = [[0, 0, 0], [1, 0, 0], [2, 0, 0], [0, 1, 0], [2, 1, 0], [0, 2, 0], [1, 2, 0], [2, 2, 0]];
+        assert_eq!(pieces(&voxels(&ring, false)), None);
     }
 
     #[test]

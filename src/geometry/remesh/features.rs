@@ -28,7 +28,7 @@ use crate::rvd::{Frame, Surface};
 use crate::token::{Stopped, Token};
 use envelope::CurveSample;
 use polyline::{Polyline, Stretch};
-use seams::Seams;
+use seams::{Joint, Seams};
 
 /// For each seed, whether it stays at its place.
 fn staying(seeds: &CurveSeeds, features: &Features) -> Vec<bool> {
@@ -62,7 +62,9 @@ pub(crate) struct KeptCurves {
     seams: Option<Arc<Seams>>,
     /// For each seed, whether it stays at its place: several sheets have it, or an edge that stays.
     stays: Vec<bool>,
-    /// Seeds that are copies of others.
+    /// For each seed with copies at other sheets, what it is joined by; empty if there are none.
+    joints: Vec<Option<Joint>>,
+    /// Seeds that are joined to others.
     copies: usize,
 }
 
@@ -119,7 +121,7 @@ impl KeptCurves {
             let edge = edge_length(surface, (&features, &[]), surface.root_mass(), points, token)?;
             let is_crease = |c: &&Curve| c.kind == CurveKind::Crease && !c.is_rim;
             let creases = |features: &Features| features.curves.iter().filter(is_crease).count();
-            let share = |creases| if creases == 0 { 1.0 } else { LARGEST_SHARE };
+            let most_of = |creases| if creases == 0 { 1.0 } else { LARGEST_SHARE };
             // Close curves are dropped next, but do not make room for more than this.
             let most = points.saturating_mul(MOST_SEEDS).saturating_add(SPARE_SEEDS);
             let mut placed = CurveSeeds::place(surface, (&features, &[]), edge, most, token)?;
@@ -136,10 +138,11 @@ impl KeptCurves {
                 seeds.split_by_deviation(token)?;
                 let may_split = |c: &Curve| c.kind == CurveKind::Boundary || c.is_rim;
                 seeds.split_between_others(|c| may_split(&features.curves[c as usize]), token)?;
-                let copies = seams.map_or(0, |seams| seams.share(&mut seeds, &features, surface.positions()));
-                if seeds.len() as f64 <= share(creases(&features)) * points as f64 {
+                let share = |seams: &Arc<Seams>| seams.share(&mut seeds, &features, surface.positions());
+                let (joints, copies) = seams.map(share).unwrap_or_default();
+                if seeds.len() as f64 <= most_of(creases(&features)) * points as f64 {
                     let stays = staying(&seeds, &features);
-                    return Ok(Self { features, seeds, dropped_curves, seams: seams.cloned(), stays, copies });
+                    return Ok(Self { features, seeds, dropped_curves, seams: seams.cloned(), stays, joints, copies });
                 }
             }
             let creases = creases(&features);
@@ -258,10 +261,10 @@ impl KeptCurves {
         let most = (LARGEST_SHARE * points as f64) as usize;
         if let Some(mut seeds) = CurveSeeds::place(surface, (features, stretch), edge, most, token)? {
             seeds.split_by_deviation(token)?;
-            let seams = self.seams.as_ref();
-            let copies = seams.map_or(0, |seams| seams.share(&mut seeds, features, surface.positions()));
+            let share = |seams: &Arc<Seams>| seams.share(&mut seeds, features, surface.positions());
+            let (joints, copies) = self.seams.as_ref().map(share).unwrap_or_default();
             if seeds.len() <= most {
-                self.copies = copies;
+                (self.joints, self.copies) = (joints, copies);
                 self.stays = staying(&seeds, features);
                 self.seeds = seeds;
             }
@@ -302,6 +305,11 @@ impl KeptCurves {
         within.sort_by(|a, b| a.0.cmp(&b.0).then(a.1.total_cmp(&b.1)).then(a.2.cmp(&b.2)));
         within.dedup();
         within.into_iter().map(|(.., seed)| seed).collect()
+    }
+
+    /// What a seed with copies at other sheets is joined by.
+    pub(crate) fn joint(&self, seed: u32) -> Option<Joint> {
+        self.joints.get(seed as usize).copied().flatten()
     }
 
     /// Whether a seed stays at its place, since several sheets have it, or an edge that stays.
@@ -365,7 +373,13 @@ impl KeptCurves {
 
     /// What the report says; `edges` are those of [`KeptCurves::edges_in`].
     pub(crate) fn figures(&self, edges: &[Option<[u32; 2]>]) -> FeatureFigures {
-        let count = |kind| self.features.curves.iter().filter(|c| c.kind == kind && !c.is_rim).count();
+        // Where sheets are joined again, their boundaries are none of the result.
+        let kind = |(k, c): (u32, &Curve)| match c.kind {
+            CurveKind::Boundary if self.seeds.is_shared(k) => CurveKind::Crease,
+            kind => kind,
+        };
+        let own = || (0..).zip(&self.features.curves).filter(|(_, c)| !c.is_rim);
+        let count = |wanted| own().filter(|curve| kind(*curve) == wanted).count();
         // What becomes of edges that stay is seen where both parts are put together.
         let is_rim = |s: &Segment| self.features.curves[s.curve as usize].is_rim;
         let own = self.seeds.segments.iter().zip(edges).filter(|(s, _)| !is_rim(s));

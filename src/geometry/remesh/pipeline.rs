@@ -174,7 +174,7 @@ fn run_stages(
         rayon::join(|| preprocess(given, weld, token), || prepare(given, options, asked, None, token));
     let mut preprocessed = preprocessed?;
     let separated = preprocessed.separate(given, (options, rims), token)?;
-    let Separated { apart, options: adapted, topology, seams, rims: of_sheets } = separated;
+    let Separated { apart, options: adapted, topology, joined, seams, rims: of_sheets } = separated;
     let rims = of_sheets.as_deref().unwrap_or(rims);
     let asked = Asked { apart: apart.as_ref(), held: Held { seams: seams.as_ref(), rims }, ..asked };
     token.check()?;
@@ -242,6 +242,13 @@ fn run_stages(
                 join::join(&mut attempt.built, &attempt.curves, &mut transferred).map_err(broken)?;
                 job.topology = input.topology;
                 of_result = None;
+            } else if let Some(joined) = joined {
+                join::join(&mut attempt.built, &attempt.curves, &mut transferred).map_err(broken)?;
+                job.topology = joined;
+                // What has one vertex is joined, and not what touches.
+                let result = &attempt.built.mesh;
+                let own = (0..result.positions().len() as u32).collect();
+                of_result = Some(topology_unless(result, &Adjacency::with(result, own, token)?, token)?);
             }
             transferred
         }
@@ -314,7 +321,7 @@ fn measure(
     let quality = || options.measure.then(|| compare(clean, closest, result, token)).transpose();
     let crossings = || options.measure.then(|| crossings(result, token)).transpose();
     // Only parts of one seed's cell, or of the surface, can be in one place.
-    let touches = built.repair.extra_vertices > 0 || wanted.components > 1;
+    let touches = built.repair.extra_vertices > 0 || wanted.components > 1 || of_result.is_some();
     let topology = || -> Result<_, Stopped> {
         let coincident_vertices = if touches { coincident_vertices(result, token)? } else { 0 };
         let topology = match of_result {

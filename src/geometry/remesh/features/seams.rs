@@ -2,16 +2,39 @@
 //!
 //! Purpose: [`Seams`] knows where sheets met before they were moved apart. There all of them get the same corners
 //! ([`Seams::corners`]), so that their curves are copies of each other, which get the same seeds ([`Seams::share`]). Results of the
-//! sheets then have the same vertices there.
+//! sheets then have the same vertices there. [`Joints`] says which of them are one vertex in the end.
 //! Invariant: depends on the surface alone. Must not know: how seeds of a curve are placed, how sheets were found.
 
-use std::collections::{BTreeMap, HashSet};
+use std::collections::{BTreeMap, HashMap, HashSet};
 
 use glam::DVec3;
 
 use crate::cvt::curves::{CurveSeeds, Twin};
 use crate::mesh::edges::undirected;
 use crate::mesh::features::{Curve, Features};
+
+/// Which copies of a vertex, and of an edge, are one in the end.
+#[derive(Clone, Debug)]
+pub(crate) enum Joints {
+    /// All in one place.
+    All,
+    /// Those of the pieces of one sheet.
+    Pieces {
+        /// For each vertex of the sheets apart the lowest one that it is joined to.
+        vertices: Vec<u32>,
+        /// For an edge of the sheets apart, by its vertices in ascending order, which edges it is one with.
+        edges: HashMap<[u32; 2], u32>,
+    },
+}
+
+/// What seeds have in common that are joined in one place: vertices of one number, or edges of one.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub(crate) enum Joint {
+    Vertex(u32),
+    Edge(u32),
+    /// Copies of one curve, by the first of them.
+    Curve(u32),
+}
 
 /// Where sheets met.
 #[derive(Clone, Debug)]
@@ -22,12 +45,13 @@ pub(crate) struct Seams {
     edges: HashSet<[u32; 2]>,
     /// Vertices of such edges.
     vertices: HashSet<u32>,
+    joints: Joints,
 }
 
 impl Seams {
-    pub(crate) fn new(class: Vec<u32>, edges: &[[u32; 2]]) -> Self {
+    pub(crate) fn new(class: Vec<u32>, edges: &[[u32; 2]], joints: Joints) -> Self {
         let vertices = edges.iter().flatten().copied().collect();
-        Self { class, edges: edges.iter().copied().map(undirected).collect(), vertices }
+        Self { class, edges: edges.iter().copied().map(undirected).collect(), vertices, joints }
     }
 
     fn class(&self, v: u32) -> Option<u32> {
@@ -41,22 +65,51 @@ impl Seams {
         (0..self.class.len() as u32).filter(|&v| classes.contains(&self.class[v as usize])).collect()
     }
 
-    /// Gives curves that are copies of each other the same seeds. Returns how many seeds are copies of others. `positions` are those of
-    /// the vertices, unit frame.
-    pub(crate) fn share(&self, seeds: &mut CurveSeeds, features: &Features, positions: &[DVec3]) -> usize {
+    /// Gives curves that are copies of each other the same seeds. Returns for each seed with copies what it is joined by, and how many are
+    /// joined to others. `positions` are those of the vertices, unit frame.
+    pub(crate) fn share(
+        &self,
+        seeds: &mut CurveSeeds,
+        features: &Features,
+        positions: &[DVec3],
+    ) -> (Vec<Option<Joint>>, usize) {
         let groups = self.twins(features, positions);
         seeds.share(features, &groups);
-        let on_shared = seeds.on_shared();
-        let corners = features.corners.iter().zip(on_shared).filter(|(_, shared)| *shared);
-        let corners: Vec<Option<u32>> = corners.map(|(&v, _)| self.class(v)).collect();
-        let places: HashSet<Option<u32>> = corners.iter().copied().collect();
+        let mut of_curve = vec![None; features.curves.len()];
         let mut inner = vec![0usize; features.curves.len()];
-        seeds.segments.iter().for_each(|segment| inner[segment.curve as usize] += 1);
+        for (group, Twin { curve, .. }) in groups.iter().flat_map(|group| group.iter().map(move |twin| (group, twin))) {
+            of_curve[*curve as usize] = Some(self.of_curve(&features.curves[*curve as usize], group[0].curve, *curve));
+        }
+        let mut joints = vec![None; seeds.len()];
+        for segment in seeds.segments.iter().filter(|segment| of_curve[segment.curve as usize].is_some()) {
+            segment.ends.iter().for_each(|&seed| joints[seed as usize] = of_curve[segment.curve as usize]);
+            inner[segment.curve as usize] += 1;
+        }
         let open = inner.iter_mut().zip(&features.curves).filter(|(_, curve)| !curve.closed);
         open.for_each(|(inner, _)| *inner = inner.saturating_sub(1));
-        let of_group =
-            |group: &Vec<Twin>| (group.len() - 1) * group.first().map_or(0, |twin| inner[twin.curve as usize]);
-        corners.len() - places.len() + groups.iter().map(of_group).sum::<usize>()
+        // Curves with one joint have as many seeds each.
+        let mut met = HashSet::new();
+        let again = |(joint, inner): (&Option<Joint>, usize)| joint.filter(|joint| !met.insert(*joint)).map(|_| inner);
+        let mut copies: usize = of_curve.iter().zip(inner).filter_map(again).sum();
+        let mut met = HashSet::new();
+        for (joint, &v) in joints.iter_mut().zip(&features.corners).filter(|(joint, _)| joint.is_some()) {
+            let joined = match &self.joints {
+                Joints::All => self.class(v),
+                Joints::Pieces { vertices, .. } => vertices.get(v as usize).copied(),
+            };
+            let joined = Joint::Vertex(joined.unwrap_or(v));
+            copies += usize::from(!met.insert(joined));
+            *joint = Some(joined);
+        }
+        (joints, copies)
+    }
+
+    /// What the seeds within a curve are joined by; `first` is the first of its copies.
+    fn of_curve(&self, curve: &Curve, first: u32, number: u32) -> Joint {
+        let Joints::Pieces { edges, .. } = &self.joints else { return Joint::Curve(first) };
+        let known: Vec<u32> = curve.vertices.iter().copied().filter(|&v| self.class(v).is_some()).collect();
+        let of = |pair: &[u32]| edges.get(&undirected([pair[0], pair[1]])).copied();
+        known.windows(2).filter_map(of).min().map_or(Joint::Curve(number), Joint::Edge)
     }
 
     /// Curves that are copies of each other, in groups of at least two. `positions` are those of the vertices, unit frame.

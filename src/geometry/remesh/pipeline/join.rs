@@ -1,6 +1,6 @@
 //! Sheets joined where they meet.
 //!
-//! Purpose: [`join`] makes one vertex of those that several sheets have in one place on a curve.
+//! Purpose: [`join`] makes one vertex of those that several sheets, or pieces of one, have in one place on a curve.
 //! Invariant: facets keep their numbers and corners their places. Must not know: how sheets came to have the same vertices.
 
 use std::collections::HashMap;
@@ -9,18 +9,19 @@ use super::Carried;
 use super::extract::Built;
 use crate::mesh::{MeshError, TriMesh};
 use crate::remesh::features::KeptCurves;
+use crate::remesh::features::seams::Joint;
 
 /// Joins the sheets of a result in their places.
 pub(super) fn join(built: &mut Built, curves: &KeptCurves, carried: &mut Carried) -> Result<(), MeshError> {
     let positions = built.mesh.positions();
-    let mut first: HashMap<[u64; 3], u32> = HashMap::new();
+    let mut first: HashMap<(Joint, [u64; 3]), u32> = HashMap::new();
     let mut kept: Vec<u32> = Vec::with_capacity(positions.len());
     let mut number: Vec<u32> = Vec::with_capacity(positions.len());
     for (v, (p, &seed)) in (0..).zip(positions.iter().zip(&built.vertex_seed)) {
         let next = kept.len() as u32;
-        let own = match curves.stays(seed) {
-            true => *first.entry(p.to_array().map(f64::to_bits)).or_insert(next),
-            false => next,
+        let own = match curves.joint(seed) {
+            Some(joint) => *first.entry((joint, p.to_array().map(f64::to_bits))).or_insert(next),
+            None => next,
         };
         number.push(own);
         if own == next {

@@ -227,10 +227,8 @@ impl<'a> Job<'a, '_> {
         let asked = best.figures.asked;
         let least = (FEWEST_SEEDS_SHARE * asked as f64).max(FEWEST_SEEDS).min(asked as f64);
         // Where sheets are joined afterwards, and where edges stay, seeds have fewer vertices.
-        let joins = options.keep_non_manifold || !self.asked.held.rims.is_empty();
-        let most = if joins { MOST_SEEDS_OF_JOINED * asked as f64 } else { asked as f64 };
-        let vertices =
-            |of: &Optimized<'a, P>| of.failing.vertices.saturating_sub(if joins { of.curves.surplus() } else { 0 });
+        let most = if best.curves.surplus() > 0 { MOST_SEEDS_OF_JOINED * asked as f64 } else { asked as f64 };
+        let vertices = |of: &Optimized<'a, P>| of.failing.vertices.saturating_sub(of.curves.surplus());
         // Seeds and vertices of the best.
         let mut from = (asked as f64, vertices(&best) as f64);
         // Vertices per further seed, and how much farther to go than that says.

@@ -14,16 +14,17 @@ use crate::mesh::adjacency::{Adjacency, weld_unless};
 use crate::mesh::apart::Apart;
 use crate::mesh::attributes::Attributes;
 use crate::mesh::duplicates::{self, InputKind};
-use crate::mesh::edges::{sides, undirected};
+use crate::mesh::edges::{DisjointSets, sides, undirected};
 use crate::mesh::hanging::{self, Divided, DividedEdges};
 use crate::mesh::input::{Reach, make_consistent, stitch_boundaries};
 use crate::mesh::measure::{Topology, topology_unless};
 use crate::mesh::parts::{Inclusion, Part, Zone};
 use crate::mesh::regions::Regions;
-use crate::mesh::sheets::Sheets;
+use crate::mesh::sheets::pieces::PieceOptions;
+use crate::mesh::sheets::{Link, Sheets};
 use crate::mesh::{MeshError, TriMesh};
 use crate::remesh::constants::{MOST_GAP_DIAGONAL, POINTS_PER_COMPONENT, SEPARATION_DIAGONAL, SEPARATION_EDGES};
-use crate::remesh::features::seams::Seams;
+use crate::remesh::features::seams::{Joints, Seams};
 use crate::remesh::report::InputFigures;
 use crate::remesh::{RemeshError, RemeshOptions, Result, Seeds};
 use crate::token::{Stopped, Token};
@@ -117,6 +118,8 @@ pub(super) struct Separated {
     pub(super) options: Option<RemeshOptions>,
     /// Of the sheets: what the result is to have.
     pub(super) topology: Topology,
+    /// The same once pieces of sheets are joined again, if there are any.
+    pub(super) joined: Option<Topology>,
     /// Where they met.
     pub(super) seams: Option<Arc<Seams>>,
     /// The edges that stay, if they have other vertices now.
@@ -140,22 +143,37 @@ impl Preprocessed {
         let touching = topology.non_manifold_edges + topology.non_manifold_vertices > 0;
         let surface = self.figures.kind != InputKind::Volume;
         let clean = self.changed.as_ref().unwrap_or(given);
-        let mut separated = Separated { apart: None, options: None, topology, seams: None, rims: None };
-        let mut seams = Vec::new();
+        let mut separated = Separated { apart: None, options: None, topology, joined: None, seams: None, rims: None };
+        let (mut seams, mut joined) = (Vec::new(), Vec::new());
         let several = topology.components > 1 || touching && surface;
         if let Some(edge) = target_edge(clean, topology.components, options).filter(|_| several) {
             // Smaller ones are noise, and get no vertices of their own.
             let least = POINTS_PER_COMPONENT as f64 * (3f64.sqrt() / 2.0) * edge * edge;
-            let sheets = Sheets::of(clean, if touching { least } else { 0.0 }, !options.keep_non_manifold, token)?;
+            let go_on = !options.keep_non_manifold;
+            let mut sheets = Sheets::of(clean, if touching { least } else { 0.0 }, go_on, token)?;
             let (low, high) = clean.bounds();
             let gap = SEPARATION_EDGES * edge + SEPARATION_DIAGONAL * (high - low).length();
-            if edge <= uniform_edge(clean, POINTS_PER_COMPONENT * sheets.count) {
-                separated.apart = Apart::of(clean, &sheets, gap);
+            let moved = |sheets: &Sheets| match edge <= uniform_edge(clean, POINTS_PER_COMPONENT * sheets.count) {
+                true => Apart::of(clean, sheets, gap),
+                false => None,
+            };
+            // The pieces of a sheet meet in boundaries, whose vertices stay.
+            let may_divide = options.keep_boundaries && !matches!(options.density.source, DensitySource::Metric(_));
+            if touching
+                && may_divide
+                && let Some(pieces) =
+                    sheets.in_pieces(clean, PieceOptions { least, go_on, crease: crease_angle(options) }, token)?
+            {
+                separated.apart = moved(&pieces);
+                sheets = if separated.apart.is_some() { pieces } else { sheets };
+            }
+            if separated.apart.is_none() {
+                separated.apart = moved(&sheets);
             }
             if sheets.count > topology.components
                 && let Some(apart) = &mut separated.apart
             {
-                self.figures.sheets = sheets.count;
+                self.figures.sheets = sheets.whole;
                 // Facets that are now neighbours had others between them.
                 if let Some((consistent, flipped)) = make_consistent(&apart.mesh, token)? {
                     self.figures.reoriented_facets += flipped;
@@ -163,13 +181,21 @@ impl Preprocessed {
                 }
                 separated.topology = topology_unless(&apart.mesh, &Adjacency::unless(&apart.mesh, token)?, token)?;
             }
-            seams = sheets.seams;
+            (seams, joined) = (sheets.seams, sheets.joined);
         }
         if let (Some(apart), false) = (&separated.apart, seams.is_empty()) {
             let class = weld_unless(clean, token)?;
             let of = |v: u32| class[apart.before(v) as usize];
-            let class = (0..apart.mesh.positions().len() as u32).map(of).collect();
-            separated.seams = Some(Arc::new(Seams::new(class, &seams)));
+            let class: Vec<u32> = (0..apart.mesh.positions().len() as u32).map(of).collect();
+            let joints = match options.keep_non_manifold {
+                true => Joints::All,
+                false => joints_of(&joined, &class, &apart.mesh, token)?,
+            };
+            if let (Joints::Pieces { vertices, .. }, false) = (&joints, joined.is_empty()) {
+                let adjacency = Adjacency::with(&apart.mesh, vertices.clone(), token)?;
+                separated.joined = Some(topology_unless(&apart.mesh, &adjacency, token)?);
+            }
+            separated.seams = Some(Arc::new(Seams::new(class, &seams, joints)));
         }
         if let Some(apart) = separated.apart.as_ref().filter(|apart| !(rims.is_empty() || apart.copied.is_empty())) {
             separated.rims = Some(edges_of_sheets(rims, &weld_unless(clean, token)?, apart));
@@ -268,6 +294,39 @@ impl Preprocessed {
         }
         TriMesh::new(apart.mesh.positions().to_vec(), facets)
     }
+}
+
+/// The angle between facets, radians, from which a sheet may be divided.
+fn crease_angle(options: &RemeshOptions) -> f64 {
+    let asked = options.crease_angle_deg;
+    (if asked > 0.0 { asked } else { RemeshOptions::CREASE_ANGLE_DEG }).to_radians()
+}
+
+/// Which copies of vertices and edges are one where facets go on in each other. `class` has the lowest vertex in the place of each.
+fn joints_of(joined: &[([u32; 2], Link)], class: &[u32], apart: &TriMesh, token: &Token) -> Result<Joints, Stopped> {
+    let welded = weld_unless(apart, token)?;
+    let mut vertices = DisjointSets::new(welded.len());
+    welded.iter().enumerate().for_each(|(v, &first)| vertices.join(v, first as usize));
+    let mut edges: HashMap<[u32; 2], u32> = HashMap::new();
+    let mut same = DisjointSets::new(2 * joined.len());
+    for (ends, link) in joined {
+        let of = |f: u32, place: u32| {
+            let corner = apart.facets()[f as usize].into_iter().find(|&v| class[v as usize] == place)?;
+            Some(welded[corner as usize])
+        };
+        let copies = link.map(|f| ends.map(|place| of(f, place)));
+        let [[Some(a), Some(b)], [Some(c), Some(d)]] = copies else { continue };
+        vertices.join(a as usize, c as usize);
+        vertices.join(b as usize, d as usize);
+        let [one, other] = [[a, b], [c, d]].map(|edge| {
+            let next = edges.len() as u32;
+            *edges.entry(undirected(edge)).or_insert(next)
+        });
+        same.join(one as usize, other as usize);
+    }
+    edges.values_mut().for_each(|edge| *edge = same.root(*edge as usize) as u32);
+    let vertices = (0..welded.len()).map(|v| vertices.root(v) as u32).collect();
+    Ok(Joints::Pieces { vertices, edges })
 }
 
 /// What `edges` are in each sheet. Those that are none stay as they are, to be refused. `class` has the lowest vertex in the place

@@ -1,0 +1,383 @@
+//! Pieces of sheets that touch themselves.
+//!
+//! Purpose: [`Sheets::in_pieces`] divides a sheet that has several fans of facets at one vertex, as of a solid that touches itself along
+//! an edge, so that no piece has. Pieces end at creases, which a remesh keeps anyway, and where a patch between creases touches itself,
+//! half way.
+//! Invariant: depends on the mesh, the angle of creases and the least area alone. A sheet stays whole if a facet is of two fans at one
+//! place, if a piece would have less than the least area, and if a smooth patch touches itself in less than an edge: that is noise. Must not know: why pieces are wanted.
+
+use std::cmp::Reverse;
+use std::collections::{BTreeMap, BTreeSet, BinaryHeap};
+
+use glam::DVec3;
+
+use super::{Link, Sheets, links, signed_volume, whole_facets};
+use crate::mesh::adjacency::weld_unless;
+use crate::mesh::edges::{DisjointSets, EdgeGroups};
+use crate::mesh::{TriMesh, normal};
+use crate::token::{Stopped, Token};
+
+/// How often pieces are divided further: a border between pieces may part what was one fan.
+const MOST_ROUNDS: usize = 4;
+
+/// Cells that the least area has room for.
+const LEAST_CELLS: f64 = 4.0;
+
+/// What decides about pieces.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct PieceOptions {
+    /// Pieces have more area than this.
+    pub least: f64,
+    /// As in [`Sheets::of`].
+    pub go_on: bool,
+    /// A crease is where facets make an angle of more than this, radians.
+    pub crease: f64,
+}
+
+impl Sheets {
+    /// The same with sheets that touch themselves in pieces; `None` if there are none, or none can be divided.
+    pub(crate) fn in_pieces(
+        &self,
+        mesh: &TriMesh,
+        options: PieceOptions,
+        token: &Token,
+    ) -> Result<Option<Self>, Stopped> {
+        let class = weld_unless(mesh, token)?;
+        let groups = EdgeGroups::unless(class.len(), whole_facets(mesh, &class), token)?;
+        let whole = Whole { mesh, class: &class, groups: &groups, outward: signed_volume(mesh) >= 0.0, options, token };
+        // Sheets that stay whole.
+        let mut left: BTreeSet<u32> = BTreeSet::new();
+        let of_facet = loop {
+            let mut of_facet: Vec<usize> = self.of_facet.iter().map(|&sheet| sheet as usize).collect();
+            let mut failed: BTreeSet<u32> = BTreeSet::new();
+            for round in 0..=MOST_ROUNDS {
+                let mut contacts = whole.contacts(&of_facet)?;
+                contacts.retain(|contact| !left.contains(&self.of_facet[contact.facet]));
+                if contacts.is_empty() {
+                    break;
+                }
+                let all = || contacts.iter().map(|contact| self.of_facet[contact.facet]).collect();
+                failed = if round == MOST_ROUNDS {
+                    all()
+                } else {
+                    whole.divide(&mut of_facet, &contacts, (&self.of_facet, round == 0))?
+                };
+                if !failed.is_empty() {
+                    break;
+                }
+            }
+            if failed.is_empty() {
+                break of_facet;
+            }
+            left.append(&mut failed);
+        };
+        // Facets that name a point twice are of a piece that they touch.
+        let mut at: BTreeMap<(u32, u32), usize> = BTreeMap::new();
+        let mut first: BTreeMap<(u32, usize), usize> = BTreeMap::new();
+        let mut sets = DisjointSets::new(of_facet.len());
+        let mut is_placed = vec![false; of_facet.len()];
+        for (f, corners) in whole_facets(mesh, &class) {
+            is_placed[f] = true;
+            sets.join(f, *first.entry((self.of_facet[f], of_facet[f])).or_insert(f));
+            for v in corners {
+                at.entry((v, self.of_facet[f])).or_insert(f);
+            }
+        }
+        for f in (0..of_facet.len()).filter(|&f| !is_placed[f]) {
+            let beside = mesh.facets()[f].iter().find_map(|&v| at.get(&(class[v as usize], self.of_facet[f])));
+            sets.join(f, beside.copied().unwrap_or(f));
+        }
+        let mut pieces = Self::numbered(mesh, &class, &groups, &mut sets);
+        if pieces.count <= self.count {
+            return Ok(None);
+        }
+        let mut joined = Vec::new();
+        whole.edges(|ends, links| {
+            let parted = links.iter().filter(|[a, b]| pieces.of_facet[*a as usize] != pieces.of_facet[*b as usize]);
+            joined.extend(parted.map(|&link| (ends, link)));
+        });
+        (pieces.joined, pieces.whole) = (joined, self.whole);
+        Ok(Some(pieces))
+    }
+}
+
+/// A facet at a place where its sheet touches itself.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+struct Contact {
+    /// A vertex twice, or the ends of an edge.
+    place: [u32; 2],
+    sheet: usize,
+    fan: usize,
+    facet: usize,
+}
+
+/// Two facets of one sheet, and the edge between them.
+struct Across {
+    link: Link,
+    is_crease: bool,
+    length: f64,
+}
+
+/// The surface before it is divided.
+struct Whole<'a> {
+    mesh: &'a TriMesh,
+    class: &'a [u32],
+    groups: &'a EdgeGroups,
+    outward: bool,
+    options: PieceOptions,
+    token: &'a Token,
+}
+
+impl Whole<'_> {
+    /// Calls `visit` with the ends of each edge, the lower first, and the pairs of facets through which a sheet goes on there.
+    fn edges(&self, mut visit: impl FnMut([u32; 2], &[Link])) {
+        self.groups.for_each(|low, halves| {
+            let t = self.mesh.facets()[halves[0].facet as usize];
+            let [a, b] = [t[halves[0].side], t[(halves[0].side + 1) % 3]].map(|v| self.class[v as usize]);
+            let of = (self.options.go_on, self.outward);
+            visit([low, if a == low { b } else { a }], &links((self.mesh, self.class), low, halves, of));
+        });
+    }
+
+    /// Where sheets have several fans of facets, in order.
+    fn contacts(&self, of_facet: &[usize]) -> Result<Vec<Contact>, Stopped> {
+        let Self { mesh, class, .. } = *self;
+        let corner = |facet: u32, v: u32| {
+            let corners = mesh.facets()[facet as usize];
+            3 * facet as usize + (0..3).find(|&k| class[corners[k] as usize] == v).unwrap_or(0)
+        };
+        let mut fans = DisjointSets::new(3 * of_facet.len());
+        let mut contacts: Vec<Contact> = Vec::new();
+        self.edges(|place, links| {
+            let within = || links.iter().filter(|[a, b]| of_facet[*a as usize] == of_facet[*b as usize]);
+            for [a, b] in within() {
+                place.iter().for_each(|&v| fans.join(corner(*a, v), corner(*b, v)));
+            }
+            // Where several pairs have the edge, each is a fan of its own.
+            if links.len() > 1 && links.windows(2).all(|pair| pair[0][1] != pair[1][0]) {
+                for (fan, facet) in within().enumerate().flat_map(|(fan, link)| link.map(|f| (fan, f as usize))) {
+                    contacts.push(Contact { place, sheet: of_facet[facet], fan, facet });
+                }
+            }
+        });
+        self.token.check()?;
+        let mut first = vec![None; class.len()];
+        let mut several = vec![false; class.len()];
+        for (f, corners) in whole_facets(mesh, class) {
+            self.token.check_at(f)?;
+            for (k, v) in corners.into_iter().enumerate() {
+                let fan = fans.root(3 * f + k);
+                several[v as usize] |= *first[v as usize].get_or_insert(fan) != fan;
+            }
+        }
+        for (facet, corners) in whole_facets(mesh, class) {
+            for (k, v) in corners.into_iter().enumerate().filter(|(_, v)| several[*v as usize]) {
+                let fan = fans.root(3 * facet + k);
+                contacts.push(Contact { place: [v, v], sheet: of_facet[facet], fan, facet });
+            }
+        }
+        contacts.sort_unstable();
+        let touches = |group: &&[Contact]| group[0].fan != group[group.len() - 1].fan;
+        Ok(contacts.chunk_by(at_one_place).filter(touches).flatten().copied().collect())
+    }
+
+    /// Divides the sheets of the contacts. Returns the sheets of `given` that cannot be divided, then `of_facet` is of no use. Smooth
+    /// patches that touch themselves in short edges, or in vertices alone, may be noise: `first` leaves their sheets whole.
+    fn divide(
+        &self,
+        of_facet: &mut [usize],
+        contacts: &[Contact],
+        (given, first): (&[u32], bool),
+    ) -> Result<BTreeSet<u32>, Stopped> {
+        let divided: BTreeSet<usize> = contacts.iter().map(|contact| contact.sheet).collect();
+        let across = self.across(|link| {
+            let [a, b] = link.map(|f| of_facet[f as usize]);
+            a == b && divided.contains(&a)
+        });
+        self.token.check()?;
+        let mut patches = DisjointSets::new(of_facet.len());
+        let smooth = || across.iter().filter(|across| !across.is_crease).map(|across| across.link);
+        smooth().for_each(|[a, b]| patches.join(a as usize, b as usize));
+        let groups = contacts.chunk_by(at_one_place);
+        let touching: BTreeSet<usize> = groups.flat_map(|group| twice(&mut patches, group)).collect();
+        if first {
+            let noise = self.noise(&mut patches, contacts);
+            if !noise.is_empty() {
+                return Ok(noise.into_iter().map(|f| given[f]).collect());
+            }
+        }
+        if !touching.is_empty() {
+            let part = self.parts((&mut patches, &touching), contacts, &across)?;
+            patches = DisjointSets::new(of_facet.len());
+            let inner = |link: &Link| part[link[0] as usize] == part[link[1] as usize];
+            smooth().filter(inner).for_each(|[a, b]| patches.join(a as usize, b as usize));
+        }
+        let mut failed = self.merge(&mut patches, contacts, &across, given)?;
+        let mut area: BTreeMap<usize, f64> = BTreeMap::new();
+        for (f, _) in whole_facets(self.mesh, self.class).filter(|(f, _)| divided.contains(&of_facet[*f])) {
+            *area.entry(patches.root(f)).or_default() += 0.5 * normal(self.mesh.corners(f)).length();
+        }
+        failed.extend(area.into_iter().filter(|(_, area)| *area <= self.options.least).map(|(f, _)| given[f]));
+        // Numbers of sheets are below the number of facets.
+        let count = of_facet.len();
+        let facets = of_facet.iter_mut().enumerate().filter(|(_, sheet)| divided.contains(sheet));
+        facets.for_each(|(f, sheet)| *sheet = count + patches.root(f));
+        Ok(failed)
+    }
+
+    /// Facets at places where a patch touches itself in less than an edge.
+    fn noise(&self, patches: &mut DisjointSets, contacts: &[Contact]) -> Vec<usize> {
+        let groups = || contacts.chunk_by(at_one_place);
+        let mut chains = DisjointSets::new(self.class.len());
+        let edges = || groups().map(|group| group[0].place).filter(|[a, b]| a != b);
+        edges().for_each(|[a, b]| chains.join(a as usize, b as usize));
+        let mut length: BTreeMap<usize, f64> = BTreeMap::new();
+        for place in edges() {
+            let [p, q] = place.map(|v| self.mesh.positions()[v as usize]);
+            *length.entry(chains.root(place[0] as usize)).or_default() += p.distance(q);
+        }
+        // The side of one of the cells that a piece has at least.
+        let edge = (self.options.least / LEAST_CELLS).sqrt();
+        let mut found = Vec::new();
+        for group in groups() {
+            let chain = chains.root(group[0].place[0] as usize);
+            if !twice(patches, group).is_empty() && length.get(&chain).is_none_or(|length| *length < edge) {
+                found.push(group[0].facet);
+            }
+        }
+        found
+    }
+
+    /// Edges between facets of one sheet.
+    fn across(&self, wanted: impl Fn(Link) -> bool) -> Vec<Across> {
+        let Self { mesh, class, .. } = *self;
+        let unit = |f: u32| normal(mesh.corners(f as usize)).normalize_or_zero();
+        let mut found = Vec::new();
+        self.edges(|ends, links| {
+            // Facets that face opposite sides run along the edge the same way.
+            let runs = |f: u32| {
+                let t = mesh.facets()[f as usize].map(|v| class[v as usize]);
+                (0..3).any(|k| [t[k], t[(k + 1) % 3]] == ends)
+            };
+            for &link in links.iter().filter(|link| wanted(**link)) {
+                let [a, b] = link;
+                let way = if runs(a) == runs(b) { -1.0 } else { 1.0 };
+                let is_crease = way * unit(a).dot(unit(b)) < self.options.crease.cos();
+                let [p, q] = ends.map(|v| mesh.positions()[v as usize]);
+                found.push(Across { link, is_crease, length: p.distance(q) });
+            }
+        });
+        found
+    }
+
+    /// For each facet of the `touching` patches the fan that it is nearest to, through facets of its patch. Fans with a common facet
+    /// count as one.
+    fn parts(
+        &self,
+        (patches, touching): (&mut DisjointSets, &BTreeSet<usize>),
+        contacts: &[Contact],
+        across: &[Across],
+    ) -> Result<Vec<usize>, Stopped> {
+        let count = self.mesh.facets().len();
+        let mut fans = DisjointSets::new(count);
+        let mut queue: BinaryHeap<Reverse<(u64, usize, usize)>> = BinaryHeap::new();
+        for group in contacts.chunk_by(at_one_place) {
+            let mut first: BTreeMap<(usize, usize), usize> = BTreeMap::new();
+            for &Contact { fan, facet, .. } in group {
+                let patch = patches.root(facet);
+                if touching.contains(&patch) {
+                    fans.join(*first.entry((patch, fan)).or_insert(facet), facet);
+                    queue.push(Reverse((0, facet, facet)));
+                }
+            }
+        }
+        let mut beside: BTreeMap<usize, Vec<usize>> = BTreeMap::new();
+        for Across { link, .. } in across.iter().filter(|across| !across.is_crease) {
+            let [a, b] = link.map(|f| f as usize);
+            if touching.contains(&patches.root(a)) {
+                beside.entry(a).or_default().push(b);
+                beside.entry(b).or_default().push(a);
+            }
+        }
+        let middle = |f: usize| self.mesh.corners(f).iter().sum::<DVec3>() / 3.0;
+        let mut part: Vec<usize> = vec![usize::MAX; count];
+        // Lengths are not negative, so that their bits are in their order.
+        while let Some(Reverse((bits, f, from))) = queue.pop() {
+            self.token.check()?;
+            if part[f] != usize::MAX {
+                continue;
+            }
+            part[f] = fans.root(from);
+            for &g in beside.get(&f).into_iter().flatten().filter(|g| part[**g] == usize::MAX) {
+                let length = f64::from_bits(bits) + middle(f).distance(middle(g));
+                queue.push(Reverse((length.to_bits(), g, from)));
+            }
+        }
+        Ok(part)
+    }
+
+    /// Joins patches until any further one would have a piece touch itself. Returns the sheets that have a patch which does.
+    fn merge(
+        &self,
+        patches: &mut DisjointSets,
+        contacts: &[Contact],
+        across: &[Across],
+        given: &[u32],
+    ) -> Result<BTreeSet<u32>, Stopped> {
+        let mut failed = BTreeSet::new();
+        let mut conflicts: BTreeMap<usize, BTreeSet<usize>> = BTreeMap::new();
+        for group in contacts.chunk_by(at_one_place) {
+            let mut of_fans: Vec<(usize, usize)> = group.iter().map(|c| (c.fan, patches.root(c.facet))).collect();
+            of_fans.dedup();
+            for (k, &(fan, patch)) in of_fans.iter().enumerate() {
+                for &(_, other) in of_fans[k + 1..].iter().filter(|other| other.0 != fan) {
+                    if patch == other {
+                        failed.insert(given[patch]);
+                    }
+                    conflicts.entry(patch).or_default().insert(other);
+                    conflicts.entry(other).or_default().insert(patch);
+                }
+            }
+        }
+        let mut borders: BTreeMap<[usize; 2], (f64, f64)> = BTreeMap::new();
+        for Across { link, is_crease, length } in across {
+            let [p, q] = link.map(|f| patches.root(f as usize));
+            if p != q {
+                let (smooth, creased) = borders.entry([p.min(q), p.max(q)]).or_default();
+                *(if *is_crease { creased } else { smooth }) += length;
+            }
+        }
+        // The longest borders are taken away first, those that are no creases before all others.
+        let mut borders: Vec<([usize; 2], (f64, f64))> = borders.into_iter().collect();
+        borders.sort_by(|(a, (p, q)), (b, (r, s))| r.total_cmp(p).then(s.total_cmp(q)).then(a.cmp(b)));
+        for (border, _) in borders {
+            self.token.check()?;
+            let [p, q] = border.map(|patch| patches.root(patch));
+            if p == q || conflicts.get(&p).is_some_and(|of| of.contains(&q)) {
+                continue;
+            }
+            patches.join(p, q);
+            let [kept, gone] = [p.min(q), p.max(q)];
+            for other in conflicts.remove(&gone).unwrap_or_default() {
+                if let Some(of) = conflicts.get_mut(&other) {
+                    of.remove(&gone);
+                    of.insert(kept);
+                }
+                conflicts.entry(kept).or_default().insert(other);
+            }
+        }
+        Ok(failed)
+    }
+}
+
+/// The patches that have several fans at one place.
+fn twice(patches: &mut DisjointSets, group: &[Contact]) -> Vec<usize> {
+    let mut of_fans: Vec<(usize, usize)> = group.iter().map(|c| (patches.root(c.facet), c.fan)).collect();
+    of_fans.sort_unstable();
+    of_fans.dedup();
+    of_fans.windows(2).filter(|pair| pair[0].0 == pair[1].0).map(|pair| pair[0].0).collect()
+}
+
+fn at_one_place(a: &Contact, b: &Contact) -> bool {
+    (a.place, a.sheet) == (b.place, b.sheet)
+}
