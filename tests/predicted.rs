@@ -405,6 +405,8 @@ const CHOICES: &[&str] = &[
     "Point.x",
     "Point.y",
     "Point.z",
+    "Region.name",
+    "Region.number",
     "RemeshOptions.boundaries",
     "RemeshOptions.crease_angle",
     "RemeshOptions.keep",
