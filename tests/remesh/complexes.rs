@@ -6,6 +6,7 @@ use geometry::mesh::crossings::crossings;
 use glam::DVec3;
 use tessera::mesh::attributes::Attributes;
 use tessera::mesh::regions::Regions;
+use tessera::mesh::shapes::Shape;
 use tessera::remesh::{Remesh, RemeshOptions, Seeds, remesh};
 use tessera::rvd::Parallel;
 use tessera::{Token, TriMesh};
@@ -241,6 +242,32 @@ fn chambers_are_the_same_complex() {
             let (mesh, regions) = chambers(&mut random, cells, 12, bend);
             assert_is_the_same_complex(&format!("{cells:?}, bent by {bend}"), &mesh, &regions, bend);
         }
+    }
+}
+
+/// Balls that have one vertex in common, each with its own size.
+#[test]
+fn balls_that_touch_in_a_vertex_have_it_in_common() {
+    let ball = Shape::Sphere.build(800);
+    let at = ball.positions()[0];
+    for balls in [2, 3] {
+        let (mut positions, mut facets) = ball.clone().into_parts();
+        for k in 1..balls {
+            // On the other side, or within.
+            let scale = if k == 1 { -0.8 } else { 0.6 };
+            let first = positions.len() as u32 - 1;
+            positions.extend(ball.positions()[1..].iter().map(|&p| at + scale * (p - at)));
+            let own = |v: u32| if v == 0 { 0 } else { first + v };
+            facets.extend(
+                ball.facets().iter().map(|&[a, b, c]| if scale < 0.0 { [a, c, b] } else { [a, b, c] }.map(own)),
+            );
+        }
+        let mesh = TriMesh::new(positions, facets).unwrap();
+        let done = run(&mesh, &RemeshOptions::new(Seeds::Sample { points: 900, seed: 0 }).with_keep_non_manifold(true));
+        assert_eq!(euler(&done.mesh), euler(&mesh), "{balls}");
+        let there = done.mesh.positions().iter().filter(|p| p.distance(at) < 1e-9).count();
+        assert_eq!((there, crossings(&done.mesh, &Token::default()).unwrap().count), (1, 0), "{balls}");
+        assert!(done.mesh.positions().len().abs_diff(900) <= 18, "{balls}: {}", done.mesh.positions().len());
     }
 }
 

@@ -14,6 +14,7 @@ use glam::DVec3;
 
 use super::TriMesh;
 use super::adjacency::{Adjacency, EdgeKind, weld};
+use super::csr::ascending;
 use super::edges::{DisjointSets, EdgeGroups, Half, undirected};
 use crate::token::{Stopped, Token};
 use chains::CornerMerge;
@@ -28,6 +29,8 @@ pub struct FeatureOptions {
     pub given_creases: Vec<[u32; 2]>,
     /// Vertices that are corners if a curve has them.
     pub given_corners: Vec<u32>,
+    /// Vertices that are corners in any case.
+    pub points: Vec<u32>,
     /// Edges that are curves whatever their angle, between corners that are given.
     pub rims: Vec<[u32; 2]>,
     /// Shortest crease found by angle with a free end; shorter ones are removed. A connected network of creases is removed
@@ -79,8 +82,10 @@ pub struct Curve {
 pub struct Features {
     /// Ordered by their first vertices.
     pub curves: Vec<Curve>,
-    /// Vertices where curves end or meet, ascending.
+    /// Vertices where curves end or meet, and [`FeatureOptions::points`]; ascending.
     pub corners: Vec<u32>,
+    /// Corners that stay without curves, ascending.
+    pub points: Vec<u32>,
     /// Edges above the crease angle that were left out, as their crease is too short.
     pub left_out: usize,
     /// Corners that were merged into others ([`FeatureOptions::merge_length`]).
@@ -187,15 +192,19 @@ impl Features {
         }
         let (length, reach) = (options.merge_length, options.turn_reach);
         let merge = CornerMerge { length, reach, off: MERGE_DEVIATION * reach };
+        let points = ascending(options.points.iter().filter_map(|&v| welded(v)));
         let given: BTreeSet<u32> =
-            options.given_corners.iter().filter_map(|&v| class.get(v as usize).copied()).collect();
-        let (mut curves, corners, joined) = chains::curves(&graph, metric, merge, &given, token)?;
+            options.given_corners.iter().filter_map(|&v| welded(v)).chain(points.iter().copied()).collect();
+        let (mut curves, mut corners, joined) = chains::curves(&graph, metric, merge, &given, token)?;
         if !options.rims.is_empty() {
             let ends = |edge: [u32; 2]| Some(undirected([welded(edge[0])?, welded(edge[1])?]));
             let rims: HashSet<Edge> = options.rims.iter().filter_map(|&edge| ends(edge)).collect();
             curves.iter_mut().for_each(|c| c.is_rim = rims.contains(&undirected([c.vertices[0], c.vertices[1]])));
         }
-        Ok(Self { curves, corners, left_out, joined })
+        if !points.is_empty() {
+            corners = ascending(corners.into_iter().chain(points.iter().copied()));
+        }
+        Ok(Self { curves, corners, points, left_out, joined })
     }
 
     /// Checks that an angle makes sense and that `given` edges are there.
@@ -216,7 +225,7 @@ impl Features {
             keep(number - 1, c)
         });
         let ends: HashSet<u32> = self.curves.iter().filter(|c| !c.closed).flat_map(Curve::ends).collect();
-        self.corners.retain(|v| ends.contains(v));
+        self.corners.retain(|v| ends.contains(v) || self.points.binary_search(v).is_ok());
     }
 
     /// For each facet of `mesh` the number of its region: curves separate regions.

@@ -61,9 +61,13 @@ impl Sheets {
         let groups = EdgeGroups::unless(class.len(), whole_facets(mesh, &class), token)?;
         let outward = signed_volume(mesh) >= 0.0;
         let mut sets = DisjointSets::new(mesh.facets().len());
-        groups.for_each(|low, halves| {
-            let links = links((mesh, &class), low, halves, (go_on, outward));
-            links.iter().for_each(|&[a, b]| sets.join(a as usize, b as usize));
+        groups.for_each(|low, halves| match *halves {
+            // Nearly all, without a list for each.
+            [a, b] => sets.join(a.facet as usize, b.facet as usize),
+            _ => {
+                let links = links((mesh, &class), low, halves, (go_on, outward));
+                links.iter().for_each(|&[a, b]| sets.join(a as usize, b as usize));
+            }
         });
         token.check()?;
         let mut area = vec![0.0; mesh.facets().len()];

@@ -97,6 +97,7 @@ impl KeptCurves {
             crease_angle_deg: options.crease_angle_deg,
             given_creases: plan.edges(&options.creases, token)?,
             given_corners: ascending(rims.iter().flatten().copied()),
+            points: seams.map(|seams| seams.points()).unwrap_or_default(),
             rims: plan.edges(rims, token)?,
             min_crease_length: SHORTEST_CREASE * scale,
             turn_reach: BEND_REACH * scale,

@@ -17,7 +17,10 @@ use crate::mesh::features::{Curve, Features};
 #[derive(Clone, Debug)]
 pub(crate) enum Joints {
     /// All in one place.
-    All,
+    All {
+        /// Places that several sheets have without an edge in common, by the lowest vertices there: each sheet gets a corner.
+        touching: HashSet<u32>,
+    },
     /// Those of the pieces of one sheet.
     Pieces {
         /// For each vertex of the sheets apart the lowest one that it is joined to.
@@ -61,7 +64,16 @@ impl Seams {
     /// All vertices that are in the place of a corner at which sheets meet, ascending.
     pub(crate) fn corners(&self, features: &Features) -> Vec<u32> {
         let met = |&v: &u32| self.class(v).filter(|class| self.vertices.contains(class));
-        let classes: HashSet<u32> = features.corners.iter().filter_map(met).collect();
+        self.in_places(&features.corners.iter().filter_map(met).collect())
+    }
+
+    /// All vertices at which sheets touch, and are to be joined; ascending.
+    pub(crate) fn points(&self) -> Vec<u32> {
+        let Joints::All { touching } = &self.joints else { return Vec::new() };
+        self.in_places(touching)
+    }
+
+    fn in_places(&self, classes: &HashSet<u32>) -> Vec<u32> {
         (0..self.class.len() as u32).filter(|&v| classes.contains(&self.class[v as usize])).collect()
     }
 
@@ -92,11 +104,14 @@ impl Seams {
         let again = |(joint, inner): (&Option<Joint>, usize)| joint.filter(|joint| !met.insert(*joint)).map(|_| inner);
         let mut copies: usize = of_curve.iter().zip(inner).filter_map(again).sum();
         let mut met = HashSet::new();
-        for (joint, &v) in joints.iter_mut().zip(&features.corners).filter(|(joint, _)| joint.is_some()) {
-            let joined = match &self.joints {
-                Joints::All => self.class(v),
-                Joints::Pieces { vertices, .. } => vertices.get(v as usize).copied(),
+        for (joint, &v) in joints.iter_mut().zip(&features.corners) {
+            let (joined, touches) = match &self.joints {
+                Joints::All { touching } => (self.class(v), self.class(v).is_some_and(|v| touching.contains(&v))),
+                Joints::Pieces { vertices, .. } => (vertices.get(v as usize).copied(), false),
             };
+            if joint.is_none() && !touches {
+                continue;
+            }
             let joined = Joint::Vertex(joined.unwrap_or(v));
             copies += usize::from(!met.insert(joined));
             *joint = Some(joined);

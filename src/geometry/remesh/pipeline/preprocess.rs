@@ -160,6 +160,7 @@ impl Preprocessed {
             // The pieces of a sheet meet in boundaries, whose vertices stay.
             let may_divide = options.keep_boundaries && !matches!(options.density.source, DensitySource::Metric(_));
             if touching
+                && surface
                 && may_divide
                 && let Some(pieces) =
                     sheets.in_pieces(clean, PieceOptions { least, go_on, crease: crease_angle(options) }, token)?
@@ -183,12 +184,12 @@ impl Preprocessed {
             }
             (seams, joined) = (sheets.seams, sheets.joined);
         }
-        if let (Some(apart), false) = (&separated.apart, seams.is_empty()) {
+        if let (Some(apart), true) = (&separated.apart, !seams.is_empty() || options.keep_non_manifold && touching) {
             let class = weld_unless(clean, token)?;
             let of = |v: u32| class[apart.before(v) as usize];
             let class: Vec<u32> = (0..apart.mesh.positions().len() as u32).map(of).collect();
             let joints = match options.keep_non_manifold {
-                true => Joints::All,
+                true => Joints::All { touching: touching_in_places(&class, &seams, &apart.mesh, token)? },
                 false => joints_of(&joined, &class, &apart.mesh, token)?,
             };
             if let (Joints::Pieces { vertices, .. }, false) = (&joints, joined.is_empty()) {
@@ -300,6 +301,25 @@ impl Preprocessed {
 fn crease_angle(options: &RemeshOptions) -> f64 {
     let asked = options.crease_angle_deg;
     (if asked > 0.0 { asked } else { RemeshOptions::CREASE_ANGLE_DEG }).to_radians()
+}
+
+/// Places that several sheets have without an edge in common, by the lowest vertices there.
+fn touching_in_places(
+    class: &[u32],
+    seams: &[[u32; 2]],
+    apart: &TriMesh,
+    token: &Token,
+) -> Result<HashSet<u32>, Stopped> {
+    let met: HashSet<u32> = seams.iter().flatten().copied().collect();
+    let mut first: HashMap<u32, u32> = HashMap::new();
+    let mut touching = HashSet::new();
+    let own = weld_unless(apart, token)?;
+    for v in apart.facets().iter().flatten().map(|&v| v as usize).filter(|&v| !met.contains(&class[v])) {
+        if *first.entry(class[v]).or_insert(own[v]) != own[v] {
+            touching.insert(class[v]);
+        }
+    }
+    Ok(touching)
 }
 
 /// Which copies of vertices and edges are one where facets go on in each other. `class` has the lowest vertex in the place of each.
