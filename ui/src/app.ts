@@ -127,7 +127,12 @@ export class App {
     history.replaceState(null, "", location.pathname + location.search);
     try {
       this.note(file.name, `Opening ${size(file.size)} …`);
-      const chosen = await open(file, this.formats);
+      const chosen = await open(file, this.formats).catch(async (error: unknown) => {
+        if (this.formats !== SHOWN) throw error;
+        // The server may read more, and has not said so yet.
+        await this.learned;
+        return open(file, this.formats);
+      });
       if (mesh.aborted) return;
       await this.look(chosen, mesh);
     } catch (error) {
