@@ -251,17 +251,23 @@ fn balls_that_touch_in_a_vertex_have_it_in_common() {
     let ball = Shape::Sphere.build(800);
     let at = ball.positions()[0];
     for balls in [2, 3] {
-        let (mut positions, mut facets) = ball.clone().into_parts();
-        for k in 1..balls {
+        // One that touches none is the first.
+        let start = ball.positions().len() as u32;
+        let mut positions: Vec<DVec3> = ball.positions().iter().map(|&p| p + 5.0 * DVec3::X).collect();
+        let mut facets = ball.facets().to_vec();
+        positions.push(at);
+        for k in 0..balls {
             // On the other side, or within.
-            let scale = if k == 1 { -0.8 } else { 0.6 };
+            let scale = [1.0, -0.8, 0.6][k];
             let first = positions.len() as u32 - 1;
             positions.extend(ball.positions()[1..].iter().map(|&p| at + scale * (p - at)));
-            let own = |v: u32| if v == 0 { 0 } else { first + v };
+            let own = |v: u32| if v == 0 { start } else { first + v };
             facets.extend(
                 ball.facets().iter().map(|&[a, b, c]| if scale < 0.0 { [a, c, b] } else { [a, b, c] }.map(own)),
             );
         }
+        // A copy of the vertex that no facet has is no place of the surface.
+        positions.push(at);
         let mesh = TriMesh::new(positions, facets).unwrap();
         let done = run(&mesh, &RemeshOptions::new(Seeds::Sample { points: 900, seed: 0 }).with_keep_non_manifold(true));
         assert_eq!(euler(&done.mesh), euler(&mesh), "{balls}");

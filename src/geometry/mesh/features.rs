@@ -29,7 +29,7 @@ pub struct FeatureOptions {
     pub given_creases: Vec<[u32; 2]>,
     /// Vertices that are corners if a curve has them.
     pub given_corners: Vec<u32>,
-    /// Vertices that are corners in any case.
+    /// Vertices of facets that are corners in any case.
     pub points: Vec<u32>,
     /// Edges that are curves whatever their angle, between corners that are given.
     pub rims: Vec<[u32; 2]>,
@@ -217,7 +217,7 @@ impl Features {
         Self::find(mesh, mesh.positions(), &options, token).map(|_| ())
     }
 
-    /// Keeps the curves that `keep` accepts, and their corners.
+    /// Keeps the curves that `keep` accepts, their corners and [`FeatureOptions::points`].
     pub fn retain(&mut self, mut keep: impl FnMut(usize, &Curve) -> bool) {
         let mut number = 0;
         self.curves.retain(|c| {

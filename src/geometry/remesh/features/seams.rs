@@ -42,7 +42,8 @@ pub(crate) enum Joint {
 /// Where sheets met.
 #[derive(Clone, Debug)]
 pub(crate) struct Seams {
-    /// For each vertex of the sheets apart, the lowest one that was in its place. Vertices that divide facets are behind them.
+    /// For each vertex of the sheets apart, the lowest one that was in its place; `u32::MAX` where no facet has one. Vertices that divide
+    /// facets are behind them.
     class: Vec<u32>,
     /// Edges at which sheets met, by these.
     edges: HashSet<[u32; 2]>,

@@ -186,11 +186,16 @@ impl Preprocessed {
         }
         if let (Some(apart), true) = (&separated.apart, !seams.is_empty() || options.keep_non_manifold && touching) {
             let class = weld_unless(clean, token)?;
-            let of = |v: u32| class[apart.before(v) as usize];
-            let class: Vec<u32> = (0..apart.mesh.positions().len() as u32).map(of).collect();
+            let now = weld_unless(&apart.mesh, token)?;
+            // Of facets: other vertices do not move, and a sheet may have come to where one is.
+            let mut of_place = vec![u32::MAX; now.len()];
+            for &v in apart.mesh.facets().iter().flatten() {
+                of_place[now[v as usize] as usize] = class[apart.before(v) as usize];
+            }
+            let class: Vec<u32> = now.iter().map(|&place| of_place[place as usize]).collect();
             let joints = match options.keep_non_manifold {
-                true => Joints::All { touching: touching_in_places(&class, &seams, &apart.mesh, token)? },
-                false => joints_of(&joined, &class, &apart.mesh, token)?,
+                true => Joints::All { touching: touching_in_places((&class, &now), &seams, &apart.mesh) },
+                false => joints_of(&joined, (&class, &now), &apart.mesh),
             };
             if let (Joints::Pieces { vertices, .. }, false) = (&joints, joined.is_empty()) {
                 let adjacency = Adjacency::with(&apart.mesh, vertices.clone(), token)?;
@@ -303,36 +308,30 @@ fn crease_angle(options: &RemeshOptions) -> f64 {
     (if asked > 0.0 { asked } else { RemeshOptions::CREASE_ANGLE_DEG }).to_radians()
 }
 
-/// Places that several sheets have without an edge in common, by the lowest vertices there.
-fn touching_in_places(
-    class: &[u32],
-    seams: &[[u32; 2]],
-    apart: &TriMesh,
-    token: &Token,
-) -> Result<HashSet<u32>, Stopped> {
+/// Places that several sheets have without an edge in common, by the lowest vertices there. `class` has the lowest vertex in the place of
+/// each before sheets were moved, `now` that in its place since.
+fn touching_in_places((class, now): (&[u32], &[u32]), seams: &[[u32; 2]], apart: &TriMesh) -> HashSet<u32> {
     let met: HashSet<u32> = seams.iter().flatten().copied().collect();
     let mut first: HashMap<u32, u32> = HashMap::new();
     let mut touching = HashSet::new();
-    let own = weld_unless(apart, token)?;
     for v in apart.facets().iter().flatten().map(|&v| v as usize).filter(|&v| !met.contains(&class[v])) {
-        if *first.entry(class[v]).or_insert(own[v]) != own[v] {
+        if *first.entry(class[v]).or_insert(now[v]) != now[v] {
             touching.insert(class[v]);
         }
     }
-    Ok(touching)
+    touching
 }
 
-/// Which copies of vertices and edges are one where facets go on in each other. `class` has the lowest vertex in the place of each.
-fn joints_of(joined: &[([u32; 2], Link)], class: &[u32], apart: &TriMesh, token: &Token) -> Result<Joints, Stopped> {
-    let welded = weld_unless(apart, token)?;
-    let mut vertices = DisjointSets::new(welded.len());
-    welded.iter().enumerate().for_each(|(v, &first)| vertices.join(v, first as usize));
+/// Which copies of vertices and edges are one where facets go on in each other. `class` and `now` as above.
+fn joints_of(joined: &[([u32; 2], Link)], (class, now): (&[u32], &[u32]), apart: &TriMesh) -> Joints {
+    let mut vertices = DisjointSets::new(now.len());
+    now.iter().enumerate().for_each(|(v, &first)| vertices.join(v, first as usize));
     let mut edges: HashMap<[u32; 2], u32> = HashMap::new();
     let mut same = DisjointSets::new(2 * joined.len());
     for (ends, link) in joined {
         let of = |f: u32, place: u32| {
             let corner = apart.facets()[f as usize].into_iter().find(|&v| class[v as usize] == place)?;
-            Some(welded[corner as usize])
+            Some(now[corner as usize])
         };
         let copies = link.map(|f| ends.map(|place| of(f, place)));
         let [[Some(a), Some(b)], [Some(c), Some(d)]] = copies else { continue };
@@ -345,8 +344,8 @@ fn joints_of(joined: &[([u32; 2], Link)], class: &[u32], apart: &TriMesh, token:
         same.join(one as usize, other as usize);
     }
     edges.values_mut().for_each(|edge| *edge = same.root(*edge as usize) as u32);
-    let vertices = (0..welded.len()).map(|v| vertices.root(v) as u32).collect();
-    Ok(Joints::Pieces { vertices, edges })
+    let vertices = (0..now.len()).map(|v| vertices.root(v) as u32).collect();
+    Joints::Pieces { vertices, edges }
 }
 
 /// What `edges` are in each sheet. Those that are none stay as they are, to be refused. `class` has the lowest vertex in the place
