@@ -77,11 +77,11 @@ impl Surface {
     pub(crate) fn read_loaded(&self, regions: &RegionChoice) -> Result<Loaded> {
         let format = self.format(INPUT_FORMAT)?;
         let bytes = self.bytes(format)?;
-        let io::Loaded { mesh, attributes, creases, left_aside } =
+        let io::Loaded { mesh, attributes, creases, vertices, left_aside } =
             io::decode_with_regions(format, &bytes, regions).map_err(|cause| self.refused(&cause))?;
         let warnings = left_aside.iter().map(Warning::left_aside).collect();
         let attributes = Some(attributes).filter(|attributes| !attributes.is_empty());
-        Ok(Loaded { mesh, attributes, creases, warnings })
+        Ok(Loaded { mesh, attributes, creases, vertices, warnings })
     }
 
     fn refused(&self, cause: &DataError) -> BadInput {
@@ -145,6 +145,8 @@ pub(crate) struct Loaded {
     pub(crate) attributes: Option<Attributes>,
     /// Edges that the file names.
     pub(crate) creases: Vec<[u32; 2]>,
+    /// Vertices that the file names.
+    pub(crate) vertices: Vec<u32>,
     pub(crate) warnings: Vec<Warning>,
 }
 

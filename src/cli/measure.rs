@@ -14,8 +14,9 @@ use super::say::SayArgs;
 use super::{files, interrupt, say};
 use geometry::cvt::density::check_metric;
 use geometry::mesh::TriMesh;
+use geometry::mesh::attributes::Attributes;
 use geometry::mesh::crossings::{Crossings, crossings};
-use geometry::mesh::io::Format;
+use geometry::mesh::io::{Format, RegionChoice};
 use geometry::mesh::measure::{Quality, Topology, quality_and_distances, topology};
 use geometry::mesh::metric::{MetricField, MetricFigures};
 use geometry::token::{Stopped, Token};
@@ -99,7 +100,10 @@ pub(crate) fn run(args: &MeasureArgs) -> Result<()> {
     interrupt::cancel_on_signal(&token).context("cannot listen for signals")?;
     // The names of files say their formats.
     let named = |path: &PathBuf| files::Surface::new(path, args.input_format.filter(|_| path.as_os_str() == "-"));
-    let read = |path: &PathBuf| named(path).read_mesh();
+    let read = |surface: &files::Surface| match args.picture.wants_regions() {
+        true => surface.read_loaded(&RegionChoice::Named).map(|loaded| (loaded.mesh, loaded.attributes)),
+        false => Ok((surface.read_mesh()?, None)),
+    };
     if [Some(&args.original), args.remesh.as_ref()].into_iter().flatten().filter(|path| path.as_os_str() == "-").count()
         > 1
     {
@@ -108,15 +112,15 @@ pub(crate) fn run(args: &MeasureArgs) -> Result<()> {
     args.picture.check()?;
     let surface = named(&args.original);
     args.metric.iter().try_for_each(|_| files::check_numbered(&surface, "--metric"))?;
-    let original = surface.read_mesh()?;
-    let remesh = args.remesh.as_ref().map(|path| Ok::<_, anyhow::Error>((path, read(path)?))).transpose()?;
-    let result = remesh.as_ref().map_or(&original, |(_, mesh)| mesh);
+    let (original, own) = read(&surface)?;
+    let remesh = args.remesh.as_ref().map(|path| Ok::<_, anyhow::Error>((path, read(&named(path))?))).transpose()?;
+    let (result, attributes) = remesh.as_ref().map_or((&original, &own), |(_, (mesh, carried))| (mesh, carried));
     let (quality, _) = quality_and_distances(&original, None, result, &token)?;
     let metric = args.metric.as_ref().map(|path| in_metric(path, (&surface, &original), result, &token)).transpose()?;
-    args.picture.draw(result, &[])?;
+    args.picture.draw(result, attributes.as_ref().and_then(Attributes::regions), &[])?;
     let measured = Measured {
         original: Surface::new(&args.original, &original, &token)?,
-        remesh: remesh.map(|(path, mesh)| Surface::new(path, &mesh, &token)).transpose()?,
+        remesh: remesh.map(|(path, (mesh, _))| Surface::new(path, &mesh, &token)).transpose()?,
         quality,
         metric,
     };

@@ -14,6 +14,7 @@ use super::files;
 use super::given::{Words, words};
 use geometry::mesh::TriMesh;
 use geometry::mesh::closest_point::ClosestPoint;
+use geometry::mesh::regions::Regions;
 use geometry::rvd::PieceBatch;
 use geometry::rvd::cells::facet_edge;
 use picture::{Canvas, Face, PLAIN, Paint, Pens, Size, View, ViewDirection};
@@ -44,6 +45,7 @@ const COLOURS: Words<Paint> = &[
     ("plain", "Nothing", Paint::Plain),
     ("quality", "The quality of each triangle, red to blue-grey", Paint::Quality),
     ("cell", "The cell: in a remesh, what lies nearest to each vertex", Paint::Cell),
+    ("region", "The region of each triangle; plain without regions", Paint::Region),
 ];
 
 fn size(text: &str) -> Result<Size, String> {
@@ -68,18 +70,24 @@ impl PictureArgs {
 
     /// As [`Self::check`], for a diagram, which has no triangles.
     pub(crate) fn check_for_cells(&self) -> Result<()> {
-        if self.colour == Some(Paint::Quality) {
-            let text = "--colour quality is for a remesh; the pieces of a diagram have plain or cell";
+        if matches!(self.colour, Some(Paint::Quality | Paint::Region)) {
+            let text = "--colour quality and region are for a remesh; the pieces of a diagram have plain or cell";
             return Err(Usage(text.to_owned()).into());
         }
         self.check()
     }
 
+    /// Whether the picture has regions.
+    pub(crate) fn wants_regions(&self) -> bool {
+        self.picture.is_some() && self.colour == Some(Paint::Region)
+    }
+
     /// Draws a remesh, with bold lines for edges on curves that it keeps, if that is wanted.
-    pub(crate) fn draw(&self, mesh: &TriMesh, curves: &[[u32; 2]]) -> Result<()> {
+    pub(crate) fn draw(&self, mesh: &TriMesh, regions: Option<&Regions>, curves: &[[u32; 2]]) -> Result<()> {
         let Some(path) = &self.picture else { return Ok(()) };
         let lines: Vec<[DVec3; 2]> = curves.iter().map(|e| e.map(|v| mesh.positions()[v as usize])).collect();
-        Ok(draw_mesh(mesh, self.view_of(mesh)?, self.colour.unwrap_or_default(), &lines).write(path)?)
+        let surface = (mesh, regions.map(Regions::of_facet));
+        Ok(draw_mesh(surface, self.view_of(mesh)?, self.colour.unwrap_or_default(), &lines).write(path)?)
     }
 
     /// Begins the picture of a diagram of `seeds` seeds, if that is wanted.

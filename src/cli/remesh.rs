@@ -25,6 +25,7 @@ use super::server::{Server, ServerUrl};
 use super::{backends, files, interrupt, remote, say};
 use geometry::cvt::density::{DensityOptions, DensitySource};
 use geometry::mesh::TriMesh;
+use geometry::mesh::attributes::Attributes;
 use geometry::mesh::io::RegionChoice;
 use geometry::remesh::report::to_json;
 use geometry::remesh::{RemeshOptions, Seeds, Warning, remesh};
@@ -107,14 +108,16 @@ fn alone(args: &RemeshArgs, task: &Task, mut worker: Worker) -> Result<()> {
 /// Reads, remeshes and writes a file. Ctrl-C ends the process until the work begins, if `listen` says that no handler is there yet.
 fn one(args: &RemeshArgs, task: &Task, worker: &mut Worker, progress: &mut Progress, listen: bool) -> Result<Remeshed> {
     let start = Instant::now();
-    let Loaded { mesh, attributes, creases, warnings } = match args.files.no_attributes {
+    let Loaded { mesh, attributes, creases, vertices, mut warnings } = match args.files.no_attributes {
         true => {
-            let mesh = task.input.read_mesh()?;
-            Loaded { mesh, attributes: None, creases: Vec::new(), warnings: Vec::new() }
+            let (creases, vertices, warnings) = Default::default();
+            Loaded { mesh: task.input.read_mesh()?, attributes: None, creases, vertices, warnings }
         }
         false => task.input.read_loaded(args.files.regions.as_ref().unwrap_or(&RegionChoice::Named))?,
     };
-    let asked = args.options(&mesh, attributes, creases)?;
+    let mut asked = args.options(&mesh, attributes, creases)?;
+    warnings.extend(asked.1.keep_vertices(&vertices).iter().map(Warning::left_aside));
+    asked.0.keep = asked.1.keep.iter().map(ToString::to_string).collect();
     let options = &asked.1;
     let read_ms = ms(start);
     if worker.server.is_none() && listen {
@@ -126,8 +129,8 @@ fn one(args: &RemeshArgs, task: &Task, worker: &mut Worker, progress: &mut Progr
     let writing = Instant::now();
     progress.stage("write", 0, 0);
     let unheld = task.output.write(&mesh, attributes.as_ref())?;
+    args.picture.draw(&mesh, attributes.as_ref().and_then(Attributes::regions), &curve_edges)?;
     drop(attributes);
-    args.picture.draw(&mesh, &curve_edges)?;
     // A server's report stays as it is.
     if worker.server.is_none() {
         let timings = &mut report["timings_ms"];

@@ -63,6 +63,18 @@ fn zero_is_not_the_default() {
     assert_eq!((o.lloyd, o.newton, o.crease_angle_deg, o.density.adaptivity), (0, 0, 0.0, 0.0));
 }
 
+#[test]
+fn lists_of_numbers_may_be_in_files() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("list.txt");
+    std::fs::write(&path, "# A part.\n0-3, 7\n\t9 # and another\n8\n").unwrap();
+    let (_, o) = asked(&format!("--keep facets:@{0} --keep vertices:@{0}", path.display()));
+    assert_eq!(o.keep, ["facets:0-3,7-9", "vertices:0-3,7-9"].map(|text| text.parse().unwrap()));
+    let args = ["tessera", "in.ply", "-o", "out.ply", "--points", "50", "--keep", "facets:@missing.txt"];
+    let refused = RemeshArgs::augment_args(clap::Command::new("tessera")).try_get_matches_from(args).unwrap_err();
+    assert!(refused.to_string().contains("missing.txt"), "{refused}");
+}
+
 /// The message of options asks for the same options.
 #[test]
 fn options_come_through_the_message() {
@@ -77,6 +89,7 @@ fn options_come_through_the_message() {
         "--non-manifold keep",
         "--weld 0.01%",
         "--size-in steel=0.5 --size-in sphere:0,0,0,1=0.25 --gradation 0.5",
+        "--keep facets:0-7,9 --keep vertices:3",
         "--keep steel --keep box:-1,0,0,1,1,1 --only sphere:0,0,0,1 --keep-rims --source-map",
     ] {
         let (_, given) = asked(line);

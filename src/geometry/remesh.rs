@@ -22,7 +22,7 @@ mod warnings;
 
 use glam::DVec3;
 
-use crate::cvt::density::{Count, DensityError, DensityOptions};
+use crate::cvt::density::{Count, DensityError, DensityOptions, DensitySource};
 use crate::cvt::{Iteration, Projection};
 use crate::mesh::TriMesh;
 use crate::mesh::adjacency::{Adjacency, EdgeKind};
@@ -342,6 +342,23 @@ impl RemeshOptions {
         with_measure(measure: bool),
         with_source_map(source_map: bool),
         with_attributes(attributes: Attributes => Some(attributes)),
+    }
+
+    /// Keeps vertices that a file names where they are. Says so if seeds or a metric leave no room for that.
+    pub fn keep_vertices(&mut self, vertices: &[u32]) -> Option<AttributeError> {
+        let has_room =
+            !matches!(self.seeds, Seeds::Given(_)) && !matches!(self.density.source, DensitySource::Metric(_));
+        match vertices {
+            [] => None,
+            _ if has_room => {
+                self.keep.push(Part::Vertices(vertices.iter().copied().collect()));
+                None
+            }
+            _ => Some(AttributeError::Unreadable {
+                attribute: format!("{} required vertices", vertices.len()),
+                message: "seeds and a metric leave them aside".to_owned(),
+            }),
+        }
     }
 
     /// Whether some of the surface's edges stay as they are.

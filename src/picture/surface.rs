@@ -22,13 +22,20 @@ pub enum Paint {
     Quality,
     /// Which vertex is near: the thirds of a facet that belong to its corners.
     Cell,
+    /// The region of each triangle; nothing where there are none.
+    Region,
 }
 
 /// Faces that are made at a time.
 const BATCH: usize = 1 << 16;
 
-/// Draws `mesh` with its edges and, as bold lines, `features`, whose ends lie on it.
-pub fn draw_mesh(mesh: &TriMesh, view: View, paint: Paint, features: &[[DVec3; 2]]) -> Image {
+/// Draws `mesh` with its edges and, as bold lines, `features`, whose ends lie on it. `regions` has a number for each facet, or none.
+pub fn draw_mesh(
+    (mesh, regions): (&TriMesh, Option<&[u32]>),
+    view: View,
+    paint: Paint,
+    features: &[[DVec3; 2]],
+) -> Image {
     // An equilateral triangle's edge is longer than the side of a square of its area.
     let edge = (4.0 / 3f64.sqrt()).sqrt() * spacing(mesh, &view, mesh.facets().len());
     let pens = Pens::for_spacing(edge);
@@ -37,7 +44,7 @@ pub fn draw_mesh(mesh: &TriMesh, view: View, paint: Paint, features: &[[DVec3; 2
     let mut faces = Vec::new();
     for batch in facets.chunks(BATCH) {
         faces.clear();
-        batch.iter().for_each(|&facet| paint_facet(mesh, facet, paint, &mut faces));
+        batch.iter().for_each(|&facet| paint_facet((mesh, regions), facet, paint, &mut faces));
         canvas.faces(&faces);
     }
     for [from, to] in edges(mesh) {
@@ -57,11 +64,15 @@ pub fn spacing(mesh: &TriMesh, view: &View, count: usize) -> f64 {
     ((0..mesh.facets().len()).map(area).sum::<f64>() / count.max(1) as f64).sqrt()
 }
 
-fn paint_facet(mesh: &TriMesh, facet: usize, paint: Paint, faces: &mut Vec<Face>) {
+fn paint_facet((mesh, regions): (&TriMesh, Option<&[u32]>), facet: usize, paint: Paint, faces: &mut Vec<Face>) {
     let corners = mesh.corners(facet);
     let whole = |colour: Rgb| Face { corners, colour, normal: None };
     match paint {
         Paint::Plain => faces.push(whole(PLAIN)),
+        Paint::Region => {
+            let region = regions.and_then(|regions| regions.get(facet));
+            faces.push(whole(region.map_or(PLAIN, |&region| distinct(region))));
+        }
         Paint::Quality => {
             // Scaled, so that lengths in a tiny or huge mesh can be squared.
             let sides = corners.map(|p| p - corners[0]);

@@ -174,7 +174,7 @@ fn the_same_bytes_with_any_number_of_threads() {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
         pool.install(|| {
             let view = View::framing(&ViewDirection::default(), Size::new(301, 203).unwrap(), corners.clone()).unwrap();
-            draw_mesh(&mesh, view, Paint::Cell, &[[corners[0], corners[1]]]).to_png().unwrap()
+            draw_mesh((&mesh, None), view, Paint::Cell, &[[corners[0], corners[1]]]).to_png().unwrap()
         })
     };
     let one = draw(1);
@@ -223,7 +223,7 @@ fn size_and_place_do_not_matter() {
         let moved = mesh.positions().iter().map(|&p| p * scale + DVec3::splat(shift)).collect();
         let mesh = TriMesh::new(moved, mesh.facets().to_vec()).unwrap();
         let view = View::framing(&ViewDirection::default(), size, mesh.positions().to_vec()).unwrap();
-        draw_mesh(&mesh, view, Paint::Quality, &[])
+        draw_mesh((&mesh, None), view, Paint::Quality, &[])
     };
     let one = draw(1.0, 0.0);
     let differ = |other: &Image| {

@@ -1,5 +1,5 @@
 //! Promise: `--creases` keeps the edges that a file names, and says which line of it is wrong; edges that the surface's file
-//! names are kept too.
+//! names are kept too, and so are vertices that it requires.
 
 use std::path::Path;
 use std::process::{Command, Output};
@@ -65,6 +65,48 @@ fn edges_of_a_file_become_creases() {
     std::fs::write(at("named.mesh"), named).unwrap();
     assert_eq!(kept_of("none.mesh", None).0, 0);
     assert_eq!(kept_of("named.mesh", None), (1, 0));
+}
+
+#[test]
+fn required_vertices_of_a_file_stay() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    let sphere = Shape::Sphere.build(2000);
+    let text = String::from_utf8(io::encode(io::Format::Medit, &sphere).unwrap()).unwrap();
+    std::fs::write(at("named.mesh"), text.replace("End\n", "RequiredVertices\n3\n1\n700\n1\nEnd\n")).unwrap();
+    let done = remesh(&at("named.mesh"), None, &at("out.ply"));
+    assert!(done.status.success(), "{}", String::from_utf8_lossy(&done.stderr));
+    let report: serde_json::Value = serde_json::from_slice(&std::fs::read(at("out.json")).unwrap()).unwrap();
+    assert_eq!(report["result"]["kept"]["single_vertices"], 2, "{report}");
+    let (given, result) = (io::read(&at("named.mesh")).unwrap(), io::read(&at("out.ply")).unwrap());
+    for v in [0, 699] {
+        let p = given.positions()[v];
+        assert!(result.positions().iter().any(|q| q.distance(p) < 1e-6), "{p}");
+    }
+}
+
+#[test]
+fn parts_of_a_list_stay() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    io::write(&at("sphere.obj"), &Shape::Sphere.build(2000)).unwrap();
+    std::fs::write(at("list.txt"), "# two rows\n3-5, 9\n20\n\n").unwrap();
+    let part = format!("facets:@{}", at("list.txt").display());
+    let run = |options: &[&str]| {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_tessera"));
+        command.env_remove("RUST_BACKTRACE").arg("remesh").arg(at("sphere.obj")).arg("-o").arg(at("out.ply"));
+        command.args(["--points", "400", "--backend", "serial", "--overwrite", "--report"]).arg(at("out.json"));
+        command.args(options).output().unwrap()
+    };
+    let done = run(&["--keep", &part, "--size-in", &format!("{part}=0.1")]);
+    assert!(done.status.success(), "{}", String::from_utf8_lossy(&done.stderr));
+    let report: serde_json::Value = serde_json::from_slice(&std::fs::read(at("out.json")).unwrap()).unwrap();
+    let kept = &report["result"]["kept"];
+    assert_eq!(kept["facets"].as_u64().unwrap() - kept["further_facets"].as_u64().unwrap(), 5, "{report}");
+    let wrong = run(&["--keep", "facets:@nowhere.txt"]);
+    let said = String::from_utf8_lossy(&wrong.stderr).into_owned();
+    assert_eq!(wrong.status.code(), Some(2), "{said}");
+    assert!(said.contains("nowhere.txt"), "{said}");
 }
 
 #[test]

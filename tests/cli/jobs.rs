@@ -159,9 +159,10 @@ fn every_option_arrives() {
     file("sizes.txt", "1\n2\n3\n");
     file("creases.txt", "0 1\n");
     file("seeds.xyz", "0 0 0\n");
+    file("kept.txt", "0\n");
     let line = "jobs submit remesh in.off --points 9 --sizes sizes.txt --creases creases.txt --gradation 0.3 --adaptivity 1 \
         --max-deviation 0.5 --max-points 20 --crease-angle 30 --boundaries keep --thin even --placement fitted --lloyd 5 \
-        --newton 0 --projection surface --seed 0 --backend serial --no-attributes --format stl --request-id r1 --reuse same-bits --priority -3 \
+        --newton 0 --projection surface --seed 0 --keep facets:@kept.txt --backend serial --no-attributes --format stl --request-id r1 --reuse same-bits --priority -3 \
         --deadline-s 1.5 --queue-deadline-s 60 --label team=a=b --label x= --tenant t1 --json";
     let told: Value = serde_json::from_str(&stage.ok(line)).unwrap();
     assert_eq!((&told["id"], &told["existed"]), (&ID.into(), &false.into()));
@@ -186,6 +187,7 @@ fn every_option_arrives() {
     assert_eq!((work.projection(), work.placement()), (proto::Projection::Surface, Placement::Fitted));
     assert_eq!((work.boundaries(), work.thin()), (proto::BoundaryRule::Keep, proto::ThinRule::Even));
     assert_eq!((work.max_deviation, work.max_points), (Some(0.5), Some(20)));
+    assert_eq!(work.keep, ["facets:0"]);
     let Some(job_mesh::Source::File(mesh)) = spec.mesh.clone().unwrap().source else { panic!("{spec:?}") };
     assert_eq!((mesh.attributes, spec.backend(), spec.priority), (Some(false), BackendChoice::Serial, Some(-3)));
     let form = Some(result_format::Form::File(proto::MeshFormat::Stl.into()));

@@ -42,6 +42,7 @@ fn a_remesh_and_a_diagram_are_drawn() {
         ("remesh in.ply -o out.ply --points 200 --picture", "plain.png", "--picture-size 320x200"),
         ("remesh in.ply -o out.ply --points 200 --picture", "quality.png", "--picture-size 320x200 --colour quality"),
         ("remesh in.ply -o out.ply --points 200 --picture", "cell.png", "--picture-size 320x200 --color cell"),
+        ("remesh in.ply -o out.ply --points 200 --picture", "region.png", "--picture-size 320x200 --colour region"),
         ("measure in.ply --picture", "before.png", "--picture-size 320x200"),
         ("measure in.ply out.ply --picture", "after.png", "--picture-size 320x200 --colour quality"),
         ("rvd in.ply --points 200 --picture", "cells.PNG", "--picture-size 320x200"),

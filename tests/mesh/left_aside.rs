@@ -235,6 +235,9 @@ fn medit(mesh: &TriMesh) -> Vec<Odd> {
         ("edges without numbers", "Edges\nmany\n", true),
         ("ridges of nothing", "Ridges\n2\n1\n77\n", true),
         ("an edge that is none", "Edges\n1\n1 1 0\nRequiredEdges\n1\n1\n", true),
+        ("required vertices", "RequiredVertices\n2\n1\n2\n", false),
+        ("required vertices that are not there", "RequiredVertices\n2\n1\n9999\n", true),
+        ("required vertices without numbers", "RequiredVertices\nmany\n", true),
         ("an edge of no vertices", "Edges\n1\n-4 99999999999 0\nRidges\n1\n1\n", true),
     ]
     .into_iter()

@@ -404,8 +404,9 @@ fn named_edges_of_binary_files() {
     let [a, b, _] = mesh.facets()[0];
     keyword(5, &[a + 1, b + 1, 0]);
     keyword(16, &[1]);
+    keyword(15, &[2, 1, 2]);
     bytes.extend([54, 0, 0, 0, 0, 0, 0, 0]);
     check(Format::MeditBinary, &bytes);
     let loaded = decode_with_attributes(Format::MeditBinary, &bytes).unwrap();
-    assert_eq!((loaded.mesh, loaded.creases), (mesh, vec![[a.min(b), a.max(b)]]));
+    assert_eq!((loaded.mesh, loaded.creases, loaded.vertices), (mesh, vec![[a.min(b), a.max(b)]], vec![0, 1]));
 }

@@ -136,11 +136,11 @@ print(ast.literal_eval(call.args[0]))
 `;
 
 /** The copied command and request give the bits of the page's download, and the call in Python has known keywords. */
-async function copiesAreRight(page, name) {
+async function copiesAreRight(page, name, input = octahedron) {
   const folder = mkdtempSync(join(tmpdir(), "page-"));
   try {
     symlinkSync(SERVER, join(folder, "tessera"));
-    writeFileSync(join(folder, name), octahedron);
+    writeFileSync(join(folder, name), input);
     const env = { ...process.env, PATH: `${folder}${delimiter}${process.env.PATH}` };
     const { bytes } = await downloaded(page);
     const output = await page.getAttribute("#download", "download");
@@ -388,6 +388,7 @@ const tests = {
         { facets: 500 },
         { points: 300, density: "error_max", anisotropy: "auto" },
         { points: 310, density: "error", anisotropy: 0.1 },
+        { points: 320, keep: "sphere:0,0,-1,0.1", size_in: "sphere:0,0,1,0.5=0.2" },
         { points: 290, sizes: (await json(`${at}v1/blobs`, { method: "POST", body: ".3\n.4\n.5\n.3\n.4\n.5\n" })).digest,
           creases: (await json(`${at}v1/blobs`, { method: "POST", body: "0 2\n2 1\n" })).digest, gradation: 0.5 },
       ];
@@ -421,6 +422,39 @@ const tests = {
       assert.ok(await page.isVisible("#others"));
       await page.click("#others-drop");
       assert.ok(await page.isHidden("#others"));
+    }, CLIPBOARD);
+  },
+
+  async "regions of the input are ticked to stay"() {
+    await opened(async (page, at) => {
+      const lines = octahedron.toString().split("\n");
+      const halves = [...lines.slice(0, 6), "usemtl Top:glass", ...lines.slice(6, 10), "usemtl base", ...lines.slice(10)].join("\n");
+      await drop(page, "halves.obj", Buffer.from(halves));
+      await says(page, "#input-counts", /^6 vertices/);
+      await page.click("summary");
+      assert.deepEqual(await page.locator("#regions label").allInnerTexts(), ["Top:glass", "base"]);
+      const [top, base] = [0, 1].map((k) => page.locator("#regions input").nth(k));
+      await base.check();
+      await top.check();
+      assert.equal(await page.inputValue("#keep"), "base; region:Top:glass");
+      await page.fill("#keep", "base");
+      assert.deepEqual([await top.isChecked(), await base.isChecked()], [false, true]);
+      await page.fill("#points", "250");
+      await remeshed(page);
+      const { spec } = await json(`${at}v1/jobs/${idOf(page)}`);
+      assert.deepEqual(spec.remesh.keep, ["base"]);
+      const report = await json(`${at}v1/jobs/${idOf(page)}/result?name=report`);
+      assert.ok(report.result.kept.facets >= 4, JSON.stringify(report.result.kept));
+      await copiesAreRight(page, "halves.obj", halves);
+      await page.fill("#keep", "");
+      await page.reload();
+      await ended(page);
+      await compared(page);
+      assert.equal(await page.inputValue("#keep"), "base");
+      assert.ok(await base.isChecked());
+      await drop(page, "octahedron.obj", octahedron);
+      await says(page, "#input-counts", /^6 vertices/);
+      assert.ok(await page.isHidden("#regions"));
     }, CLIPBOARD);
   },
 

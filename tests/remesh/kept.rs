@@ -5,7 +5,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use geometry::mesh::crossings::crossings;
 use glam::DVec3;
 use tessera::mesh::attributes::{Attributes, Scalar};
-use tessera::mesh::parts::Part;
+use tessera::mesh::parts::{Indices, Part, PartError};
 use tessera::mesh::regions::Regions;
 use tessera::mesh::shapes::Shape;
 use tessera::remesh::{Remesh, RemeshError, RemeshOptions, Seeds, remesh};
@@ -199,6 +199,57 @@ fn attributes_and_regions_stay() {
 }
 
 #[test]
+fn single_vertices_stay_where_they_are() {
+    let mut random = Random::new(5);
+    for shape in [Shape::Sphere, Shape::Plane, Shape::Block, Shape::Hills] {
+        let mesh = shape.build(900);
+        for (points, count) in [(150, 1), (300, 8), (1500, 40)] {
+            let list: Indices = (0..count).map(|_| (random.unit() * mesh.positions().len() as f64) as u32).collect();
+            let name = format!("{shape}, {points}, vertices:{list}");
+            let done = run(&mesh, &sample(points).with_keep(vec![Part::Vertices(list.clone())])).unwrap();
+            let places: BTreeSet<_> =
+                (0..done.mesh.facets().len()).flat_map(|f| done.mesh.corners(f).map(bits)).collect();
+            assert!(list.iter().all(|v| places.contains(&bits(mesh.positions()[v as usize]))), "{name}");
+            let kept = done.report.result.kept.unwrap();
+            assert_eq!(kept.single_vertices + kept.vertices.min(kept.further_facets), list.iter().count(), "{name}");
+            assert_eq!(kept.further_facets, 0, "{name}");
+            let [before, after] = [&done.report.input.topology, &done.report.result.topology];
+            assert_eq!((after.euler, after.boundary_loops), (before.euler, before.boundary_loops), "{name}");
+            assert_eq!(crossings(&done.mesh, &Token::default()).unwrap().count, 0, "{name}");
+            let vertices = done.mesh.positions().len();
+            assert!(vertices.abs_diff(points) * 50 <= points, "{name}: {vertices} vertices");
+        }
+    }
+}
+
+#[test]
+fn vertices_and_lists_of_facets_stay_together() {
+    let mesh = Shape::Torus.build(2000);
+    let facets: Indices = (100..160).chain([7, 9]).collect();
+    let (within, apart) = (mesh.facets()[110][0], mesh.facets()[1500][0]);
+    let vertices = Part::Vertices([within, apart].into_iter().collect());
+    let done = run(&mesh, &sample(900).with_keep(vec![Part::Facets(facets.clone()), vertices.clone()])).unwrap();
+    let kept = done.report.result.kept.unwrap();
+    assert_eq!((kept.facets - kept.further_facets, kept.single_vertices), (62, 1));
+    let mut first = (0..kept.facets).map(|f| done.mesh.corners(f));
+    assert!(facets.iter().all(|f| first.any(|corners| corners == mesh.corners(f as usize))), "in their order");
+    assert!(done.mesh.positions().contains(&mesh.positions()[apart as usize]));
+    // The first vertex is none of any facet.
+    let (mut positions, facets) = mesh.clone().into_parts();
+    positions.insert(0, DVec3::splat(9.0));
+    let facets = facets.into_iter().map(|t| t.map(|v| v + 1)).collect();
+    let more = TriMesh::new(positions, facets).unwrap();
+    let refused = |mesh: &TriMesh, options: RemeshOptions| match run(mesh, &options) {
+        Err(RemeshError::Part(error)) => error,
+        other => panic!("{:?}", other.map(|done| done.report)),
+    };
+    let of = |vertex: u32| vec![Part::Vertices([vertex].into_iter().collect())];
+    assert!(matches!(refused(&more, sample(900).with_keep(of(0))), PartError::NoSuchVertex { vertex: 0, .. }));
+    assert!(matches!(refused(&mesh, sample(900).with_keep(of(5000))), PartError::NoSuchVertex { vertex: 5000, .. }));
+    assert!(matches!(refused(&mesh, sample(900).with_only(vec![vertices])), PartError::VerticesAlone));
+}
+
+#[test]
 fn what_cannot_be_is_refused() {
     let mesh = Shape::Sphere.build(500);
     let all: Part = "box:-2,-2,-2,2,2,2".parse().unwrap();
@@ -263,7 +314,7 @@ fn vertices_of_facets_of_their_own_are_joined_and_sheets_face_as_before() {
 #[test]
 fn what_would_tear_is_refused() {
     let cube = Shape::Block.build(12);
-    let four = run(&cube, &sample(4).with_keep(vec![Part::Facets(vec![0, 1])]));
+    let four = run(&cube, &sample(4).with_keep(vec![Part::Facets([0, 1].into_iter().collect())]));
     assert!(four.is_err(), "{:?}", four.map(|done| done.report.result.topology));
     // Two grids, of which one has vertices on the edges of the other.
     let grid = |n: u32, x: f64| {

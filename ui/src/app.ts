@@ -13,6 +13,7 @@ import { open, type Chosen } from "./file.ts";
 import { Options } from "./options.ts";
 import { Progress } from "./progress.ts";
 import { Queue } from "./queue.ts";
+import { Regions } from "./regions.ts";
 import { sample, SAMPLE_POINTS, type Sample } from "./samples.ts";
 import { Stage } from "./stage.ts";
 import { isShown, SHOWN } from "./mesh/formats.ts";
@@ -32,6 +33,7 @@ export class App {
   private readonly progress = new Progress();
   private readonly chart = new Chart(the("chart", SVGSVGElement), the("chart-words", HTMLElement));
   private readonly figures = new Figures();
+  private readonly regions = new Regions(the("keep", HTMLInputElement), the("regions", HTMLFieldSetElement), the("region-names", HTMLElement));
   private readonly queue = new Queue(the("queue", HTMLUListElement), the("queue-note", HTMLElement), this.api);
   private readonly go = the("go", HTMLButtonElement);
   private readonly cancelButton = the("cancel", HTMLButtonElement);
@@ -155,6 +157,7 @@ export class App {
     this.loaded = null;
     this.digest = null;
     this.keep(null);
+    this.regions.offer([]);
     this.stage.welcome(false);
     this.stage.clear("input", "Reading …");
     this.stage.clear("result", "The remesh appears here");
@@ -177,6 +180,7 @@ export class App {
       this.loaded = loaded;
       this.stage.show("input", loaded);
       this.figures.input(loaded);
+      if (loaded.regions.length > 0) this.regions.offer(loaded.regions);
       this.note(chosen.name, `${about}, ${count(loaded.facets)} facets`);
     } catch (error) {
       if (signal.aborted) return;
@@ -335,6 +339,8 @@ export class App {
     const format = formatOf(job);
     this.offer(file, job, format);
     this.figures.result(report);
+    const regions = regionsIn(report);
+    if (regions.length > 0) this.regions.offer(regions);
     showWarnings(report);
     this.progress.end("Done.", job.started_ms === null ? null : job.changed_ms - job.started_ms);
     this.endJob();
@@ -522,6 +528,12 @@ function jobInAddress(): string | null {
 /** The format of a job's result. */
 function formatOf(job: Job): string {
   return formatName(job.spec.result?.file ?? "ply");
+}
+
+/** The regions of a job's input, by name, else by number. */
+function regionsIn(report: Readonly<Record<string, unknown>>): string[] {
+  const { regions } = (report["result"] ?? {}) as { readonly regions?: readonly { readonly name?: string; readonly number: number }[] };
+  return (regions ?? []).map(({ name, number }) => name ?? String(number)).filter((name) => !name.includes(";")).slice(0, 64);
 }
 
 /** A format's name, of its value in a message. */

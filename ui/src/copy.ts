@@ -6,6 +6,9 @@
 /** Options that name a stored file. */
 export const FILES: readonly string[] = ["sizes", "metric", "creases"];
 
+/** Options that are lists, with semicolons between their parts. */
+export const LISTS: readonly string[] = ["keep", "only", "size_in"];
+
 export interface Call {
   /** Name of the input file. */
   readonly name: string;
@@ -45,6 +48,7 @@ function command(call: Call, options: Readonly<Record<string, unknown>>, output:
     if (key in ELSEWHERE || key === "measure") return [];
     if (FILES.includes(key)) return [`--${key} ${key}.txt`];
     if (key === "attributes") return value === false ? ["--no-attributes"] : [];
+    if (LISTS.includes(key)) return String(value).split(";").map((part) => `--${key.replaceAll("_", "-")} ${shell(part)}`);
     // The command has hyphens in the words of a density too.
     const word = key === "density" ? String(value).replaceAll("_", "-") : String(value);
     return [`--${key.replaceAll("_", "-")} ${shell(word)}`];
@@ -81,6 +85,7 @@ function python({ name }: Call, options: Readonly<Record<string, unknown>>, outp
   const given = Object.entries({ ...options, ...(options["measure"] ? { measure: options["measure"] === "full" } : {}) });
   const literal = (key: string, value: unknown): string => {
     if (FILES.includes(key)) return `numpy.loadtxt("${key}.txt"${key === "creases" ? ", dtype=int, ndmin=2" : ""})`;
+    if (LISTS.includes(key)) return JSON.stringify(String(value).split(";"));
     return typeof value === "boolean" ? (value ? "True" : "False") : JSON.stringify(value);
   };
   const words = given.filter(([key]) => !(key in ELSEWHERE)).map(([key, value]) => `, ${key}=${literal(key, value)}`);

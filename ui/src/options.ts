@@ -5,12 +5,17 @@
 // the service's document; options of a job that have no field are kept, or left out, and named. Must not know: how a job is made.
 
 import { Problem, type Schemas, type Spec } from "./api.ts";
-import { FILES } from "./copy.ts";
+import { FILES, LISTS } from "./copy.ts";
 import { make, the } from "./dom.ts";
 import { count, whole } from "./words.ts";
 
 /** The least points for a closed surface, and the most that a server takes. */
 const POINTS = [4, 4_000_000] as const;
+
+/** The parts of a list. */
+export function partsOf(list: string): string[] {
+  return list.split(";").map((part) => part.trim()).filter((part) => part !== "");
+}
 
 /** Options that say how many points there are, in place of a number. */
 const SIZES: readonly string[] = ["edge_length", "facets", "sizes", "metric"];
@@ -50,7 +55,7 @@ export class Options {
     this.share(Number(anisotropy ?? 0));
     const { source, ...ofDensity } = density ?? {};
     const set: Record<string, unknown> = {
-      ...remesh, ...ofDensity, density: source, backend: spec.backend, to: spec.result?.file, attributes: spec.mesh?.file?.attributes,
+      ...lists(remesh), ...lists(ofDensity), density: source, backend: spec.backend, to: spec.result?.file, attributes: spec.mesh?.file?.attributes,
       ...(percent === undefined ? {} : { points: `${String(percent)}%` }),
       ...(isAuto ? { anisotropy: "auto" } : anisotropy ? { anisotropy } : {}),
     };
@@ -69,6 +74,7 @@ export class Options {
       if (isFilled) isFilled.open = true;
       if (isKnown) delete set[field.name];
     }
+    the("keep", HTMLInputElement).dispatchEvent(new Event("input"));
     const rest = Object.entries(set).map(([name, value]) => [name, this.plain(name, value)] as const);
     const isStandard = (name: string, value: unknown): boolean => value === undefined || typeof value === "object" || value === this.schemas[name]?.default;
     this.keep(Object.fromEntries(rest.filter(([name, value]) => !isStandard(name, value) && !(name === "attributes" && value === true))), left);
@@ -99,7 +105,7 @@ export class Options {
     if (typeof value !== "string") return value;
     const word = value.toLowerCase();
     const known = this.schemas[name]?.enum?.filter((one) => word.endsWith(`_${one}`)).sort((a, b) => b.length - a.length)[0];
-    return known ?? (/^\d+$/.test(value) ? Number(value) : word);
+    return known ?? (/^\d+$/.test(value) && !LISTS.includes(name) ? Number(value) : value);
   }
 
   /** Shows the service's defaults in empty fields, and all formats that it writes. */
@@ -141,6 +147,11 @@ export class Options {
         Object.assign(options, size(field.value));
         continue;
       }
+      if (LISTS.includes(field.name)) {
+        const parts = partsOf(field.value);
+        if (parts.length > 0) options[field.name] = parts.join(";");
+        continue;
+      }
       const number = Number(field.value);
       options[field.name] = Number.isNaN(number) ? field.value : number;
     }
@@ -151,7 +162,7 @@ export class Options {
   blame(problem: Problem): boolean {
     let first: HTMLElement | null = null;
     for (const { field: name, description } of problem.fields) {
-      const last = name.split(".").pop() ?? name;
+      const last = (name.split(".").pop() ?? name).replace(/\[\d+\]$/, "");
       const field = this.fields().find((one) => one.name === name || one.name === last);
       if (!field) continue;
       this.say(field, description);
@@ -188,6 +199,11 @@ export class Options {
   private clearAll(): void {
     for (const field of this.fields()) this.clear(field);
   }
+}
+
+/** Options whose lists are one text each. */
+function lists(options: Readonly<Record<string, unknown>>): Record<string, unknown> {
+  return Object.fromEntries(Object.entries(options).map(([name, value]) => [name, Array.isArray(value) ? value.join(";") : value]));
 }
 
 /** A number of points, or a share of the vertices; nothing if it is neither. */

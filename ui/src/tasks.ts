@@ -32,6 +32,8 @@ export interface Loaded {
   /** Q at each corner. */
   readonly quality: Float32Array<ArrayBuffer>;
   readonly figures: QualityFigures;
+  /** Names of its regions, where the file has some. */
+  readonly regions: readonly string[];
 }
 
 export interface Compared {

@@ -9,6 +9,7 @@ import { isShown } from "./mesh/formats.ts";
 import { NearestSeeds } from "./mesh/nearest.ts";
 import { quality } from "./mesh/quality.ts";
 import { BadFile, read } from "./mesh/read.ts";
+import { regionNames } from "./mesh/regions.ts";
 import { cornersOf, frameOf, spread, type Frame, type Surface } from "./mesh/surface.ts";
 import type { Answers, Cells, Compared, Loaded, Question, Reply, Requests, Side, Task } from "./tasks.ts";
 
@@ -41,7 +42,8 @@ let divided: Divided | null = null;
 async function load({ side, file, format, isLoose }: Requests["load"]): Promise<Loaded> {
   drop({ side });
   if (!isShown(format)) throw new BadFile(`files of the format ${format} are not shown here`);
-  const surface = read(new Uint8Array(await file.arrayBuffer()), format, isLoose);
+  const bytes = new Uint8Array(await file.arrayBuffer());
+  const surface = read(bytes, format, isLoose);
   const facets = surface.indices.length / 3;
   if (facets > MOST_FACETS) throw new Error(`${facets} facets are more than the ${MOST_FACETS} that are shown here`);
   // Both are drawn in the input's frame, so that they lie on each other.
@@ -54,7 +56,7 @@ async function load({ side, file, format, isLoose }: Requests["load"]): Promise<
   const corners = cornersOf(surface, frame);
   let square = 0;
   for (let i = 0; i < corners.length; i += 3) square = Math.max(square, corners[i] ** 2 + corners[i + 1] ** 2 + corners[i + 2] ** 2);
-  return { frame, vertices, facets, radius: Math.sqrt(square), corners, quality: atCorners, figures };
+  return { frame, vertices, facets, radius: Math.sqrt(square), corners, quality: atCorners, figures, regions: side === "input" ? regionNames(bytes, format) : [] };
 }
 
 function drop({ side }: Requests["drop"]): null {

@@ -29,12 +29,12 @@ fn wrong(error: &FileError) -> PyErr {
     }
 }
 
-/// `read(path) -> dict`: vertices, faces, attributes, edges that the file names in `creases`, and in `left_aside` what is not
-/// read, a text each.
+/// `read(path) -> dict`: vertices, faces, attributes, edges that the file names in `creases` and vertices in `required`, and in
+/// `left_aside` what is not read, a text each.
 #[pyfunction]
 pub(crate) fn read(py: Python<'_>, path: PathBuf) -> PyResult<Bound<'_, PyDict>> {
     let read = py.detach(|| io::read_with_attributes(&path)).map_err(|error| wrong(&error))?;
-    let Loaded { mesh, attributes, creases, left_aside } = read;
+    let Loaded { mesh, attributes, creases, vertices: required, left_aside } = read;
     let (positions, facets) = mesh.into_parts();
     let dict = PyDict::new(py);
     dict.set_item("vertices", arrays::of_points(py, positions)?)?;
@@ -43,6 +43,7 @@ pub(crate) fn read(py: Python<'_>, path: PathBuf) -> PyResult<Bound<'_, PyDict>>
         dict.set_item("attributes", carried(py, &attributes)?)?;
     }
     dict.set_item("creases", arrays::of_indices(py, creases)?)?;
+    dict.set_item("required", required)?;
     dict.set_item("left_aside", left_aside.iter().map(ToString::to_string).collect::<Vec<_>>())?;
     Ok(dict)
 }

@@ -1,6 +1,6 @@
 #!/bin/sh
 # Installs the package, with debug code, and runs its tests, those against a server too. Then files go from other
-# libraries to ours and back (tests/python/formats.py), in the same environment.
+# libraries to ours and back (tests/python/formats.py), and gmsh meshes the volume of a remesh, in the same environment.
 # Usage: clients/python/tests/run.sh path/to/tessera
 set -eu
 TESSERA=$(realpath "${1:?usage: run.sh path/to/tessera}")
@@ -21,3 +21,8 @@ cd "$here"
 "$venv/bin/python" "$root/tests/python/formats.py" write "$work/formats"
 (cd "$root" && TESSERA_FORMATS=$work/formats cargo test --locked --quiet --test mesh -- --ignored files_of_other_libraries)
 "$venv/bin/python" "$root/tests/python/formats.py" check "$work/formats"
+
+# The first block of docs/regions.md writes the two chambers.
+sed -n '/^```sh$/,/^```$/{/^```$/q;/^```/d;p}' "$root/docs/regions.md" >"$work/chambers.sh"
+(cd "$work" && PATH=$(dirname "$TESSERA"):$PATH sh -e chambers.sh >/dev/null 2>&1)
+"$venv/bin/python" "$root/tests/python/gmsh_volume.py" "$work/chambers.msh"

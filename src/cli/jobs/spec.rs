@@ -11,8 +11,8 @@ use anyhow::Result;
 use clap::{ArgGroup, Args};
 
 use crate::exit::Usage;
-use crate::given::{self, Given, Words, words};
-use crate::remesh::args::{ShapeArgs, SizeArgs, StepArgs, usage};
+use crate::given::{Given, Words, words};
+use crate::remesh::args::{self, ShapeArgs, SizeArgs, StepArgs, usage};
 use crate::rvd::SeedArgs;
 use crate::source::Source;
 use crate::{files, remote};
@@ -122,7 +122,7 @@ pub(super) struct RemeshWork {
 impl RemeshWork {
     pub(super) fn asked(&self) -> Result<Asked> {
         let Self { input, size, shape, steps, .. } = self;
-        let message = given::message(&[&size.set, &shape.set, &steps.set])?;
+        let message = args::message(size, shape, steps)?;
         options::remesh(&message, size.beside(), &Bounds::WIDEST).map_err(usage)?;
         if let Input::File(path) = &input.input {
             let format = input.format()?;

@@ -116,8 +116,8 @@ pub(crate) struct SizeArgs {
     #[arg(long, value_name = "G", default_value_t = DensityOptions::default().gradation, value_parser = positive)]
     #[arg(allow_negative_numbers = true)]
     pub(crate) gradation: f64,
-    /// Length of the edges in a part, as often as there are parts: box:X0,Y0,Z0,X1,Y1,Z1=H, sphere:X,Y,Z,R=H, or a region: NAME=H.
-    /// Around it lengths grow by --gradation.
+    /// Length of the edges in a part, as often as there are parts: box:X0,Y0,Z0,X1,Y1,Z1=H, sphere:X,Y,Z,R=H, facets:0-99=H, or a region:
+    /// NAME=H. Around it lengths grow by --gradation.
     #[arg(long, value_name = "PART=H", value_parser = zone, allow_negative_numbers = true, conflicts_with = "metric")]
     pub(crate) size_in: Vec<Zone>,
     /// 0 for edges of one length, 1 for lengths as --density or --sizes says.
@@ -157,7 +157,8 @@ pub(crate) struct ShapeArgs {
     #[arg(long, default_value = "cut", value_parser = words(NON_MANIFOLD))]
     pub(crate) non_manifold: NonManifoldRule,
     /// Part that stays as it is, to the bit; as often as there are parts: box:X0,Y0,Z0,X1,Y1,Z1 or sphere:X,Y,Z,R with the facets that
-    /// touch it, or a region by its name or number. The result begins with it.
+    /// touch it, facets:0-99,205 or facets:@FILE, vertices:7,12 for vertices alone, or a region by its name or number. The result begins
+    /// with its facets.
     #[arg(long, value_name = "PART", value_parser = part, allow_negative_numbers = true)]
     pub(crate) keep: Vec<Part>,
     /// Part that is remeshed, as for --keep, with the facets that are in a box or ball wholly; all else stays as it is.
@@ -231,11 +232,27 @@ fn distance(text: &str) -> Result<String, String> {
     positive(text.trim().strip_suffix('%').unwrap_or(text)).map(|_| text.to_owned())
 }
 
+/// A part, whose list of numbers may be in a file: `facets:@FILE`.
 fn part(text: &str) -> Result<Part, String> {
-    text.parse().map_err(|error: PartError| error.to_string())
+    listed(text)?.parse().map_err(|error: PartError| error.to_string())
+}
+
+/// The text of a part, with the numbers of the file that it names.
+fn listed(text: &str) -> Result<String, String> {
+    let in_file = |kind: &str| Some((kind.to_owned(), text.strip_prefix(kind)?.strip_prefix('@')?));
+    let Some((kind, path)) = ["facets:", "vertices:"].into_iter().find_map(in_file) else { return Ok(text.to_owned()) };
+    let list = std::fs::read_to_string(path).map_err(|cause| format!("{path}: {cause}"))?;
+    let lines = list.lines().map(|line| line.split('#').next().unwrap_or_default());
+    let is_between = |c: char| c == ',' || c.is_whitespace();
+    let numbers: Vec<&str> = lines.flat_map(|line| line.split(is_between)).filter(|n| !n.is_empty()).collect();
+    Ok(kind + &numbers.join(","))
 }
 
 fn zone(text: &str) -> Result<Zone, String> {
+    let text = match text.rsplit_once('=') {
+        Some((part, length)) => format!("{}={length}", listed(part)?),
+        None => text.to_owned(),
+    };
     text.parse().map_err(|error: PartError| error.to_string())
 }
 
@@ -280,6 +297,25 @@ const PLACEMENTS: Words<Placement> = &[
     ("centroids", "To the centroids of their cells", Placement::Centroids),
 ];
 
+/// The options that are set, as a message.
+pub(crate) fn message(
+    size: &Given<SizeArgs>,
+    shape: &Given<ShapeArgs>,
+    steps: &Given<StepArgs>,
+) -> Result<proto::RemeshOptions> {
+    let mut message = given::message(&[&size.set, &shape.set, &steps.set])?;
+    // The numbers of files, not their names.
+    (message.keep, message.only) = (texts(&shape.keep), texts(&shape.only));
+    if let Some(density) = &mut message.density {
+        density.size_in = texts(&size.size_in);
+    }
+    Ok(message)
+}
+
+fn texts<T: ToString>(all: &[T]) -> Vec<String> {
+    all.iter().map(T::to_string).collect()
+}
+
 /// A number of points, or percent of the vertices.
 pub(crate) fn points(text: &str) -> Result<String, String> {
     match text.trim().strip_suffix('%') {
@@ -302,7 +338,7 @@ pub(crate) fn flag(name: &str) -> String {
 impl RemeshArgs {
     /// The options that are set, and the library's of them. Arrays are empty. Errors: what cannot be whatever the surface.
     pub(crate) fn asked(&self) -> Result<(proto::RemeshOptions, RemeshOptions)> {
-        let message = given::message(&[&self.size.set, &self.shape.set, &self.steps.set])?;
+        let message = message(&self.size, &self.shape, &self.steps)?;
         let beside = self.size.beside();
         let options = options::remesh(&message, beside, &Bounds::of_library()).map_err(usage)?;
         Ok((message, options))

@@ -326,6 +326,8 @@ pub struct Loaded {
     pub attributes: Attributes,
     /// Edges that the file names, as `Ridges` and `RequiredEdges` of Medit, which a remesh should keep; two vertices each.
     pub creases: Vec<[u32; 2]>,
+    /// Vertices that the file names, as `RequiredVertices` of Medit, which a remesh should leave where they are; ascending.
+    pub vertices: Vec<u32>,
     /// Attributes of the file that cannot be used, with the reason.
     pub left_aside: Vec<AttributeError>,
 }
@@ -434,9 +436,9 @@ pub fn decode_with_regions(format: Format, bytes: &[u8], choice: &RegionChoice) 
     if let Some(name) = choice.array().filter(|_| raw.regions.is_none() || !format.has_arrays()) {
         return Err(regions::missing(name, &raw.arrays));
     }
-    let creases = raw.edges_of(&mesh);
+    let (creases, vertices) = (raw.edges_of(&mesh), raw.vertices_of(&mesh));
     let (attributes, left_aside) = raw.onto(&mesh, choice);
-    Ok(Loaded { mesh, attributes, creases, left_aside })
+    Ok(Loaded { mesh, attributes, creases, vertices, left_aside })
 }
 
 /// Vertices and facets that [`decode`] would find in a file, at most: a polygon of n corners counts as n - 2 facets, a facet

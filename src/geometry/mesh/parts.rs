@@ -1,4 +1,4 @@
-//! Parts of a surface: a region, a box, a sphere, a list of facets.
+//! Parts of a surface: a region, a box, a sphere, a list of facets, single vertices.
 //!
 //! Purpose: [`Part`] names facets of a surface; [`Part::facets`] finds them. Invariant: depends on the surface and its regions alone.
 //! Must not know: files, what a part is for.
@@ -12,7 +12,8 @@ use super::TriMesh;
 use super::facet_set::squared_distance;
 use super::regions::Regions;
 
-/// A part of a surface. As text: `box:X0,Y0,Z0,X1,Y1,Z1`, `sphere:X,Y,Z,R`, `region:NAME`, or the name or number of a region alone.
+/// A part of a surface. As text: `box:X0,Y0,Z0,X1,Y1,Z1`, `sphere:X,Y,Z,R`, `facets:0-99,205`, `vertices:7,12`, `region:NAME`, or the name or
+/// number of a region alone.
 ///
 /// ```
 /// use tessera::mesh::parts::{Part, PartError};
@@ -41,7 +42,9 @@ pub enum Part {
         radius: f64,
     },
     /// Facets by number, from 0.
-    Facets(Vec<u32>),
+    Facets(Indices),
+    /// Vertices by number, from 0, without facets.
+    Vertices(Indices),
 }
 
 /// Which facets belong to a box or a ball. Regions and lists have facets of their own.
@@ -58,7 +61,8 @@ pub(crate) enum Inclusion {
 pub enum PartError {
     /// A text is none of a part.
     #[error(
-        "{text:?} is no part of a surface: give box:X0,Y0,Z0,X1,Y1,Z1 with X0 up to X1, sphere:X,Y,Z,R with R above 0, or a region"
+        "{text:?} is no part of a surface: give box:X0,Y0,Z0,X1,Y1,Z1 with X0 up to X1, sphere:X,Y,Z,R with R above 0, facets:0-99,205 or \
+         vertices:7,12 with numbers from 0, or a region"
     )]
     Unreadable {
         /// The beginning of the text.
@@ -92,6 +96,71 @@ pub enum PartError {
         /// How many there are.
         facets: usize,
     },
+    /// A vertex is not there, or no facet has it.
+    #[error("vertex {vertex} is not there, or no facet has it; the input has {vertices} vertices, numbered from 0")]
+    NoSuchVertex {
+        /// The number that was given.
+        vertex: u32,
+        /// How many there are.
+        vertices: usize,
+    },
+    /// Vertices where facets are needed.
+    #[error("a list of vertices has no facets; it may stay as it is, and be no other part")]
+    VerticesAlone,
+}
+
+/// Numbers from 0. As text: numbers and ranges with commas between them, as `0-99,205`.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Indices(Vec<[u32; 2]>);
+
+impl Indices {
+    /// From ranges with their first and last numbers.
+    fn of_ranges(mut ranges: Vec<[u32; 2]>) -> Self {
+        ranges.sort_unstable();
+        let mut all: Vec<[u32; 2]> = Vec::with_capacity(ranges.len());
+        for range in ranges {
+            match all.last_mut() {
+                Some(last) if range[0] <= last[1].saturating_add(1) => last[1] = last[1].max(range[1]),
+                _ => all.push(range),
+            }
+        }
+        Self(all)
+    }
+
+    /// Whether a number is there.
+    pub fn contains(&self, number: u32) -> bool {
+        let behind = self.0.partition_point(|range| range[0] <= number);
+        behind > 0 && number <= self.0[behind - 1][1]
+    }
+
+    /// All of them, ascending.
+    pub fn iter(&self) -> impl Iterator<Item = u32> + '_ {
+        self.0.iter().flat_map(|&[first, last]| first..=last)
+    }
+
+    /// The largest one.
+    pub fn last(&self) -> Option<u32> {
+        self.0.last().map(|range| range[1])
+    }
+}
+
+impl FromIterator<u32> for Indices {
+    fn from_iter<I: IntoIterator<Item = u32>>(numbers: I) -> Self {
+        Self::of_ranges(numbers.into_iter().map(|number| [number; 2]).collect())
+    }
+}
+
+impl fmt::Display for Indices {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        for (k, [first, last]) in self.0.iter().enumerate() {
+            let comma = if k == 0 { "" } else { "," };
+            match first == last {
+                true => write!(f, "{comma}{first}")?,
+                false => write!(f, "{comma}{first}-{last}")?,
+            }
+        }
+        Ok(())
+    }
 }
 
 /// A part of a surface, and how long its edges are to be. As text: `PART=LENGTH`.
@@ -150,12 +219,14 @@ impl Part {
                 regions.of_facet().iter().map(|&region| region == found).collect()
             }
             Self::Facets(facets) => {
-                let mut all = vec![false; count];
-                for &facet in facets {
-                    *all.get_mut(facet as usize).ok_or(PartError::NoSuchFacet { facet, facets: count })? = true;
+                if let Some(facet) = facets.last().filter(|&last| last as usize >= count) {
+                    return Err(PartError::NoSuchFacet { facet, facets: count });
                 }
+                let mut all = vec![false; count];
+                facets.iter().for_each(|facet| all[facet as usize] = true);
                 all
             }
+            Self::Vertices(_) => return Err(PartError::VerticesAlone),
             &Self::Box { low, high } => match inclusion {
                 Inclusion::Within => by_corners(&|t| t.iter().all(|p| p.cmpge(low).all() && p.cmple(high).all())),
                 Inclusion::Touching => by_corners(&|t| touches_box(t, low, high)),
@@ -177,7 +248,7 @@ impl Part {
         match *self {
             Self::Box { low, high } => (low - p).max(p - high).max(DVec3::ZERO).length(),
             Self::Sphere { centre, radius } => (p.distance(centre) - radius).max(0.0),
-            Self::Region(_) | Self::Facets(_) => f64::INFINITY,
+            Self::Region(_) | Self::Facets(_) | Self::Vertices(_) => f64::INFINITY,
         }
     }
 
@@ -186,7 +257,7 @@ impl Part {
         match *self {
             Self::Box { low, high } => std::f64::consts::PI * 0.25 * (high - low).length_squared(),
             Self::Sphere { radius, .. } => std::f64::consts::PI * radius * radius,
-            Self::Region(_) | Self::Facets(_) => f64::INFINITY,
+            Self::Region(_) | Self::Facets(_) | Self::Vertices(_) => f64::INFINITY,
         }
     }
 }
@@ -219,6 +290,14 @@ impl FromStr for Part {
             let all: Vec<f64> = list.split(',').map(|x| x.trim().parse().ok()).collect::<Option<_>>()?;
             all.try_into().ok().filter(|all: &[f64; N]| all.iter().all(|x| x.is_finite()))
         }
+        let indices = |list: &str| {
+            let range = |text: &str| {
+                let (first, last) = text.split_once('-').unwrap_or((text, text));
+                let range = [first.trim().parse().ok()?, last.trim().parse().ok()?];
+                Some(range).filter(|[first, last]: &[u32; 2]| first <= last)
+            };
+            list.split(',').map(range).collect::<Option<_>>().map(Indices::of_ranges).ok_or_else(unreadable)
+        };
         match text.split_once(':') {
             Some(("box", list)) => {
                 let [x, y, z, right, back, top] = numbers(list).ok_or_else(unreadable)?;
@@ -229,6 +308,8 @@ impl FromStr for Part {
                 Some([x, y, z, radius]) if radius > 0.0 => Ok(Self::Sphere { centre: DVec3::new(x, y, z), radius }),
                 _ => Err(unreadable()),
             },
+            Some(("facets", list)) => indices(list).map(Self::Facets),
+            Some(("vertices", list)) => indices(list).map(Self::Vertices),
             Some(("region", name)) => Ok(Self::Region(name.to_owned())),
             _ if text.trim().is_empty() => Err(unreadable()),
             _ => Ok(Self::Region(text.to_owned())),
@@ -243,7 +324,8 @@ impl fmt::Display for Part {
             Self::Region(name) => write!(f, "{name}"),
             Self::Box { low: a, high: b } => write!(f, "box:{},{},{},{},{},{}", a.x, a.y, a.z, b.x, b.y, b.z),
             Self::Sphere { centre: c, radius } => write!(f, "sphere:{},{},{},{radius}", c.x, c.y, c.z),
-            Self::Facets(facets) => write!(f, "{} facets", facets.len()),
+            Self::Facets(facets) => write!(f, "facets:{facets}"),
+            Self::Vertices(vertices) => write!(f, "vertices:{vertices}"),
         }
     }
 }
@@ -258,10 +340,19 @@ mod tests {
 
     #[test]
     fn texts_are_read_and_written() {
-        for text in ["box:-1,-2,0,1,2,0.5", "sphere:1e-3,0,0,2", "steel", "7", "region:a:b"] {
+        let lists = ["facets:0-99,205", "vertices:7,12-4294967295"];
+        for text in ["box:-1,-2,0,1,2,0.5", "sphere:1e-3,0,0,2", "steel", "7", "region:a:b", "region:box:1"]
+            .into_iter()
+            .chain(lists)
+        {
             let part: Part = text.parse().unwrap();
             assert_eq!(part.to_string().parse::<Part>().unwrap(), part, "{text}");
         }
+        let list: Part = "facets: 4, 2-3,9,0-2 ".parse().unwrap();
+        assert_eq!(list.to_string(), "facets:0-4,9");
+        let Part::Facets(facets) = list else { panic!("facets are a list") };
+        assert_eq!(facets.iter().collect::<Vec<_>>(), [0, 1, 2, 3, 4, 9]);
+        assert!((0..12).all(|f| facets.contains(f) == (f < 5 || f == 9)));
         for text in [
             "",
             " ",
@@ -271,6 +362,11 @@ mod tests {
             "sphere:0,0,0,0",
             "sphere:0,0,nan,1",
             "sphere:0,0,0,inf",
+            "facets:",
+            "facets:3-2",
+            "facets:-1",
+            "vertices:1.5",
+            "vertices:4294967296",
         ] {
             assert!(matches!(text.parse::<Part>(), Err(PartError::Unreadable { .. })), "{text}");
         }
@@ -346,9 +442,11 @@ mod tests {
             matches!(of("c", Some(&regions)), Err(PartError::NoSuchRegion { known, .. }) if known == "\"5\", \"b\"")
         );
         assert!(matches!(of("c", None), Err(PartError::NoRegions { .. })));
-        let lists = Part::Facets(vec![1, 1]).facets((&mesh, None), Inclusion::Within);
+        let lists = Part::Facets([1, 1].into_iter().collect()).facets((&mesh, None), Inclusion::Within);
         assert_eq!(lists, Ok(vec![false, true]));
-        let wrong = Part::Facets(vec![2]).facets((&mesh, None), Inclusion::Within);
+        let wrong = Part::Facets([2].into_iter().collect()).facets((&mesh, None), Inclusion::Within);
         assert_eq!(wrong, Err(PartError::NoSuchFacet { facet: 2, facets: 2 }));
+        let vertices = Part::Vertices(Indices::default()).facets((&mesh, None), Inclusion::Within);
+        assert_eq!(vertices, Err(PartError::VerticesAlone));
     }
 }

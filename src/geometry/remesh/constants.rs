@@ -199,6 +199,8 @@ pub(super) const JOINED_CORNERS: f64 = 0.4;
 /// Largest distance of an edge from its boundary or crease.
 pub(super) const BOUNDARY_LIMIT: f64 = 0.08;
 pub(super) const CREASE_LIMIT: f64 = 0.06;
+/// The same where regions or sheets end, whose areas are to stay: angles there are worse for it.
+pub(super) const REGION_LIMIT: f64 = 0.02;
 /// Largest distance of an edge from its curve where two curves meet at an acute angle: no facet there has a good one.
 pub(super) const ACUTE_LIMIT: f64 = 0.3;
 /// Largest share of the seeds for curves if there are creases. Boundaries alone may take all, as of a very narrow strip.

@@ -35,6 +35,9 @@ fn staying(seeds: &CurveSeeds, features: &Features) -> Vec<bool> {
     let mut stays = seeds.on_shared();
     let rims = seeds.segments.iter().filter(|segment| features.curves[segment.curve as usize].is_rim);
     rims.flat_map(|segment| segment.ends).for_each(|seed| stays[seed as usize] = true);
+    // Corners are the first seeds.
+    let corners = stays.iter_mut().zip(&features.corners);
+    corners.for_each(|(stays, corner)| *stays |= features.points.binary_search(corner).is_ok());
     stays
 }
 
@@ -51,6 +54,8 @@ pub(crate) struct Held<'a> {
     pub(crate) seams: Option<&'a Arc<Seams>>,
     /// Edges that stay as they are.
     pub(crate) rims: &'a [[u32; 2]],
+    /// Vertices that stay where they are.
+    pub(crate) vertices: &'a [u32],
 }
 
 #[derive(Clone, Debug, Default)]
@@ -58,6 +63,8 @@ pub(crate) struct KeptCurves {
     features: Features,
     pub(crate) seeds: CurveSeeds,
     dropped_curves: usize,
+    /// Whether curves are borders of regions or sheets.
+    has_regions: bool,
     /// Where several sheets have a curve.
     seams: Option<Arc<Seams>>,
     /// For each seed, whether it stays at its place: several sheets have it, or an edge that stays.
@@ -75,7 +82,7 @@ impl KeptCurves {
         plan: &Plan<'_>,
         surface: &Surface,
         (options, by_error): (&RemeshOptions, bool),
-        Held { seams, rims }: Held<'_>,
+        Held { seams, rims, vertices }: Held<'_>,
         token: &Token,
     ) -> Result<Self, RemeshError> {
         Features::check(mesh, options.crease_angle_deg, &options.creases, token)?;
@@ -83,6 +90,8 @@ impl KeptCurves {
             return Ok(Self::default());
         }
         let points = plan.points;
+        let has_regions =
+            options.keep_non_manifold || options.attributes.as_ref().is_some_and(|a| a.regions().is_some());
         // By error, edges are short where the surface bends both ways. What these alone resolve is noise more often than a crease.
         let mass = if by_error { surface.area() } else { surface.root_mass() };
         // The shortest target edge, where the weight is 1.
@@ -97,7 +106,7 @@ impl KeptCurves {
             crease_angle_deg: options.crease_angle_deg,
             given_creases: plan.edges(&options.creases, token)?,
             given_corners: ascending(rims.iter().flatten().copied()),
-            points: seams.map(|seams| seams.points()).unwrap_or_default(),
+            points: seams.map(|seams| seams.points()).into_iter().flatten().chain(vertices.iter().copied()).collect(),
             rims: plan.edges(rims, token)?,
             min_crease_length: SHORTEST_CREASE * scale,
             turn_reach: BEND_REACH * scale,
@@ -143,7 +152,8 @@ impl KeptCurves {
                 let (joints, copies) = seams.map(share).unwrap_or_default();
                 if seeds.len() as f64 <= most_of(creases(&features)) * points as f64 {
                     let stays = staying(&seeds, &features);
-                    return Ok(Self { features, seeds, dropped_curves, seams: seams.cloned(), stays, joints, copies });
+                    let seams = seams.cloned();
+                    return Ok(Self { features, seeds, dropped_curves, has_regions, seams, stays, joints, copies });
                 }
             }
             let creases = creases(&features);
@@ -152,9 +162,10 @@ impl KeptCurves {
                 continue;
             }
             dropped_curves += creases;
-            if creases == 0 && !rims.is_empty() {
+            if creases == 0 && !(rims.is_empty() && vertices.is_empty()) {
                 if rims_alone {
-                    return Err(RemeshError::TooFewForRims { points, rims: criteria.given_corners.len() });
+                    let rims = criteria.given_corners.len() + vertices.len();
+                    return Err(RemeshError::TooFewForRims { points, rims });
                 }
                 dropped_curves += features.curves.iter().filter(|c| !c.is_rim).count();
                 rims_alone = true;
@@ -332,6 +343,7 @@ impl KeptCurves {
             let limit = segment.edge
                 * match self.features.curves[segment.curve as usize].kind {
                     _ if segment.ends.iter().any(|&e| beside_acute[e as usize]) => ACUTE_LIMIT,
+                    _ if self.has_regions => REGION_LIMIT,
                     CurveKind::Boundary => BOUNDARY_LIMIT,
                     CurveKind::Crease => CREASE_LIMIT,
                 };

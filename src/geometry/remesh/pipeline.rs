@@ -129,13 +129,13 @@ fn remesh_parts(
 ) -> Result<Remesh, RemeshError> {
     if options.keeps_parts() {
         return on_threads_of(backend, || {
-            let mut run = |part: (&TriMesh, &[[u32; 2]]), options: &RemeshOptions| {
+            let mut run = |part: (&TriMesh, Held<'_>), options: &RemeshOptions| {
                 run_stages(part, options, backend, &mut *observer, token)
             };
             kept::remesh(given, options, &mut run, token)
         });
     }
-    on_threads_of(backend, || match run_stages((given, &[]), options, backend, observer, token) {
+    on_threads_of(backend, || match run_stages((given, Held::default()), options, backend, observer, token) {
         // Far vertices take all the points: without their spikes, which are put back afterwards. Given seeds stay.
         Err(
             error @ (RemeshError::TooFewSeeds { .. }
@@ -144,7 +144,7 @@ fn remesh_parts(
         ) => {
             let near = draw_in(given).filter(|_| !matches!(options.seeds, Seeds::Given(_)));
             let Some(near) = near else { return Err(error) };
-            let mut done = run_stages((&near, &[]), options, backend, observer, token)?;
+            let mut done = run_stages((&near, Held::default()), options, backend, observer, token)?;
             put_back_spikes(&mut done, given, &near, token)?;
             Ok(done)
         }
@@ -152,9 +152,9 @@ fn remesh_parts(
     })
 }
 
-/// On the present threads. `rims` are edges that stay.
+/// On the present threads.
 fn run_stages(
-    (given, rims): (&TriMesh, &[[u32; 2]]),
+    (given, held): (&TriMesh, Held<'_>),
     options: &RemeshOptions,
     backend: &dyn Backend,
     observer: &mut dyn Observer,
@@ -168,15 +168,16 @@ fn run_stages(
     token.enter("prepare");
     observer.stage("prepare");
     // Most inputs need no preprocessing: what is prepared meanwhile is then of use.
-    let asked = Asked { held: Held { rims, seams: None }, ..Asked::new(given, options) };
+    let asked = Asked { held, ..Asked::new(given, options) };
     let weld = options.weld.map(|weld| weld.length(given));
     let (preprocessed, mut prepared) =
         rayon::join(|| preprocess(given, weld, token), || prepare(given, options, asked, None, token));
     let mut preprocessed = preprocessed?;
-    let separated = preprocessed.separate(given, (options, rims), token)?;
-    let Separated { apart, options: adapted, topology, joined, seams, rims: of_sheets } = separated;
-    let rims = of_sheets.as_deref().unwrap_or(rims);
-    let asked = Asked { apart: apart.as_ref(), held: Held { seams: seams.as_ref(), rims }, ..asked };
+    let separated = preprocessed.separate(given, (options, held), token)?;
+    let Separated { apart, options: adapted, topology, joined, seams, rims, vertices } = separated;
+    let rims = rims.as_deref().unwrap_or(held.rims);
+    let held = Held { seams: seams.as_ref(), rims, vertices: vertices.as_deref().unwrap_or(held.vertices) };
+    let asked = Asked { apart: apart.as_ref(), held, ..asked };
     token.check()?;
     let (clean, options) = (preprocessed.mesh(given), adapted.as_ref().unwrap_or(options));
     let separated = apart.as_ref().map_or(clean, |apart| &apart.mesh);

@@ -299,7 +299,9 @@ pub struct KeptFigures {
     pub vertices: usize,
     /// Edges that the rest meets.
     pub rim_edges: usize,
-    /// Facets that stayed though they need not, for the sake of these edges.
+    /// Vertices that stay without facets, beside those of facets and edges that stay.
+    pub single_vertices: usize,
+    /// Facets that stayed though they need not, for the sake of these edges and vertices.
     pub further_facets: usize,
 }
 

@@ -115,7 +115,7 @@ fn of_count(report: &Report, all: &mut Vec<Warning>) {
 /// What stayed though it need not.
 fn of_kept(report: &Report, all: &mut Vec<Warning>) {
     let further = "facets beside those that stay had to stay too, so that all edges meet; more points make them fewer";
-    if report.result.kept.is_some_and(|kept| kept.facets + kept.rim_edges == 0) {
+    if report.result.kept.is_some_and(|kept| kept.facets + kept.rim_edges + kept.single_vertices == 0) {
         let text = "nothing of the input is in what is to stay; check coordinates and units";
         all.push(Warning::new("nothing_kept", None, text.to_owned()));
     }

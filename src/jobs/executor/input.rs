@@ -120,6 +120,8 @@ struct Surface {
     attributes: Option<Attributes>,
     /// Edges that its file names.
     creases: Vec<[u32; 2]>,
+    /// Vertices that its file names.
+    required: Vec<u32>,
     /// What its file holds and the reader leaves aside.
     left_aside: Vec<AttributeError>,
     vertices: FileVertices,
@@ -250,12 +252,12 @@ impl Reader<'_> {
                 let bytes = self.blobs.read(FILE, *blob)?;
                 self.token.check()?;
                 let wrong = |error| bad(FILE, error);
-                let (mesh, attributes, creases, left_aside) = if *attributes {
-                    let Loaded { mesh, attributes, creases, left_aside } =
+                let (mesh, attributes, creases, required, left_aside) = if *attributes {
+                    let Loaded { mesh, attributes, creases, vertices, left_aside } =
                         io::decode_with_attributes(format, &bytes).map_err(wrong)?;
-                    (mesh, Some(attributes).filter(|attributes| !attributes.is_empty()), creases, left_aside)
+                    (mesh, Some(attributes).filter(|attributes| !attributes.is_empty()), creases, vertices, left_aside)
                 } else {
-                    (io::decode(format, &bytes).map_err(wrong)?, None, Vec::new(), Vec::new())
+                    (io::decode(format, &bytes).map_err(wrong)?, None, Vec::new(), Vec::new(), Vec::new())
                 };
                 // Lists that are text go by the numbers of the file's vertices.
                 let lists = [task.arrays.edge_lengths, task.arrays.metric, task.arrays.creases];
@@ -263,7 +265,7 @@ impl Reader<'_> {
                     true => FileVertices::of(format, &bytes, &mesh).map_err(wrong)?,
                     false => FileVertices::of_arrays(&mesh),
                 };
-                Surface { mesh, attributes, creases, left_aside, vertices }
+                Surface { mesh, attributes, creases, required, left_aside, vertices }
             }
             MeshSource::Arrays { positions, facets, attributes } => {
                 let points = self.points(&format!("{ARRAYS}.positions"), positions, u64::MAX)?;
@@ -272,7 +274,8 @@ impl Reader<'_> {
                 let mesh = TriMesh::new(points, triples).map_err(|error: MeshError| bad(ARRAYS, error))?;
                 let attributes = self.attributes(&mesh, attributes)?;
                 let vertices = FileVertices::of_arrays(&mesh);
-                Surface { mesh, attributes, creases: Vec::new(), left_aside: Vec::new(), vertices }
+                let (creases, required, left_aside) = Default::default();
+                Surface { mesh, attributes, creases, required, left_aside, vertices }
             }
         };
         self.token.check()?;
@@ -301,7 +304,7 @@ impl Reader<'_> {
         task: &Task,
         mut options: RemeshOptions,
     ) -> Result<(TriMesh, RemeshOptions, Vec<AttributeError>), WorkError> {
-        let Surface { mesh, attributes, creases, left_aside, vertices } = self.surface(task)?;
+        let Surface { mesh, attributes, creases, required, mut left_aside, vertices } = self.surface(task)?;
         options.seeds.resolve(&mesh);
         self.fill(&mut options, task, &vertices)?;
         let (steps, most) = (options.lloyd + options.newton, self.bounds.max_iterations);
@@ -315,6 +318,7 @@ impl Reader<'_> {
         }
         options.attributes = attributes;
         options.creases = creases;
+        left_aside.extend(options.keep_vertices(&required));
         if let Some(array) = &task.arrays.creases {
             options.creases.extend(self.edges(CREASES, array, &vertices, mesh.facets().len())?);
         }

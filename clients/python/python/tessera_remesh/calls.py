@@ -112,17 +112,54 @@ def _with_regions(attributes: Attributes | None, name: str | None, surface: Surf
     return carried
 
 
+def _parts(surface: Surface, name: str, given: Any) -> list[str] | None:
+    """Parts as texts. An array is one part: numbers of faces, or whether each is of it."""
+    if given is None:
+        return None
+    if isinstance(given, (str, np.ndarray)):
+        given = [given]
+    parts = list(given)
+    if parts and all(isinstance(part, (int, np.integer, np.bool_)) for part in parts):
+        parts = [np.asarray(parts)]
+    return [part if isinstance(part, str) else _faces(surface, name, np.asarray(part)) for part in parts]
+
+
+def _faces(surface: Surface, name: str, part: np.ndarray[Any, Any]) -> str:
+    if part.dtype.kind == "b" and part.shape == (len(surface.faces),):
+        part = np.flatnonzero(part)
+    if part.ndim != 1 or part.dtype.kind not in "iu" or part.size == 0 or part.min() < 0:
+        raise _engine.InputError(
+            f"{name} has an array of shape {part.shape}; give numbers of faces, at least one, or whether each face is of the part"
+        )
+    return _numbers("facets", part)
+
+
+def _numbers(kind: str, numbers: np.ndarray[Any, Any]) -> str:
+    """A part that is a list of at least one number."""
+    numbers = np.unique(numbers)
+    ends = np.flatnonzero(np.diff(numbers) != 1)
+    first, last = numbers[np.append(0, ends + 1)], numbers[np.append(ends, -1)]
+    return f"{kind}:" + ",".join(f"{a}-{b}" for a, b in zip(first.tolist(), last.tolist(), strict=True))
+
+
 def remesh_options(surface: Surface, given: dict[str, Any]) -> tuple[dict[str, Any], Attributes | None]:
     """What the engine and the service take, and what the surface carries. `given` are the arguments of `remesh`."""
     given = _counted(surface, given)
     _one_size(given["edge_length"], **{name: given[name] for name in ("points", "facets", "sizes", "metric")})
     named = None if given["attributes"] is False else surface.creases
+    required = None if given["attributes"] is False else surface.required
     attributes = _with_regions(_carried(given.pop("attributes"), surface), given.pop("regions"), surface)
     given.update(_density(given.pop("density")))
     given["sizes"], given["seeds"] = meshes._floats(given["sizes"]), meshes._floats(given["seeds"])
     given["metric"] = _tensors(given["metric"])
-    for name in ("keep", "only", "size_in"):
-        given[name] = [given[name]] if isinstance(given[name], str) else given[name] and list(given[name])
+    given["keep"], given["only"] = (_parts(surface, name, given[name]) for name in ("keep", "only"))
+    if required is not None:
+        if any(given[name] is not None for name in ("seeds", "metric")):
+            meshes.warn(f"{len(required)} required vertices: seeds and a metric leave them aside")
+        else:
+            given["keep"] = [*(given["keep"] or []), _numbers("vertices", required)]
+    zones = given["size_in"]
+    given["size_in"] = [zones] if isinstance(zones, str) else zones and list(zones)
     lists = [edges for edges in (named, _edges(given["creases"])) if edges is not None]
     given["creases"] = np.concatenate(lists) if len(lists) > 1 else next(iter(lists), None)
     return given, attributes
@@ -147,8 +184,8 @@ def remesh(
     creases: ArrayLike | None = None,
     weld: float | str | None = None,
     non_manifold: Literal["cut", "keep"] | None = None,
-    keep: str | Sequence[str] | None = None,
-    only: str | Sequence[str] | None = None,
+    keep: str | ArrayLike | Sequence[str | ArrayLike] | None = None,
+    only: str | ArrayLike | Sequence[str | ArrayLike] | None = None,
     keep_rims: bool = False,
     source_map: bool = False,
     boundaries: Literal["keep", "free"] | None = None,
@@ -204,7 +241,8 @@ def remesh(
         creases: (k, 2) integer: edges that are creases whatever their angle.
         non_manifold: "cut": sheets that meet in an edge have vertices of their own there; or "keep": they have them in common.
         keep: parts that stay as they are, to the bit: "box:X0,Y0,Z0,X1,Y1,Z1", "sphere:X,Y,Z,R", each with the faces that touch it,
-            or several. They come first in the result; `points` counts all of its vertices.
+            a region by its name or number as text; an array of numbers of faces, or of whether each is of the part; "vertices:7,12"
+            for vertices alone; or several. They come first in the result; `points` counts all of its vertices.
         only: parts that are remeshed, with the faces that are in a box or ball wholly; all else stays as it is.
         keep_rims: whether the vertices and edges of boundaries stay as they are.
         source_map: whether the result has the scalars "source_facet", the face of `mesh` on which a vertex lies, and

@@ -128,6 +128,8 @@ class Surface:
     face_data: dict[str, Array] = field(default_factory=dict)
     #: (k, 2) integer: edges that its file names, as ridges of Medit, which a remesh keeps.
     creases: Array | None = None
+    #: (k,) integer: vertices that its file names, as required ones of Medit, which a remesh leaves where they are.
+    required: Array | None = None
 
     def __iter__(self) -> Iterator[Array]:
         return iter((self.vertices, self.faces))
@@ -147,7 +149,8 @@ def read(path: str | os.PathLike[str]) -> Surface:
     carried = held.get("attributes")
     attributes = None if carried is None else Attributes._from_engine(carried)
     creases = held["creases"] if len(held["creases"]) else None
-    return Surface(held["vertices"], held["faces"], attributes, creases=creases)
+    required = np.asarray(held["required"], dtype=np.int64) if held["required"] else None
+    return Surface(held["vertices"], held["faces"], attributes, creases=creases, required=required)
 
 
 def save(path: str | os.PathLike[str], surface: Surface) -> None:

@@ -46,13 +46,14 @@ pub(super) fn plan<'a>(
     for Zone { part, length } in &options.zones {
         match part {
             Part::Facets(facets) => {
-                for &facet in facets {
+                for facet in facets.iter() {
                     let facets = mesh.facets().len();
                     let corners = mesh.facets().get(facet as usize).ok_or(PartError::NoSuchFacet { facet, facets })?;
                     corners.iter().for_each(|&v| of_facets[v as usize] = of_facets[v as usize].min(*length));
                 }
             }
             Part::Region(name) => return Err(PartError::NoRegions { name: name.clone() }.into()),
+            Part::Vertices(_) => return Err(PartError::VerticesAlone.into()),
             Part::Box { .. } | Part::Sphere { .. } => {}
         }
     }

@@ -10,6 +10,7 @@ use std::hash::Hash;
 use super::DataError;
 use super::regions::{Found, RegionChoice};
 use crate::mesh::attributes::{AttributeError, Attributes, Colours, Normals, PerCorner, Scalar};
+use crate::mesh::csr::ascending;
 use crate::mesh::regions::{MAX_REGIONS, Regions};
 use crate::mesh::{TriMesh, normal};
 use glam::{DVec2, DVec3};
@@ -31,6 +32,8 @@ pub(super) struct Raw {
     pub(super) arrays: Vec<String>,
     /// Edges that the file names; some may be none of the surface's.
     pub(super) creases: Vec<[u32; 2]>,
+    /// Vertices that the file names; some may be none of the surface's.
+    pub(super) vertices: Vec<u32>,
     pub(super) unreadable: Vec<AttributeError>,
     /// How many more there were than are kept.
     pub(super) more: usize,
@@ -100,6 +103,23 @@ impl Raw {
             self.unreadable("named edges", format!("{left} of {total} are no edges of the surface"));
         }
         edges
+    }
+
+    /// The vertices of facets of `mesh` that the file names, ascending. Others are left aside.
+    pub(super) fn vertices_of(&mut self, mesh: &TriMesh) -> Vec<u32> {
+        let all = ascending(std::mem::take(&mut self.vertices));
+        if all.is_empty() {
+            return all;
+        }
+        let mut of_facets = vec![false; mesh.positions().len()];
+        mesh.facets().iter().flatten().for_each(|&v| of_facets[v as usize] = true);
+        let is_there = |v: &u32| of_facets.get(*v as usize).copied().unwrap_or(false);
+        let (found, others): (Vec<u32>, Vec<u32>) = all.into_iter().partition(is_there);
+        if !others.is_empty() {
+            let text = format!("{} of {} are none of a facet", others.len(), found.len() + others.len());
+            self.unreadable("required vertices", text);
+        }
+        found
     }
 
     pub(super) fn is_unreadable(&self, attribute: &str) -> bool {

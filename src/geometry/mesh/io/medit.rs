@@ -1,7 +1,7 @@
 //! Medit: `.mesh`, text, and `.meshb`, binary, versions 1 to 4. Writes version 2, with doubles; 3 where 32 bits are too few.
 //!
-//! Purpose: vertices, triangles and quadrilaterals, in either byte order. Edges that are ridges or required are creases. All other
-//! keywords are passed over. A vertex without a third coordinate, as of dimension 2, lies at 0. Our own reader: it is small.
+//! Purpose: vertices, triangles and quadrilaterals, in either byte order. Edges that are ridges or required are creases; vertices that are
+//! required stay. All other keywords are passed over. A vertex without a third coordinate, as of dimension 2, lies at 0. Our own reader: it is small.
 //! Invariant: edges never refuse a file. Must not know: other formats.
 
 use std::collections::HashSet;
@@ -59,11 +59,12 @@ fn is_binary(head: &super::packed::Head<'_>) -> bool {
 const VERSION: &[u8] = b"MeshVersionFormatted";
 
 /// Numbers of keywords in binary files, and their names in text.
-const KEYWORDS: [(i64, &[u8]); 12] = [
+const KEYWORDS: [(i64, &[u8]); 13] = [
     (DIMENSION, b"dimension"),
     (VERTICES, b"vertices"),
     (EDGES, b"edges"),
     (RIDGES, b"ridges"),
+    (REQUIRED_VERTICES, b"requiredvertices"),
     (REQUIRED_EDGES, b"requirededges"),
     (TRIANGLES, b"triangles"),
     (QUADRILATERALS, b"quadrilaterals"),
@@ -74,9 +75,8 @@ const KEYWORDS: [(i64, &[u8]); 12] = [
     (END, b"end"),
 ];
 /// Numbers and names of some others.
-const PASSED: [(i64, &str); 8] = [
+const PASSED: [(i64, &str); 7] = [
     (13, "Corners"),
-    (15, "RequiredVertices"),
     (17, "RequiredTriangles"),
     (18, "RequiredQuadrilaterals"),
     (20, "NormalAtVertices"),
@@ -92,6 +92,7 @@ const EDGES: i64 = 5;
 const TRIANGLES: i64 = 6;
 const QUADRILATERALS: i64 = 7;
 const RIDGES: i64 = 14;
+const REQUIRED_VERTICES: i64 = 15;
 const REQUIRED_EDGES: i64 = 16;
 const END: i64 = 54;
 
@@ -173,10 +174,11 @@ fn read_binary(bytes: &[u8], mode: Mode) -> Result<Reader<'_>, DataError> {
 }
 
 fn surface(reader: Reader<'_>) -> Result<Soup, DataError> {
-    let Reader { mut soup, mode, volumes, lists, edges, mut named, passed, parts, .. } = reader;
+    let Reader { mut soup, mode, volumes, lists, edges, mut named, required, passed, parts, .. } = reader;
     if mode.wanted {
         if !passed.is_empty() {
-            soup.raw.unreadable(&passed.join(", "), "a surface has facets and creases alone".to_owned());
+            let reason = "a surface has facets, creases and vertices that stay alone";
+            soup.raw.unreadable(&passed.join(", "), reason.to_owned());
         }
         soup.raw.labels("references of vertices", parts.len());
     }
@@ -212,6 +214,7 @@ fn surface(reader: Reader<'_>) -> Result<Soup, DataError> {
         from_1(n).and_then(|n| edges.as_chunks::<3>().0.get(n)).map_or([u32::MAX; 2], |&[a, b, _]| [a, b].map(vertex))
     };
     soup.raw.creases = named.into_iter().map(edge).collect();
+    soup.raw.vertices = required.into_iter().map(vertex).collect();
     Ok(soup)
 }
 
@@ -230,6 +233,8 @@ struct Reader<'a> {
     edges: Vec<i64>,
     /// Numbers of edges that are ridges or required.
     named: Vec<i64>,
+    /// Numbers of vertices that are required.
+    required: Vec<i64>,
     volumes: usize,
     /// Keywords that are passed over.
     passed: Vec<String>,
@@ -248,15 +253,17 @@ impl<'a> Reader<'a> {
         }
     }
 
-    /// Reads edges, or numbers of edges, ahead of the words or bytes that are passed over next.
-    fn edges(&mut self, keyword: i64) {
+    /// Reads edges, or numbers of edges or vertices, ahead of the words or bytes that are passed over next.
+    fn named(&mut self, keyword: i64) {
         let (mut ahead, int) = (self.cursor.clone(), self.int);
         let each = if keyword == EDGES { 3 } else { 1 };
-        let count = ahead.count(int, "a number of edges");
-        match count.and_then(|count| ahead.integers(count.saturating_mul(each), int, "edges")) {
+        let what = if keyword == REQUIRED_VERTICES { "required vertices" } else { "edges" };
+        let count = ahead.count(int, &format!("a number of {what}"));
+        match count.and_then(|count| ahead.integers(count.saturating_mul(each), int, what)) {
             Ok(numbers) if keyword == EDGES => self.edges.extend(numbers),
+            Ok(numbers) if keyword == REQUIRED_VERTICES => self.required.extend(numbers),
             Ok(numbers) => self.named.extend(numbers),
-            Err(error) => self.soup.raw.unreadable("edges", error.to_string()),
+            Err(error) => self.soup.raw.unreadable(what, error.to_string()),
         }
     }
 
@@ -303,7 +310,7 @@ impl<'a> Reader<'a> {
                     self.lists.push((cursor.integers(all, int, "faces")?, corners));
                 }
             }
-            EDGES | RIDGES | REQUIRED_EDGES if self.mode.wanted => self.edges(keyword),
+            EDGES | RIDGES | REQUIRED_EDGES | REQUIRED_VERTICES if self.mode.wanted => self.named(keyword),
             // Volumes.
             8 | 9 | 10 | 49 => {
                 let count = cursor.count(int, "a number of elements")?;

@@ -1,7 +1,7 @@
 //! Parts that stay as they are.
 //!
-//! Purpose: [`remesh`] takes the facets that stay out of a surface, has the rest remeshed with the edges between held, and puts both
-//! together. Where the new part lacks such an edge, the facets beside it stay too, and the rest is remeshed again.
+//! Purpose: [`remesh`] takes the facets that stay out of a surface, has the rest remeshed with the edges between held, and single vertices,
+//! and puts both together. Where the new part lacks one, the facets beside it stay too, and the rest is remeshed again.
 //! Invariant: facets that stay are the first of the result, with their vertices, to the bit; at each edge of theirs there are as many new
 //! facets as the input has others. Must not know: how edges are held.
 
@@ -21,15 +21,16 @@ use crate::mesh::csr::ascending;
 use crate::mesh::edges::{DisjointSets, EdgeGroups, sides, undirected};
 use crate::mesh::features::Features;
 use crate::mesh::measure::{coincident_vertices, topology_unless};
-use crate::mesh::parts::{Inclusion, Part};
+use crate::mesh::parts::{Inclusion, Indices, Part, PartError};
 use crate::remesh::constants::FURTHER_KEPT_ROUNDS;
+use crate::remesh::features::Held;
 use crate::remesh::report::KeptFigures;
 use crate::remesh::{Provenance, Remesh, RemeshError, RemeshOptions, Result, Seeds, Tolerance};
 use crate::rvd::RvdError;
 use crate::token::Token;
 
-/// Remeshes a surface, and holds these of its edges.
-type Run<'a> = &'a mut dyn FnMut((&TriMesh, &[[u32; 2]]), &RemeshOptions) -> Result<Remesh>;
+/// Remeshes a surface, and holds these of its edges and vertices.
+type Run<'a> = &'a mut dyn FnMut((&TriMesh, Held<'_>), &RemeshOptions) -> Result<Remesh>;
 
 /// Remeshes what does not stay.
 pub(super) fn remesh(given: &TriMesh, options: &RemeshOptions, run: Run<'_>, token: &Token) -> Result<Remesh> {
@@ -45,16 +46,19 @@ pub(super) fn remesh(given: &TriMesh, options: &RemeshOptions, run: Run<'_>, tok
     });
     let welded = welded.transpose().map_err(|e| RvdError::Internal(format!("a surface was valid before: {e}")))?;
     let given = welded.as_ref().unwrap_or(given);
+    let single = single_vertices(given, options, &class)?;
     let asked = count(&stays);
     let whole = preprocess(given, None, token)?;
     let mut farthest = None;
     stay_without_area(given, &class, &mut stays);
     for round in 1.. {
         token.check()?;
-        let Some(free) = Free::of(given, &class, &stays, options.keep_rims) else {
+        let Some(free) = Free::of(given, &class, (&stays, &single), options.keep_rims) else {
             return Err(farthest.unwrap_or(RemeshError::AllKept));
         };
-        let (part, own) = free.mesh(given)?;
+        let (part, rims) = free.mesh(given)?;
+        let vertices: Vec<u32> = free.single.iter().map(|&v| free.number(v)).collect();
+        let held = Held { rims: &rims, vertices: &vertices, ..Held::default() };
         if whole.figures.divided_edges > 0 {
             let within = preprocess(&part, None, token)?.figures.divided_edges;
             if within < whole.figures.divided_edges {
@@ -62,15 +66,17 @@ pub(super) fn remesh(given: &TriMesh, options: &RemeshOptions, run: Run<'_>, tok
             }
         }
         let inner = free.options((given, &class), options)?;
-        let done = run((&part, &own), &inner).map_err(|error| free.counted(error))?;
+        let done = run((&part, held), &inner).map_err(|error| free.counted(error))?;
         token.check()?;
-        let missed = free.missed(&done.mesh);
+        let mut missed = free.missed(&done.mesh);
+        missed.extend(free.missed_vertices(given, &done.mesh).into_iter().map(|v| [class[v as usize]; 2]));
         if missed.is_empty() {
             let further_facets = count(&stays) - asked;
             let kept = KeptFigures {
                 facets: free.kept.len(),
                 vertices: free.kept_vertices.len(),
                 rim_edges: free.rims.len(),
+                single_vertices: free.single.len(),
                 further_facets,
             };
             return free.join((given, whole), options, done, kept, token);
@@ -109,12 +115,33 @@ fn staying(given: &TriMesh, options: &RemeshOptions, token: &Token) -> Result<Ve
         let within = part.facets((given, regions), Inclusion::Within)?;
         stays.iter_mut().zip(within).for_each(|(stays, within)| *stays &= !within);
     }
-    for part in &options.keep {
+    for part in options.keep.iter().filter(|part| !matches!(part, Part::Vertices(_))) {
         token.check()?;
         let touching = part.facets((given, regions), Inclusion::Touching)?;
         stays.iter_mut().zip(touching).for_each(|(stays, touching)| *stays |= touching);
     }
     Ok(stays)
+}
+
+/// The vertices that are to stay without facets: one in each place, the lowest that a facet has, ascending.
+fn single_vertices(given: &TriMesh, options: &RemeshOptions, class: &[u32]) -> Result<Vec<u32>> {
+    let lists = options.keep.iter().filter_map(|part| if let Part::Vertices(list) = part { Some(list) } else { None });
+    let lists: Vec<&Indices> = lists.collect();
+    if lists.is_empty() {
+        return Ok(Vec::new());
+    }
+    // By place, since a facet may have another vertex there.
+    let mut of_facets: HashMap<u32, u32> = HashMap::new();
+    for &v in given.facets().iter().flatten() {
+        of_facets.entry(class[v as usize]).and_modify(|lowest| *lowest = v.min(*lowest)).or_insert(v);
+    }
+    let vertices = given.positions().len();
+    let of = |vertex: u32| {
+        let place = class.get(vertex as usize).and_then(|place| of_facets.get(place));
+        place.copied().ok_or(PartError::NoSuchVertex { vertex, vertices })
+    };
+    let all: Vec<u32> = lists.iter().flat_map(|list| list.iter()).map(of).collect::<Result<_, _>>()?;
+    Ok(ascending(all))
 }
 
 /// Facets without area beside those that stay: no result has their edges.
@@ -154,11 +181,13 @@ struct Free {
     places: HashMap<[u64; 3], (u32, Option<u32>)>,
     /// Edges of facets that stay with both ends on rims that are no rims themselves: new facets must not have them.
     inside: HashSet<[u32; 2]>,
+    /// Vertices that stay and are neither of rims nor of facets that stay.
+    single: Vec<u32>,
 }
 
 impl Free {
     /// `None` if there is nothing. `class` has the lowest vertex in the place of each.
-    fn of(given: &TriMesh, class: &[u32], stays: &[bool], keep_rims: bool) -> Option<Self> {
+    fn of(given: &TriMesh, class: &[u32], (stays, single): (&[bool], &[u32]), keep_rims: bool) -> Option<Self> {
         let (kept, facets): (Vec<u32>, Vec<u32>) = (0..stays.len() as u32).partition(|&f| stays[f as usize]);
         if facets.iter().all(|&f| given.is_degenerate(f as usize)) {
             return None;
@@ -188,8 +217,13 @@ impl Free {
         let inside = others.iter().map(|edge| edge.0);
         let on_rims = |at: &[u32; 2]| at.iter().all(|v| lowest.contains_key(v)) && !rims.contains_key(at);
         let inside = inside.filter(on_rims).collect();
-        let places = lowest.into_iter().map(place).collect();
-        Some(Self { facets, vertices, kept, kept_vertices, rims, places, inside })
+        let places: HashMap<_, _> = lowest.into_iter().map(place).collect();
+        let of_kept: HashSet<u32> = kept_vertices.iter().map(|&v| class[v as usize]).collect();
+        let stays_alone = |v: &u32| {
+            !of_kept.contains(&class[*v as usize]) && !places.contains_key(&bits(given.positions()[*v as usize]))
+        };
+        let single = single.iter().copied().filter(stays_alone).collect();
+        Some(Self { facets, vertices, kept, kept_vertices, rims, places, inside, single })
     }
 
     /// The number of a vertex in this part.
@@ -217,9 +251,9 @@ impl Free {
         (own.keep, own.only, own.keep_rims, own.measure) = (Vec::new(), Vec::new(), false, false);
         // A sheet that goes on in another could not face as both do, and what stays of them cannot be turned.
         own.keep_non_manifold |= !self.kept.is_empty();
-        let all = self.inner() + self.places.len();
+        let all = self.inner() + self.places.len() + self.single.len();
         let fewer = |points: usize| match points.checked_sub(self.inner()) {
-            Some(rest) if rest >= self.places.len() && rest > 0 => Ok(rest),
+            Some(rest) if rest >= self.places.len() + self.single.len() && rest > 0 => Ok(rest),
             _ => Err(RemeshError::TooFewForRims { points, rims: all }),
         };
         if let Seeds::Sample { points, .. } = &mut own.seeds {
@@ -246,7 +280,7 @@ impl Free {
         }
         for zone in &mut own.density.zones {
             if let Part::Facets(facets) = &mut zone.part {
-                *facets = facets.iter().filter_map(|f| Some(self.facets.binary_search(f).ok()? as u32)).collect();
+                *facets = (0..).zip(&self.facets).filter(|(_, f)| facets.contains(**f)).map(|(own, _)| own).collect();
             }
         }
         if !own.creases.is_empty() {
@@ -276,6 +310,17 @@ impl Free {
     /// For each vertex of a new part, the lowest vertex in its place if that is on a rim.
     fn places_of(&self, new: &TriMesh) -> Vec<Option<u32>> {
         new.positions().iter().map(|&p| self.places.get(&bits(p)).map(|place| place.0)).collect()
+    }
+
+    /// Single vertices that stay, by the lowest vertices in their places, that a new part has not.
+    fn missed_vertices(&self, given: &TriMesh, new: &TriMesh) -> Vec<u32> {
+        let used = |v: &u32| bits(new.positions()[*v as usize]);
+        let there: HashSet<[u64; 3]> = match self.single.is_empty() {
+            true => HashSet::new(),
+            false => new.facets().iter().flatten().map(used).collect(),
+        };
+        let is_missed = |v: &u32| !there.contains(&bits(given.positions()[*v as usize]));
+        self.single.iter().copied().filter(is_missed).collect()
     }
 
     /// Edges of rims, by the lowest vertices in their places, that a new part has not as often as this one.

@@ -6,7 +6,7 @@
 //! Invariant: depends on the surface and the options alone. Vertices keep their numbers; copies come behind them. Every change is
 //! counted. Must not know: densities, seeds, backends.
 
-use std::collections::{HashMap, HashSet};
+use std::collections::{BTreeSet, HashMap, HashSet};
 use std::sync::Arc;
 
 use crate::cvt::density::{DensityOptions, DensitySource};
@@ -24,6 +24,7 @@ use crate::mesh::sheets::pieces::PieceOptions;
 use crate::mesh::sheets::{Link, Sheets};
 use crate::mesh::{MeshError, TriMesh};
 use crate::remesh::constants::{MOST_GAP_DIAGONAL, POINTS_PER_COMPONENT, SEPARATION_DIAGONAL, SEPARATION_EDGES};
+use crate::remesh::features::Held;
 use crate::remesh::features::seams::{Joints, Seams};
 use crate::remesh::report::InputFigures;
 use crate::remesh::{RemeshError, RemeshOptions, Result, Seeds};
@@ -124,6 +125,8 @@ pub(super) struct Separated {
     pub(super) seams: Option<Arc<Seams>>,
     /// The edges that stay, if they have other vertices now.
     pub(super) rims: Option<Vec<[u32; 2]>>,
+    /// The vertices that stay, if others are in their places too now.
+    pub(super) vertices: Option<Vec<u32>>,
 }
 
 impl Preprocessed {
@@ -136,14 +139,15 @@ impl Preprocessed {
     pub(super) fn separate(
         &mut self,
         given: &TriMesh,
-        (options, rims): (&RemeshOptions, &[[u32; 2]]),
+        (options, held): (&RemeshOptions, Held<'_>),
         token: &Token,
     ) -> Result<Separated, RemeshError> {
         let topology = self.figures.topology;
         let touching = topology.non_manifold_edges + topology.non_manifold_vertices > 0;
         let surface = self.figures.kind != InputKind::Volume;
         let clean = self.changed.as_ref().unwrap_or(given);
-        let mut separated = Separated { apart: None, options: None, topology, joined: None, seams: None, rims: None };
+        let mut separated =
+            Separated { apart: None, options: None, topology, joined: None, seams: None, rims: None, vertices: None };
         let (mut seams, mut joined) = (Vec::new(), Vec::new());
         let several = topology.components > 1 || touching && surface;
         if let Some(edge) = target_edge(clean, topology.components, options).filter(|_| several) {
@@ -203,8 +207,14 @@ impl Preprocessed {
             }
             separated.seams = Some(Arc::new(Seams::new(class, &seams, joints)));
         }
-        if let Some(apart) = separated.apart.as_ref().filter(|apart| !(rims.is_empty() || apart.copied.is_empty())) {
-            separated.rims = Some(edges_of_sheets(rims, &weld_unless(clean, token)?, apart));
+        if let Some(apart) = separated.apart.as_ref().filter(|apart| !apart.copied.is_empty())
+            && !(held.rims.is_empty() && held.vertices.is_empty())
+        {
+            let class = weld_unless(clean, token)?;
+            separated.rims = Some(edges_of_sheets(held.rims, &class, apart));
+            let places: HashSet<u32> = held.vertices.iter().map(|&v| class[v as usize]).collect();
+            let all = 0..apart.mesh.positions().len() as u32;
+            separated.vertices = Some(all.filter(|&v| places.contains(&class[apart.before(v) as usize])).collect());
         }
         let apart = separated.apart.as_ref().map(|apart| (apart, &seams[..]));
         separated.options = self.adapted(clean, options, apart, token)?;
@@ -276,11 +286,10 @@ impl Preprocessed {
             }
             Part::Facets(facets) => {
                 if let Some(origin) = &self.origin {
-                    let given: HashSet<u32> = facets.iter().copied().collect();
-                    *facets = now.filter(|&f| given.contains(&origin[f as usize])).collect();
+                    *facets = now.filter(|&f| facets.contains(origin[f as usize])).collect();
                 }
             }
-            Part::Box { .. } | Part::Sphere { .. } => {}
+            Part::Box { .. } | Part::Sphere { .. } | Part::Vertices(_) => {}
         }
         Ok(())
     }
@@ -308,14 +317,23 @@ fn crease_angle(options: &RemeshOptions) -> f64 {
     (if asked > 0.0 { asked } else { RemeshOptions::CREASE_ANGLE_DEG }).to_radians()
 }
 
-/// Places that several sheets have without an edge in common, by the lowest vertices there. `class` has the lowest vertex in the place of
-/// each before sheets were moved, `now` that in its place since.
+/// Places in which sheets meet other edges than others do, or none, by the lowest vertices there. `class` has the lowest vertex in the place
+/// of each before sheets were moved, `now` that in its place since.
 fn touching_in_places((class, now): (&[u32], &[u32]), seams: &[[u32; 2]], apart: &TriMesh) -> HashSet<u32> {
-    let met: HashSet<u32> = seams.iter().flatten().copied().collect();
+    let seams: HashSet<[u32; 2]> = seams.iter().copied().map(undirected).collect();
+    // For a vertex of a sheet, the other ends of the edges in which it meets others.
+    let mut met: HashMap<u32, BTreeSet<u32>> = HashMap::new();
+    for [a, b] in apart.facets().iter().flat_map(|&facet| sides(facet)).map(|edge| edge.map(|v| v as usize)) {
+        if seams.contains(&undirected([class[a], class[b]])) {
+            met.entry(now[a]).or_default().insert(class[b]);
+            met.entry(now[b]).or_default().insert(class[a]);
+        }
+    }
     let mut first: HashMap<u32, u32> = HashMap::new();
     let mut touching = HashSet::new();
-    for v in apart.facets().iter().flatten().map(|&v| v as usize).filter(|&v| !met.contains(&class[v])) {
-        if *first.entry(class[v]).or_insert(now[v]) != now[v] {
+    for v in apart.facets().iter().flatten().map(|&v| v as usize) {
+        let other = *first.entry(class[v]).or_insert(now[v]);
+        if other != now[v] && (met.get(&other) != met.get(&now[v]) || !met.contains_key(&other)) {
             touching.insert(class[v]);
         }
     }
