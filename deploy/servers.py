@@ -28,14 +28,14 @@ def get(url, headers=None):
 
 
 def wait_for(holds, what, seconds=30):
-    """Calls `holds` until it is true. One that cannot be asked yet is not."""
+    """Calls `holds` until it is true. One that cannot be asked yet is not. `what` is a text, or gives what is wrong."""
     end = time.monotonic() + seconds
     while True:
         with contextlib.suppress(OSError):
             if holds():
                 return
         if time.monotonic() > end:
-            sys.exit(f"{what} did not come within {seconds} s")
+            sys.exit(f"{what()}, after {seconds} s" if callable(what) else f"{what} did not come within {seconds} s")
         time.sleep(0.1)
 
 
