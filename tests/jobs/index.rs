@@ -12,7 +12,7 @@ use jobs::record::*;
 use jobs::store::*;
 
 use super::stores::on_every_store;
-use super::{KEEP, input, knowing, spec, wait};
+use super::{KEEP, input, knowing, open_journal, spec, wait};
 
 const PLENTY: Terms = Terms { quota_bytes: 1000, places: 100, own_quota_bytes: None };
 
@@ -176,7 +176,7 @@ on_every_store!(pins_follow_the_job, the_index_is_kept);
 fn a_restart_pins_again_what_is_there() {
     let folder = tempfile::tempdir().unwrap();
     let stored = [(input(), 1), (blob("result"), 2)];
-    let open = || RedbStore::open(folder.path(), RedbOptions::default()).unwrap();
+    let open = || open_journal(folder.path()).unwrap();
     let store = knowing(open(), &stored);
     wait(async {
         let done = store.create(new(1)).await.unwrap().job.id;

@@ -11,10 +11,10 @@ use jobs::record::state::State;
 use jobs::record::*;
 use jobs::store::*;
 
-use super::{input, knowing, spec, wait};
+use super::{input, knowing, open_journal, spec, wait};
 
 fn open(path: &Path) -> Result<RedbStore, StoreError> {
-    RedbStore::open(path, RedbOptions::default()).map(|store| knowing(store, &[(input(), 1)]))
+    open_journal(path).map(|store| knowing(store, &[(input(), 1)]))
 }
 
 fn new(number: u128) -> NewJob {
@@ -34,7 +34,7 @@ fn jobs_are_there_after_a_restart() {
 fn a_second_process_is_told_what_to_do() {
     let folder = tempfile::tempdir().unwrap();
     let first = open(folder.path()).unwrap();
-    let error = open(folder.path()).unwrap_err();
+    let error = RedbStore::open(folder.path(), RedbOptions::default()).unwrap_err();
     let StoreError::InUse { ref holder, .. } = error else { panic!("{error}") };
     assert_eq!(holder.as_deref(), Some(&*std::process::id().to_string()));
     assert!(error.to_string().contains("--data-dir"), "{error}");

@@ -39,16 +39,33 @@ mod states;
 mod stores;
 
 use std::future::Future;
+use std::path::Path;
+use std::time::{Duration, Instant};
 
 use jobs::blob::index::Stored;
 use jobs::blob::{BlobInfo, Digest};
 use jobs::record::Spec;
-use jobs::store::{JobStore, Retention};
+use jobs::store::{JobStore, RedbOptions, RedbStore, Retention, StoreError};
 use tessera::proto::*;
 
 /// The blob that the jobs below name as their input.
 pub fn input() -> Digest {
     [7; 32].into()
+}
+
+/// How long a folder that was closed may still be in use.
+const CLOSING: Duration = Duration::from_secs(60);
+
+/// Opens a journal that no store has. A process that another test starts holds all files of this one until it is another program, so
+/// that the lock of a store that was closed may be there for a moment.
+pub fn open_journal(folder: &Path) -> Result<RedbStore, StoreError> {
+    let begin = Instant::now();
+    loop {
+        match RedbStore::open(folder, RedbOptions::default()) {
+            Err(StoreError::InUse { .. }) if begin.elapsed() < CLOSING => std::thread::sleep(Duration::from_millis(10)),
+            opened => return opened,
+        }
+    }
 }
 
 /// A store whose index has these blobs, with their sizes.

@@ -7,7 +7,7 @@ use jobs::record::*;
 use jobs::store::*;
 
 use super::stores::on_every_store;
-use super::{input, knowing, message, wait};
+use super::{input, knowing, message, open_journal, wait};
 
 const FINGERPRINT: [u8; 32] = [9; 32];
 
@@ -82,7 +82,7 @@ on_every_store!(a_kept_result_is_found_by_its_tenant_and_fingerprint);
 #[test]
 fn the_journal_knows_fingerprints_after_a_restart() {
     let folder = tempfile::tempdir().unwrap();
-    let open = || knowing(RedbStore::open(folder.path(), RedbOptions::default()).unwrap(), &[(input(), 1)]);
+    let open = || knowing(open_journal(folder.path()).unwrap(), &[(input(), 1)]);
     let store = open();
     let id = wait(create(&store, "t", 1));
     wait(succeed(&store, id, Some(FINGERPRINT.into())));
