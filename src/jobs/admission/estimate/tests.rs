@@ -85,7 +85,11 @@ proptest! {
         // Few steps leave more to the repair.
         let is_uneven = which == 3 && counts.kind == Kind::Remesh && (counts.steps as f64) < EVEN_STEPS;
         let seconds = if is_uneven { after.seconds.max(before.seconds) } else { after.seconds };
-        prop_assert!(grows(&before, &Need { seconds, ..after }), "{counts:?} {before:?} {after:?}");
+        // The plan of a lifted surface has neither lists nor drifts of grid cells, so that few facets need less of the device.
+        let is_lifted = counts.anisotropy == Anisotropy::None && larger.anisotropy != Anisotropy::None;
+        let device = if is_lifted { after.memory.device.max(before.memory.device) } else { after.memory.device };
+        let memory = Bytes { device, ..after.memory };
+        prop_assert!(grows(&before, &Need { memory, seconds }), "{counts:?} {before:?} {after:?}");
         prop_assert!(before.seconds.is_finite() && before.seconds > 0.0);
         prop_assert!(before.memory.host >= MIB);
         prop_assert_eq!(before.memory.device > 0, counts.backend == BackendKind::Gpu);
