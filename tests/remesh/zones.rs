@@ -134,6 +134,24 @@ fn what_cannot_be_is_refused() {
     }
     // That many do.
     assert!(run(&mesh, &sample(needed * 11 / 10, &["sphere:0,0,1,1=0.03"])).is_ok(), "{needed}");
+    // Facets that are not there, also where the surface is changed or a part of it stays.
+    let count = mesh.facets().len();
+    let twice: Vec<[u32; 3]> = mesh.facets().iter().chain(&mesh.facets()[..9]).copied().collect();
+    let changed = TriMesh::new(mesh.positions().to_vec(), twice).unwrap();
+    let kept = |options: RemeshOptions| options.with_keep(vec!["facets:3".parse().unwrap()]);
+    for (mesh, there, options) in [
+        (&mesh, count, sample(300, &["facets:0-4,99999=0.1"])),
+        (&mesh, count, kept(sample(300, &["facets:0-4,99999=0.1"]))),
+        (&changed, count + 9, sample(300, &["facets:0-4,99999=0.1"])),
+    ] {
+        let none = run(mesh, &options).unwrap_err();
+        assert!(
+            matches!(none, RemeshError::Part(PartError::NoSuchFacet { facet: 99_999, facets }) if facets == there),
+            "{none}"
+        );
+    }
+    let vertices = run(&mesh, &sample(300, &["vertices:3=0.1"])).unwrap_err();
+    assert!(matches!(vertices, RemeshError::Density(DensityError::Part(PartError::VerticesAlone))), "{vertices}");
     let density = DensityOptions::from_source(DensitySource::Weights(vec![1.0; mesh.positions().len()]));
     let beside = sample(300, &[]).with_density(density.with_zones(zones(&["sphere:0,0,1,1=0.1"])));
     assert!(matches!(run(&mesh, &beside), Err(RemeshError::Density(DensityError::ZonesBeside { other: "weights" }))));

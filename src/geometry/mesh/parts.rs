@@ -199,6 +199,15 @@ const MOST_NAMED: usize = 20;
 const MOST_SHOWN: usize = 80;
 
 impl Part {
+    /// Whether `mesh` has all facets of a list. Other parts may be anywhere.
+    pub(crate) fn check(&self, mesh: &TriMesh) -> Result<(), PartError> {
+        let (Self::Facets(list), facets) = (self, mesh.facets().len()) else { return Ok(()) };
+        match list.last().filter(|&last| last as usize >= facets) {
+            Some(facet) => Err(PartError::NoSuchFacet { facet, facets }),
+            None => Ok(()),
+        }
+    }
+
     /// For each facet of `mesh` whether it is of the part.
     pub(crate) fn facets(
         &self,
@@ -219,9 +228,7 @@ impl Part {
                 regions.of_facet().iter().map(|&region| region == found).collect()
             }
             Self::Facets(facets) => {
-                if let Some(facet) = facets.last().filter(|&last| last as usize >= count) {
-                    return Err(PartError::NoSuchFacet { facet, facets: count });
-                }
+                self.check(mesh)?;
                 let mut all = vec![false; count];
                 facets.iter().for_each(|facet| all[facet as usize] = true);
                 all

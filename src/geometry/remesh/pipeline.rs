@@ -90,6 +90,8 @@ pub fn remesh(
     if options.keeps_parts() && matches!(options.seeds, Seeds::Given(_)) {
         return Err(RemeshError::KeptBesideSeeds);
     }
+    // Where the surface is changed or a part of it stays, a facet that it lacks would be passed over.
+    options.density.zones.iter().try_for_each(|zone| zone.part.check(given))?;
     let is_share = matches!(options.seeds, Seeds::Share { .. });
     let changes = flat || in_metric || options.source_map || options.refine.is_some() || is_share;
     let measured = changes.then(|| {
