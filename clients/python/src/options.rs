@@ -5,12 +5,12 @@
 //! Invariant: a name that nobody reads is an error, so that a misspelt option is not passed over. Must not know: what is done.
 
 use std::cell::RefCell;
-use std::fmt::Display;
 use std::str::FromStr;
 
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyString};
 use tessera::mesh::attributes::{Attributes, ColourDepth, Colours, Normals, PerCorner, Scalar};
+use tessera::mesh::parts::PartError;
 use tessera::mesh::regions::{Region, Regions};
 use tessera::{
     Anisotropy, DensityOptions, DensitySource, Placement, Projection, Refine, RemeshOptions, Seeds, Share, Tolerance,
@@ -198,7 +198,7 @@ impl<'py> Options<'py> {
     }
 
     /// Parts of the surface or zones, as texts.
-    fn parts<T: FromStr<Err: Display>>(&self, name: &'static str) -> PyResult<Vec<T>> {
+    fn parts<T: FromStr<Err = PartError>>(&self, name: &'static str) -> PyResult<Vec<T>> {
         let texts: Vec<String> = self.get(name, "a list of texts")?.unwrap_or_default();
         texts.iter().map(|text| text.parse().map_err(|error| input(format!("{name}: {error}")))).collect()
     }

@@ -24,5 +24,5 @@ cd "$here"
 
 # The first block of docs/regions.md writes the two chambers.
 sed -n '/^```sh$/,/^```$/{/^```$/q;/^```/d;p}' "$root/docs/regions.md" >"$work/chambers.sh"
-(cd "$work" && PATH=$(dirname "$TESSERA"):$PATH sh -e chambers.sh >/dev/null 2>&1)
+(cd "$work" && PATH=$(dirname "$TESSERA"):$PATH sh -e chambers.sh >chambers.log 2>&1) || { cat "$work/chambers.log" >&2; exit 1; }
 "$venv/bin/python" "$root/tests/python/gmsh_volume.py" "$work/chambers.msh"

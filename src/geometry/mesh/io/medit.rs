@@ -1,7 +1,8 @@
 //! Medit: `.mesh`, text, and `.meshb`, binary, versions 1 to 4. Writes version 2, with doubles; 3 where 32 bits are too few.
 //!
 //! Purpose: vertices, triangles and quadrilaterals, in either byte order. Edges that are ridges or required are creases; vertices that are
-//! required stay. All other keywords are passed over. A vertex without a third coordinate, as of dimension 2, lies at 0. Our own reader: it is small.
+//! required stay. All other keywords are passed over. A vertex without a third coordinate, as of dimension 2, lies at 0. Our own reader:
+//! it is small.
 //! Invariant: edges never refuse a file. Must not know: other formats.
 
 use std::collections::HashSet;

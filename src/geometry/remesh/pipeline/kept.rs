@@ -1,7 +1,7 @@
 //! Parts that stay as they are.
 //!
-//! Purpose: [`remesh`] takes the facets that stay out of a surface, has the rest remeshed with the edges between held, and single vertices,
-//! and puts both together. Where the new part lacks one, the facets beside it stay too, and the rest is remeshed again.
+//! Purpose: [`remesh`] takes the facets that stay out of a surface. It has the rest remeshed, with the edges between and single vertices
+//! held, and puts both together. Where the new part lacks one, the facets beside it stay too, and the rest is remeshed again.
 //! Invariant: facets that stay are the first of the result, with their vertices, to the bit; at each edge of theirs there are as many new
 //! facets as the input has others. Must not know: how edges are held.
 
