@@ -91,6 +91,11 @@ fn options_come_through_the_message() {
         "--size-in steel=0.5 --size-in sphere:0,0,0,1=0.25 --gradation 0.5",
         "--keep facets:0-7,9 --keep vertices:3",
         "--keep steel --keep box:-1,0,0,1,1,1 --only sphere:0,0,0,1 --keep-rims --source-map",
+        "--mirror -x=0.5",
+        "--mirror -y",
+        "--mirror=1,2,-3,0.25",
+        "--periodic translate:1,0,0 --periodic rotate:60,z",
+        "--periodic rotate:-60,0,0,1,5,6,7",
     ] {
         let (_, given) = asked(line);
         let message = options::of_remesh(&given);

@@ -29,7 +29,9 @@ use crate::mesh::adjacency::{Adjacency, EdgeKind};
 use crate::mesh::attributes::{AttributeError, Attributes};
 use crate::mesh::features::FeatureError;
 use crate::mesh::measure::{Topology, topology_unless};
+use crate::mesh::motion::Motion;
 use crate::mesh::parts::{Part, PartError};
+use crate::mesh::plane::Plane;
 use crate::rvd::RvdError;
 use crate::token::{Stopped, Token};
 
@@ -275,6 +277,12 @@ pub struct RemeshOptions {
     pub only: Vec<Part>,
     /// Whether boundaries keep their vertices and edges.
     pub keep_rims: bool,
+    /// A plane at which the result is symmetric: the half of the surface that its normal points to is remeshed, and the other half is its
+    /// mirror image ([`Plane::reflect`]). Vertices of the seam are in the plane, and both halves have them.
+    pub mirror: Option<Plane>,
+    /// Motions that take boundaries of the surface to others: the result has the same vertices and edges on both, moved
+    /// ([`Motion::apply`]).
+    pub periodic: Vec<Motion>,
     /// How long cells may be along the surface's lines of least curvature.
     pub anisotropy: Anisotropy,
     /// Whether to measure the result (Hausdorff distance and the like) for the report.
@@ -306,6 +314,8 @@ impl RemeshOptions {
             keep: Vec::new(),
             only: Vec::new(),
             keep_rims: false,
+            mirror: None,
+            periodic: Vec::new(),
             refine: None,
             keep_boundaries: true,
             keep_thin: true,
@@ -335,6 +345,8 @@ impl RemeshOptions {
         with_keep(keep: Vec<Part>),
         with_only(only: Vec<Part>),
         with_keep_rims(keep_rims: bool),
+        with_mirror(mirror: Plane => Some(mirror)),
+        with_periodic(periodic: Vec<Motion>),
         with_refine(refine: Refine => Some(refine)),
         with_keep_boundaries(keep_boundaries: bool),
         with_keep_thin(keep_thin: bool),
@@ -346,8 +358,10 @@ impl RemeshOptions {
 
     /// Keeps vertices that a file names where they are. Says so if seeds or a metric leave no room for that.
     pub fn keep_vertices(&mut self, vertices: &[u32]) -> Option<AttributeError> {
-        let has_room =
-            !matches!(self.seeds, Seeds::Given(_)) && !matches!(self.density.source, DensitySource::Metric(_));
+        let has_room = !matches!(self.seeds, Seeds::Given(_))
+            && !matches!(self.density.source, DensitySource::Metric(_))
+            && self.mirror.is_none()
+            && self.periodic.is_empty();
         match vertices {
             [] => None,
             _ if has_room => {
@@ -356,7 +370,7 @@ impl RemeshOptions {
             }
             _ => Some(AttributeError::Unreadable {
                 attribute: format!("{} required vertices", vertices.len()),
-                message: "seeds and a metric leave them aside".to_owned(),
+                message: "seeds, a metric, a mirror plane and periodic boundaries leave them aside".to_owned(),
             }),
         }
     }
@@ -455,11 +469,47 @@ pub enum RemeshError {
         /// [`Refine::max_points`].
         most: usize,
     },
-    /// A metric says what facets are to be like, and so does another option.
-    #[error("a metric is given beside {other}; leave one of the two out")]
-    MetricBeside {
-        /// "anisotropy", "a tolerance", "seeds", "non_manifold keep" or "kept parts".
+    /// Two options exclude each other.
+    #[error("{one} is given beside {other}; leave one of the two out")]
+    Beside {
+        /// "a metric", "a mirror plane" or "periodic boundaries".
+        one: &'static str,
+        /// The other one, for example "seeds".
         other: &'static str,
+    },
+    /// No facet is on the side of the mirror plane that is remeshed.
+    #[error("no facet is on the side of {plane} that is remeshed; turn the plane's normal, or check its place")]
+    NothingOnSide {
+        /// The plane.
+        plane: Plane,
+    },
+    /// Facets lie in the mirror plane.
+    #[error(
+        "{facets} facets lie in the mirror plane {plane}, where both halves meet; take them out of the surface, or move the plane"
+    )]
+    FacetsInPlane {
+        /// How many facets.
+        facets: usize,
+        /// The plane.
+        plane: Plane,
+    },
+    /// A motion takes no boundary to another.
+    #[error("{motion} takes no edge of a boundary to another boundary, within {reach:.1e}; check its numbers")]
+    NotPeriodic {
+        /// The motion.
+        motion: Motion,
+        /// How far both may be apart, caller's units.
+        reach: f64,
+    },
+    /// The result has not the same edges on both boundaries of a pair.
+    #[error(
+        "{edges} edges of periodic boundaries are not in the result, the first at {} {} {}; give more points", .place.x, .place.y, .place.z
+    )]
+    PeriodicLost {
+        /// How many edges.
+        edges: usize,
+        /// The middle of one.
+        place: DVec3,
     },
     /// A part of the surface is not there.
     #[error(transparent)]

@@ -93,6 +93,8 @@ impl Field {
                 place.and_then(|place| Some(Value::EnumNumber(values.values().nth(place + 1)?.number())))
             }
             Kind::Bool => text.parse().ok().map(Value::Bool),
+            // What it says is read with the message.
+            Kind::String => Some(Value::String(text.to_owned())),
             _ => text.parse::<f64>().ok().filter(|number| number.is_finite()).map(Value::F64),
         };
         read.ok_or_else(|| match kind {
@@ -221,6 +223,8 @@ mod tests {
         }
         assert_eq!(fields.set("point", "1"), Ok(false));
         assert_eq!(fields.set("keep", "steel; box:0,0,0,1,1,1;"), Ok(true));
+        assert_eq!(fields.set("mirror", " -x=0.5"), Ok(true));
+        assert_eq!(fields.set("periodic", "translate:1,0,0;rotate:-60,z"), Ok(true));
         for (name, text) in
             [("points", "1.5"), ("density", "blue"), ("gradation", "nan"), ("lloyd", "5e9"), ("thin", "")]
         {
@@ -229,6 +233,8 @@ mod tests {
         let options = fields.finish();
         let density = options.density.clone().unwrap();
         assert_eq!(options.keep, ["steel", "box:0,0,0,1,1,1"]);
+        assert_eq!(options.mirror.as_deref(), Some("-x=0.5"));
+        assert_eq!(options.periodic, ["translate:1,0,0", "rotate:-60,z"]);
         assert_eq!((options.points, options.seed, options.projection()), (Some(10_000), Some(7), Projection::Surface));
         assert_eq!((density.source(), density.gradation, options.lloyd), (DensitySource::Lfs, Some(0.5), None));
         assert_eq!(Fields::default().finish(), RemeshOptions::default());
@@ -241,6 +247,7 @@ mod tests {
         assert_eq!(of("lloyd")["default"], 5);
         assert_eq!(of("projection")["default"], "free");
         assert_eq!(of("projection")["enum"], json!(["free", "surface"]));
+        assert_eq!((&of("mirror")["type"], of("mirror").get("default")), (&json!("string"), None));
         assert_eq!((of("points").get("default"), of("max_deviation").get("default")), (None, None));
         assert!(all.iter().all(|field| field.help.ends_with('.')), "{all:?}");
     }

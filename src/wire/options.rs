@@ -5,6 +5,7 @@
 //! refusal has the field's path below the options. An option that is not set has the library's default, and no number here is
 //! one. Must not know: streams, jobs, how arrays arrive, what an option does.
 
+use std::fmt::Display;
 use std::str::FromStr;
 
 use glam::DVec3;
@@ -14,7 +15,9 @@ use super::proto::{self, BoundaryRule, Measure, NonManifoldRule, RvdOutput, Thin
 use super::{WireError, unknown_enum};
 use geometry::cvt::density::{DensityOptions, DensitySource};
 use geometry::cvt::{CvtOptions, Projection};
-use geometry::mesh::parts::{Part, PartError, Zone};
+use geometry::mesh::motion::Motion;
+use geometry::mesh::parts::{Part, Zone};
+use geometry::mesh::plane::{Plane, PlaneError};
 use geometry::mesh::tensor::Tensor;
 use geometry::remesh::{Anisotropy, Placement, Refine, RemeshOptions, Seeds, Share, Tolerance};
 
@@ -176,6 +179,9 @@ pub fn remesh(given: &proto::RemeshOptions, beside: Beside, bounds: &Bounds) -> 
         (length, percent) => length.map(Tolerance::Length).or(percent.map(Tolerance::DiagonalPercent)),
     };
     let (keep, only) = (parts("keep", &given.keep)?, parts("only", &given.only)?);
+    let wrong_plane = |error: PlaneError| WireError::field("mirror", format!("is wrong: {error}"));
+    let mirror = given.mirror.as_deref().map(str::parse::<Plane>).transpose().map_err(wrong_plane)?;
+    let periodic: Vec<Motion> = texts("periodic", &given.periodic, MOST_MOTIONS, "motions")?;
     if matches!(density.source, DensitySource::Metric(_)) {
         let others = [
             ("anisotropy", given.anisotropy.is_some_and(|share| share != 0.0)),
@@ -187,6 +193,8 @@ pub fn remesh(given: &proto::RemeshOptions, beside: Beside, bounds: &Bounds) -> 
             ("keep", !keep.is_empty()),
             ("only", !only.is_empty()),
             ("keep_rims", given.keep_rims),
+            ("mirror", mirror.is_some()),
+            ("periodic", !periodic.is_empty()),
         ];
         if let Some((name, _)) = others.into_iter().find(|other| other.1) {
             return Err(WireError::field(name, BESIDE_METRIC));
@@ -228,6 +236,8 @@ pub fn remesh(given: &proto::RemeshOptions, beside: Beside, bounds: &Bounds) -> 
         keep,
         only,
         keep_rims: given.keep_rims,
+        mirror,
+        periodic,
         source_map: given.source_map,
         creases: usual.creases,
         attributes: usual.attributes,
@@ -236,16 +246,23 @@ pub fn remesh(given: &proto::RemeshOptions, beside: Beside, bounds: &Bounds) -> 
 
 /// The most parts that are named.
 const MOST_PARTS: usize = 64;
+/// The most motions between boundaries.
+const MOST_MOTIONS: usize = 8;
 
 /// Parts of a surface, or zones.
-fn parts<T: FromStr<Err = PartError>>(path: &str, given: &[String]) -> Read<Vec<T>> {
-    if given.len() > MOST_PARTS {
-        return Err(WireError::field(path, format!("has {} parts; at most {MOST_PARTS} are possible", given.len())));
+fn parts<T: FromStr<Err: Display>>(path: &str, given: &[String]) -> Read<Vec<T>> {
+    texts(path, given, MOST_PARTS, "parts")
+}
+
+/// A list of texts, of which there are at most `most`.
+fn texts<T: FromStr<Err: Display>>(path: &str, given: &[String], most: usize, what: &str) -> Read<Vec<T>> {
+    if given.len() > most {
+        return Err(WireError::field(path, format!("has {} {what}; at most {most} are possible", given.len())));
     }
-    let part = |(k, text): (usize, &String)| {
-        text.parse().map_err(|error: PartError| WireError::field(format!("{path}[{k}]"), format!("is wrong: {error}")))
+    let one = |(k, text): (usize, &String)| {
+        text.parse::<T>().map_err(|error| WireError::field(format!("{path}[{k}]"), format!("is wrong: {error}")))
     };
-    given.iter().enumerate().map(part).collect()
+    given.iter().enumerate().map(one).collect()
 }
 
 pub fn session(given: &proto::CvtOptions, beside: Beside, bounds: &Bounds) -> Read<Session> {
@@ -517,6 +534,8 @@ pub fn of_remesh(options: &RemeshOptions) -> proto::RemeshOptions {
         keep: options.keep.iter().map(Part::to_string).collect(),
         only: options.only.iter().map(Part::to_string).collect(),
         keep_rims: options.keep_rims,
+        mirror: options.mirror.as_ref().map(Plane::to_string),
+        periodic: options.periodic.iter().map(Motion::to_string).collect(),
         source_map: options.source_map,
     }
 }

@@ -162,7 +162,8 @@ fn every_option_arrives() {
     file("kept.txt", "0\n");
     let line = "jobs submit remesh in.off --points 9 --sizes sizes.txt --creases creases.txt --gradation 0.3 --adaptivity 1 \
         --max-deviation 0.5 --max-points 20 --crease-angle 30 --boundaries keep --thin even --placement fitted --lloyd 5 \
-        --newton 0 --projection surface --seed 0 --keep facets:@kept.txt --backend serial --no-attributes --format stl --request-id r1 --reuse same-bits --priority -3 \
+        --newton 0 --projection surface --seed 0 --keep facets:@kept.txt --mirror -x \
+        --periodic translate:1,0,0 --periodic rotate:-60,z --backend serial --no-attributes --format stl --request-id r1 --reuse same-bits --priority -3 \
         --deadline-s 1.5 --queue-deadline-s 60 --label team=a=b --label x= --tenant t1 --json";
     let told: Value = serde_json::from_str(&stage.ok(line)).unwrap();
     assert_eq!((&told["id"], &told["existed"]), (&ID.into(), &false.into()));
@@ -188,6 +189,8 @@ fn every_option_arrives() {
     assert_eq!((work.boundaries(), work.thin()), (proto::BoundaryRule::Keep, proto::ThinRule::Even));
     assert_eq!((work.max_deviation, work.max_points), (Some(0.5), Some(20)));
     assert_eq!(work.keep, ["facets:0"]);
+    assert_eq!(work.mirror.as_deref(), Some("-x"));
+    assert_eq!(work.periodic, ["translate:1,0,0", "rotate:-60,z"]);
     let Some(job_mesh::Source::File(mesh)) = spec.mesh.clone().unwrap().source else { panic!("{spec:?}") };
     assert_eq!((mesh.attributes, spec.backend(), spec.priority), (Some(false), BackendChoice::Serial, Some(-3)));
     let form = Some(result_format::Form::File(proto::MeshFormat::Stl.into()));

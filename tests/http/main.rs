@@ -116,6 +116,8 @@ async fn what_is_wrong_is_told_as_a_problem() {
         ("/v1/remesh?points=70&to=xyz", 400, "to"),
         ("/v1/remesh?points=70&keep=sphere:0,0,0,1;box:1", 400, "keep[1]"),
         ("/v1/remesh?points=70&size_in=steel", 400, "size_in[0]"),
+        ("/v1/remesh?points=70&mirror=w%3D0.5", 400, "mirror"),
+        ("/v1/remesh?points=70&periodic=translate:1,0,0;rotate:360,z", 400, "periodic[1]"),
         ("/v1/remesh?points=70&density=blue", 400, "density"),
         ("/v1/blobs?digest=abc", 400, "digest"),
     ] {

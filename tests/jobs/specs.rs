@@ -184,6 +184,8 @@ fn options() -> impl Strategy<Value = RemeshOptions> {
                 keep: Vec::new(),
                 only: Vec::new(),
                 keep_rims: false,
+                mirror: None,
+                periodic: Vec::new(),
                 source_map: false,
                 weld_percent: None,
             }

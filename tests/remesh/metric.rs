@@ -241,7 +241,7 @@ fn what_is_no_metric_is_refused() {
     let tiny = |all: &mut Vec<Tensor>| all.iter_mut().for_each(|tensor| *tensor = *tensor * 1e300);
     assert!(matches!(refused(&tiny), DensityError::TooManyPoints { .. } | DensityError::MetricRange { .. }));
     let of = |options: RemeshOptions| match run(&mesh, &options).unwrap_err() {
-        RemeshError::MetricBeside { other } => other,
+        RemeshError::Beside { other, .. } => other,
         other => panic!("{other}"),
     };
     assert_eq!(of(options(good.clone(), None).with_anisotropy(Anisotropy::Auto)), "anisotropy");

@@ -7,7 +7,7 @@
 export const FILES: readonly string[] = ["sizes", "metric", "creases"];
 
 /** Options that are lists, with semicolons between their parts. */
-export const LISTS: readonly string[] = ["keep", "only", "size_in"];
+export const LISTS: readonly string[] = ["keep", "only", "size_in", "periodic"];
 
 export interface Call {
   /** Name of the input file. */

@@ -5,12 +5,13 @@
 //! Invariant: a name that nobody reads is an error, so that a misspelt option is not passed over. Must not know: what is done.
 
 use std::cell::RefCell;
+use std::fmt::Display;
 use std::str::FromStr;
 
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyString};
 use tessera::mesh::attributes::{Attributes, ColourDepth, Colours, Normals, PerCorner, Scalar};
-use tessera::mesh::parts::PartError;
+use tessera::mesh::plane::{Plane, PlaneError};
 use tessera::mesh::regions::{Region, Regions};
 use tessera::{
     Anisotropy, DensityOptions, DensitySource, Placement, Projection, Refine, RemeshOptions, Seeds, Share, Tolerance,
@@ -175,6 +176,8 @@ impl<'py> Options<'py> {
             self.word("non_manifold", &[("keep", true), ("cut", false)])?.unwrap_or(options.keep_non_manifold);
         (options.keep, options.only) = (self.parts("keep")?, self.parts("only")?);
         options.keep_rims = self.get("keep_rims", "True or False")?.unwrap_or(options.keep_rims);
+        options.mirror = self.mirror()?;
+        options.periodic = self.parts("periodic")?;
         options.source_map = self.get("source_map", "True or False")?.unwrap_or(options.source_map);
         options.measure = self.get("measure", "True or False")?.unwrap_or(options.measure);
         options.refine = self.refine(&options.seeds)?;
@@ -197,10 +200,17 @@ impl<'py> Options<'py> {
         }
     }
 
-    /// Parts of the surface or zones, as texts.
-    fn parts<T: FromStr<Err = PartError>>(&self, name: &'static str) -> PyResult<Vec<T>> {
+    /// A plane, as a text.
+    fn mirror(&self) -> PyResult<Option<Plane>> {
+        let text: Option<String> = self.get("mirror", "a text")?;
+        let wrong = |error: PlaneError| input(format!("mirror: {error}"));
+        text.map(|text| text.parse().map_err(wrong)).transpose()
+    }
+
+    /// Parts of the surface, zones or motions, as texts.
+    fn parts<T: FromStr<Err: Display>>(&self, name: &'static str) -> PyResult<Vec<T>> {
         let texts: Vec<String> = self.get(name, "a list of texts")?.unwrap_or_default();
-        texts.iter().map(|text| text.parse().map_err(|error| input(format!("{name}: {error}")))).collect()
+        texts.iter().map(|text| text.parse::<T>().map_err(|error| input(format!("{name}: {error}")))).collect()
     }
 
     /// A length, or percent of the diagonal with their sign.

@@ -117,6 +117,9 @@ WRONG = [
     ({"points": 100, "keep": ["box:1"]}, "keep"),
     ({"points": 100, "only": "steel"}, "no region"),
     ({"points": 100, "size_in": "steel"}, "size_in"),
+    ({"points": 100, "mirror": "w"}, "mirror"),
+    ({"points": 100, "mirror": ["x"]}, "mirror"),
+    ({"points": 100, "periodic": "rotate:360,z"}, "periodic"),
     ({"metric": np.tile(np.eye(3), (1800, 1, 1)), "size_in": "box:0,0,0,1,1,1=1"}, "size_in"),
 ]
 

@@ -20,7 +20,9 @@ use geometry::mesh::TriMesh;
 use geometry::mesh::attributes::Attributes;
 use geometry::mesh::features::Features;
 use geometry::mesh::io::{Format, RegionChoice};
+use geometry::mesh::motion::Motion;
 use geometry::mesh::parts::{Part, PartError, Zone};
+use geometry::mesh::plane::Plane;
 use geometry::remesh::{Anisotropy, RemeshOptions, Seeds};
 use geometry::token::Token;
 use server::config::{BackendArgs, count, whole};
@@ -167,6 +169,14 @@ pub(crate) struct ShapeArgs {
     /// Leave the vertices and edges of boundaries as they are.
     #[arg(long)]
     pub(crate) keep_rims: bool,
+    /// Make the result symmetric at a plane: x, y or z, x=C for the coordinate C, or NX,NY,NZ,D. The half that the normal points to is
+    /// remeshed (-x: the one with the smaller x), and the other half is its mirror image, to the bit.
+    #[arg(long, value_name = "PLANE", allow_hyphen_values = true)]
+    pub(crate) mirror: Option<Plane>,
+    /// Motion that takes boundaries of the surface to others, as often as there are motions: translate:DX,DY,DZ, or rotate:DEGREES,AXIS
+    /// with the axis x, y, z, DX,DY,DZ, or DX,DY,DZ,PX,PY,PZ through a place. Both get the same vertices and edges, moved.
+    #[arg(long, value_name = "MOTION")]
+    pub(crate) periodic: Vec<Motion>,
     /// Write where on the input each vertex lies: the scalars source_facet and source_barycentric.
     #[arg(long)]
     pub(crate) source_map: bool,

@@ -471,3 +471,11 @@ pub(super) const FURTHER_KEPT_ROUNDS: usize = 6;
 pub(super) const MOST_AROUND_TAKEN: usize = 64;
 /// Least cosine between a facet and those whose place it takes there.
 pub(super) const TAKEN_COSINE: f64 = 0.1;
+
+// Symmetry and periods.
+
+/// Vertices as near to a mirror plane are in it, and boundaries as near to the images of others are these; share of the diagonal. Files
+/// with six digits round by half of this.
+pub(super) const MATCH_DIAGONAL: f64 = 1e-6;
+/// Times that a half is remeshed again for a number of vertices of the whole.
+pub(super) const HALF_COUNT_ROUNDS: usize = 2;

@@ -23,6 +23,7 @@ mod adapt;
 mod extract;
 mod join;
 mod kept;
+mod mirror;
 mod optimize;
 mod prepare;
 mod preprocess;
@@ -84,11 +85,25 @@ pub fn remesh(
             ("kept parts", options.keeps_parts()),
         ];
         if let Some((other, _)) = others.into_iter().find(|other| other.1) {
-            return Err(RemeshError::MetricBeside { other });
+            return Err(RemeshError::Beside { one: "a metric", other });
         }
     }
     if options.keeps_parts() && matches!(options.seeds, Seeds::Given(_)) {
         return Err(RemeshError::KeptBesideSeeds);
+    }
+    let pairs =
+        [("a mirror plane", options.mirror.is_some()), ("periodic boundaries", !options.periodic.is_empty())];
+    for (one, _) in pairs.into_iter().filter(|pair| pair.1) {
+        let others = [
+            ("seeds", matches!(options.seeds, Seeds::Given(_))),
+            ("a metric", in_metric),
+            ("kept parts", options.keeps_parts()),
+            ("free boundaries", !options.keep_boundaries),
+            ("periodic boundaries", one == "a mirror plane" && !options.periodic.is_empty()),
+        ];
+        if let Some((other, _)) = others.into_iter().find(|other| other.1) {
+            return Err(RemeshError::Beside { one, other });
+        }
     }
     // Where the surface is changed or a part of it stays, a facet that it lacks would be passed over.
     options.density.zones.iter().try_for_each(|zone| zone.part.check(given))?;
@@ -135,6 +150,14 @@ fn remesh_parts(
                 run_stages(part, options, backend, &mut *observer, token)
             };
             kept::remesh(given, options, &mut run, token)
+        });
+    }
+    if let Some(plane) = options.mirror {
+        return on_threads_of(backend, || {
+            let mut run = |half: &TriMesh, options: &RemeshOptions| {
+                run_stages((half, Held::default()), options, backend, &mut *observer, token)
+            };
+            mirror::remesh(given, options, plane, &mut run, token)
         });
     }
     on_threads_of(backend, || match run_stages((given, Held::default()), options, backend, observer, token) {
@@ -281,9 +304,20 @@ fn transfer(
     options: &RemeshOptions,
     (result, curve_edges): (&TriMesh, &[[u32; 2]]),
 ) -> Result<Carried, RemeshError> {
-    let Some(attributes) = &options.attributes else { return Ok(Carried::default()) };
-    job.enter("attributes");
-    let token = job.token;
+    if options.attributes.is_some() {
+        job.enter("attributes");
+    }
+    carry(given, options.attributes.as_ref(), (result, curve_edges), job.token)
+}
+
+/// `attributes` of `given` on the result, if there are any.
+fn carry(
+    given: &TriMesh,
+    attributes: Option<&Attributes>,
+    (result, curve_edges): (&TriMesh, &[[u32; 2]]),
+    token: &Token,
+) -> Result<Carried> {
+    let Some(attributes) = attributes else { return Ok(Carried::default()) };
     let closest = ClosestPoint::unless(given, token)?;
     let provenance = attributes::provenance(&closest, result.positions(), token)?;
     token.check()?;
@@ -348,6 +382,8 @@ fn measure(
         metric,
         regions,
         kept: None,
+        mirror: None,
+        periodic: None,
         lost,
         crossings,
         repair,

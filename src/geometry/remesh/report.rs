@@ -266,6 +266,12 @@ pub struct ResultFigures {
     /// What stayed as it was; absent if nothing was to stay.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub kept: Option<KeptFigures>,
+    /// How both halves meet; absent without a mirror plane.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub mirror: Option<MirrorFigures>,
+    /// How boundaries go on in others; absent without periodic ones.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub periodic: Option<PeriodicFigures>,
     /// What it lacks of the input; absent if not measured.
     pub lost: Option<LostParts>,
     /// Facets that cross others; absent if not measured.
@@ -303,6 +309,24 @@ pub struct KeptFigures {
     pub single_vertices: usize,
     /// Facets that stayed though they need not, for the sake of these edges and vertices.
     pub further_facets: usize,
+}
+
+/// How a mirrored surface is.
+#[derive(Clone, Copy, Debug, Default, Serialize, PartialEq)]
+pub struct MirrorFigures {
+    /// Edges in the plane that both halves have.
+    pub seam_edges: usize,
+    /// How far the input's other half is from the mirror image of the one that was remeshed, at most, % of the diagonal.
+    pub asymmetry_percent: f64,
+}
+
+/// How a periodic surface is.
+#[derive(Clone, Copy, Debug, Default, Serialize, PartialEq, Eq)]
+pub struct PeriodicFigures {
+    /// Pairs of boundary edges of the result, one of which a motion takes to the other.
+    pub edges: usize,
+    /// Boundary edges of the input that a motion takes to within reach of others, of which none is the same.
+    pub unpaired_edges: usize,
 }
 
 /// How well a result fits its metric.

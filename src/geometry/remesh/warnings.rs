@@ -9,6 +9,8 @@ use super::report::{CountReason, LostReason, RefineEnd, RegionFigures, Report, W
 use crate::mesh::attributes::{Attributes, Colours};
 use crate::mesh::duplicates::InputKind;
 
+/// How far from symmetric an input may be, percent of its diagonal.
+const ASYMMETRIC_PERCENT: f64 = 0.01;
 /// The most regions that are named.
 const MOST_NAMED: usize = 10;
 
@@ -22,6 +24,7 @@ pub(super) fn of(report: &Report, attributes: Option<&Attributes>) -> Vec<Warnin
     counted(&mut all, "colours_out_of_range", colours, outside);
     of_count(report, &mut all);
     of_kept(report, &mut all);
+    of_symmetry(report, &mut all);
     of_repair(report, &mut all);
     of_lost(report, &mut all);
     of_shape(report, &mut all);
@@ -120,6 +123,21 @@ fn of_kept(report: &Report, all: &mut Vec<Warning>) {
         all.push(Warning::new("nothing_kept", None, text.to_owned()));
     }
     counted(all, "further_kept", report.result.kept.map_or(0, |kept| kept.further_facets), further);
+}
+
+/// An input that is less symmetric, or less periodic, than its result.
+fn of_symmetry(report: &Report, all: &mut Vec<Warning>) {
+    let percent = report.result.mirror.map_or(0.0, |mirror| mirror.asymmetry_percent);
+    if percent > ASYMMETRIC_PERCENT {
+        let text = format!(
+            "the half of the input behind the mirror plane is up to {percent:.2} % of the diagonal away from the mirror \
+             image of the other; check the plane, or remesh it without one"
+        );
+        all.push(Warning::new("asymmetric", None, text));
+    }
+    let unpaired = "boundary edges of the input are within reach of a motion of others, and none of these is the same; they are not \
+                    periodic in the result; check the numbers of the motion";
+    counted(all, "unpaired_edges", report.result.periodic.map_or(0, |periodic| periodic.unpaired_edges), unpaired);
 }
 
 /// What the repair of the dual removed or doubled.

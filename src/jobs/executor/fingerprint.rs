@@ -88,6 +88,8 @@ mod tests {
             keep: vec!["steel".to_owned()],
             only: vec!["sphere:0,0,0,1".to_owned()],
             keep_rims: true,
+            mirror: Some("x=0.5".to_owned()),
+            periodic: vec!["translate:1,0,0".to_owned()],
             source_map: true,
             max_deviation: Some(0.5),
             max_deviation_length: Some(0.01),

@@ -201,7 +201,13 @@ fn of_remesh(error: &RemeshError) -> Fault {
         RemeshError::EdgeTooLong { .. } => "header.options.density.edge_length".to_owned(),
         RemeshError::Density(error) => return of_density(error),
         RemeshError::BadLift { .. } => "header.options.anisotropy".to_owned(),
-        RemeshError::MetricBeside { .. } => "header.options.density".to_owned(),
+        RemeshError::Beside { one: "a mirror plane", .. }
+        | RemeshError::NothingOnSide { .. }
+        | RemeshError::FacetsInPlane { .. } => "header.options.mirror".to_owned(),
+        RemeshError::Beside { one: "periodic boundaries", .. }
+        | RemeshError::NotPeriodic { .. }
+        | RemeshError::PeriodicLost { .. } => "header.options.periodic".to_owned(),
+        RemeshError::Beside { .. } => "header.options.density".to_owned(),
         RemeshError::RefineUnfitted => "header.options.max_deviation".to_owned(),
         RemeshError::RefineLimit { .. } => "header.options.max_points".to_owned(),
         RemeshError::Part(_)

@@ -154,12 +154,14 @@ def remesh_options(surface: Surface, given: dict[str, Any]) -> tuple[dict[str, A
     given["metric"] = _tensors(given["metric"])
     given["keep"], given["only"] = (_parts(surface, name, given[name]) for name in ("keep", "only"))
     if required is not None:
-        if any(given[name] is not None for name in ("seeds", "metric")):
-            meshes.warn(f"{len(required)} required vertices: seeds and a metric leave them aside")
+        if any(given[name] is not None for name in ("seeds", "metric", "mirror")) or given["periodic"]:
+            others = "seeds, a metric, a mirror plane and periodic boundaries"
+            meshes.warn(f"{len(required)} required vertices: {others} leave them aside")
         else:
             given["keep"] = [*(given["keep"] or []), _numbers("vertices", required)]
-    zones = given["size_in"]
-    given["size_in"] = [zones] if isinstance(zones, str) else zones and list(zones)
+    for name in ("size_in", "periodic"):
+        texts = given[name]
+        given[name] = [texts] if isinstance(texts, str) else texts and list(texts)
     lists = [edges for edges in (named, _edges(given["creases"])) if edges is not None]
     given["creases"] = np.concatenate(lists) if len(lists) > 1 else next(iter(lists), None)
     return given, attributes
@@ -187,6 +189,8 @@ def remesh(
     keep: str | ArrayLike | Sequence[str | ArrayLike] | None = None,
     only: str | ArrayLike | Sequence[str | ArrayLike] | None = None,
     keep_rims: bool = False,
+    mirror: str | None = None,
+    periodic: str | Sequence[str] | None = None,
     source_map: bool = False,
     boundaries: Literal["keep", "free"] | None = None,
     thin: Literal["finer", "even"] | None = None,
@@ -245,6 +249,10 @@ def remesh(
             for vertices alone; or several. They come first in the result; `points` counts all of its vertices.
         only: parts that are remeshed, with the faces that are in a box or ball wholly; all else stays as it is.
         keep_rims: whether the vertices and edges of boundaries stay as they are.
+        mirror: a plane at which the result is symmetric: "x", "-y", "z=0.5", or "NX,NY,NZ,D". The half that the normal points to is
+            remeshed, and the other half is its mirror image, to the bit.
+        periodic: motions that take boundaries to others: "translate:DX,DY,DZ" or "rotate:DEGREES,AXIS", or several. AXIS is "x", "y",
+            "z", "DX,DY,DZ", or "DX,DY,DZ,PX,PY,PZ" through a place. Both get the same vertices and edges, moved.
         source_map: whether the result has the scalars "source_facet", the face of `mesh` on which a vertex lies, and
             "source_barycentric", its coordinates in that face.
         weld: boundaries that are at most this far apart are joined: a length, or percent of the diagonal as "0.01%".

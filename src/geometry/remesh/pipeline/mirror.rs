@@ -1,0 +1,227 @@
+//! Surfaces that are symmetric at a plane.
+//!
+//! Purpose: [`remesh`] has one half of a surface remeshed and joins it with its mirror image. Invariant: each vertex of the other half is the
+//! reflection of one of the first, to the bit; vertices of the seam lie in the plane, and both halves have them. Attributes are those of
+//! the whole input, each half's own. Must not know: how a surface is remeshed.
+
+mod half;
+
+use std::time::Instant;
+
+use glam::DVec3;
+
+use super::preprocess::preprocess;
+use super::{Carried, carry, compare, optimize};
+use crate::mesh::TriMesh;
+use crate::mesh::adjacency::{Adjacency, EdgeKind, weld_unless};
+use crate::mesh::closest_point::ClosestPoint;
+use crate::mesh::crossings::crossings;
+use crate::mesh::features::Features;
+use crate::mesh::measure::{coincident_vertices, topology_unless};
+use crate::mesh::plane::Plane;
+use crate::remesh::constants::HALF_COUNT_ROUNDS;
+use crate::remesh::report::MirrorFigures;
+use crate::remesh::{Remesh, RemeshError, RemeshOptions, Result, Seeds};
+use crate::rvd::{RvdError, elapsed_ms};
+use crate::token::Token;
+use half::Half;
+
+/// Remeshes a half.
+type Run<'a> = &'a mut dyn FnMut(&TriMesh, &RemeshOptions) -> Result<Remesh>;
+
+/// Remeshes the half that the normal of `plane` points to.
+pub(super) fn remesh(
+    given: &TriMesh,
+    options: &RemeshOptions,
+    plane: Plane,
+    run: Run<'_>,
+    token: &Token,
+) -> Result<Remesh> {
+    let begin = Instant::now();
+    options.attributes.iter().try_for_each(|attributes| attributes.check_mesh(given))?;
+    Features::check(given, options.crease_angle_deg, &options.creases, token)?;
+    let class = weld_unless(given, token)?;
+    let half = Half::of(given, plane, &class, token)?;
+    let mut own = half.options((given, &class), options)?;
+    let asked = options.seeds.drawn();
+    // Of N vertices, s of them on the seam, a half has (N + s) / 2.
+    let share = |points: usize| {
+        let edge = (4.0 / 3f64.sqrt() * half.mesh.area() / points.max(1) as f64).sqrt();
+        let on_seam = if edge > 0.0 { half.seam_length() / edge } else { 0.0 };
+        (0.5 * (points as f64 + on_seam)).round().max(1.0) as usize
+    };
+    if let Some(most) = own.refine.as_mut().and_then(|refine| refine.max_points.as_mut()) {
+        *most = share(*most);
+    }
+    let mut points = asked.map(share);
+    let reach = half::reach(given);
+    for round in 0.. {
+        if let (Seeds::Sample { points: own, .. }, Some(points)) = (&mut own.seeds, points) {
+            *own = points;
+        }
+        let done = run(&half.mesh, &own).map_err(whole)?;
+        token.check()?;
+        let seam = Seam::of(&done.mesh, (plane, reach), options.keep_non_manifold, token)?;
+        if let (Some(asked), Some(points), None) = (asked, &mut points, &options.refine)
+            && round < HALF_COUNT_ROUNDS
+        {
+            let vertices = 2 * done.mesh.positions().len() - seam.vertices();
+            let next = (*points as i64 + (asked as i64 - vertices as i64) / 2).max(1) as usize;
+            if !optimize::is_near(vertices, asked) && next != *points && done.report.vertex_count.reason.is_none() {
+                *points = next;
+                continue;
+            }
+        }
+        if seam.edges == 0 && !half.seam.is_empty() {
+            return Err(RemeshError::TooFewSeeds { seeds: done.seeds.len(), least: 4 * done.seeds.len() });
+        }
+        let (mut done, curve_edges) = seam.double(plane, done)?;
+        let (low, high) = given.bounds();
+        let asymmetry_percent = 100.0 * asymmetry(given, plane, &half.mesh, token)? / (high - low).length();
+        finish(given, options, &mut done, MirrorFigures { seam_edges: seam.edges, asymmetry_percent }, token)?;
+        done.curve_edges = curve_edges;
+        if let Some(asked) = asked {
+            done.report.vertex_count.asked = asked;
+        } else {
+            done.report.vertex_count.asked = 2 * done.report.vertex_count.asked - seam.vertices();
+        }
+        if optimize::is_near(done.mesh.positions().len(), done.report.vertex_count.asked) {
+            done.report.vertex_count.reason = None;
+        }
+        done.report.timings_ms.total = elapsed_ms(begin);
+        return Ok(done);
+    }
+    Err(RvdError::Internal("a mirrored surface has no result".to_owned()).into())
+}
+
+/// An error of a half, said of the whole.
+fn whole(error: RemeshError) -> RemeshError {
+    match error {
+        RemeshError::TooFewSeeds { seeds, least } => RemeshError::TooFewSeeds { seeds: 2 * seeds, least: 2 * least },
+        error => error,
+    }
+}
+
+/// How far the input's other half is from the mirror image of the one that is remeshed, caller's units.
+fn asymmetry(given: &TriMesh, plane: Plane, half: &TriMesh, token: &Token) -> Result<f64> {
+    let mut used = vec![false; given.positions().len()];
+    given.facets().iter().flatten().for_each(|&v| used[v as usize] = true);
+    let behind = given.positions().iter().zip(used).filter(|(p, used)| *used && plane.height(**p) < 0.0);
+    let reflected: Vec<DVec3> = behind.map(|(&p, _)| plane.reflect(p)).collect();
+    let distances = ClosestPoint::unless(half, token)?.distances(&reflected, token)?;
+    Ok(distances.into_iter().fold(0.0, f64::max))
+}
+
+/// Where a remeshed half meets its mirror image.
+struct Seam {
+    /// For each vertex, whether both halves have it.
+    shared: Vec<bool>,
+    /// How many edges.
+    edges: usize,
+}
+
+impl Seam {
+    /// `all`: also vertices and edges in the plane that are on no boundary.
+    fn of(mesh: &TriMesh, (plane, reach): (Plane, f64), all: bool, token: &Token) -> Result<Self> {
+        let near: Vec<bool> = mesh.positions().iter().map(|&p| plane.height(p).abs() <= reach).collect();
+        let adjacency = Adjacency::unless(mesh, token)?;
+        let mut shared = if all { near.clone() } else { vec![false; near.len()] };
+        let mut edges = 0;
+        for half_edge in (0..3 * mesh.facets().len()).filter(|&h| adjacency.kind(h) == EdgeKind::Boundary) {
+            let corners = mesh.facets()[half_edge / 3];
+            let edge = [corners[half_edge % 3], corners[(half_edge + 1) % 3]];
+            if edge.iter().all(|&v| near[v as usize]) {
+                edge.iter().for_each(|&v| shared[v as usize] = true);
+                edges += 1;
+            }
+        }
+        Ok(Self { shared, edges })
+    }
+
+    fn vertices(&self) -> usize {
+        self.shared.iter().filter(|&&shared| shared).count()
+    }
+
+    /// The half with its mirror image, and its curve edges without those of the seam. Attributes, provenance and the figures of the result
+    /// are the half's.
+    fn double(&self, plane: Plane, mut done: Remesh) -> Result<(Remesh, Vec<[u32; 2]>)> {
+        let is_flat = |t: &[u32; 3]| t.iter().all(|&v| self.shared[v as usize]);
+        let own: Vec<[u32; 3]> = done.mesh.facets().iter().copied().filter(|t| !is_flat(t)).collect();
+        let mut used = vec![false; self.shared.len()];
+        own.iter().flatten().for_each(|&v| used[v as usize] = true);
+        let (mut first, mut second) = (vec![u32::MAX; used.len()], vec![u32::MAX; used.len()]);
+        let (mut places, mut of_seed) = (Vec::new(), Vec::new());
+        for (v, &p) in done.mesh.positions().iter().enumerate().filter(|(v, _)| used[*v]) {
+            first[v] = places.len() as u32;
+            places.push(if self.shared[v] { plane.project(p) } else { p });
+            of_seed.push(done.vertex_seed[v]);
+        }
+        let mut image: Vec<Option<u32>> = vec![None; done.seeds.len()];
+        for v in (0..used.len()).filter(|&v| used[v]) {
+            if self.shared[v] {
+                second[v] = first[v];
+                continue;
+            }
+            second[v] = places.len() as u32;
+            places.push(plane.reflect(done.mesh.positions()[v]));
+            let seed = done.vertex_seed[v] as usize;
+            let next = done.seeds.len() as u32;
+            let reflected = *image[seed].get_or_insert(next);
+            if reflected == next {
+                done.seeds.push(plane.reflect(done.seeds[seed]));
+            }
+            of_seed.push(reflected);
+        }
+        let of = |number: &[u32], [a, b, c]: [u32; 3]| [a, b, c].map(|v| number[v as usize]);
+        let facets = own.iter().map(|&t| of(&first, t));
+        let facets = facets.chain(own.iter().map(|&[a, b, c]| of(&second, [a, c, b]))).collect();
+        let there = |&[a, b]: &[u32; 2]| used[a as usize] && used[b as usize];
+        let curves: Vec<[u32; 2]> = done.curve_edges.iter().copied().filter(there).collect();
+        let both = |number: &[u32]| -> Vec<[u32; 2]> {
+            curves.iter().map(|edge| edge.map(|v| number[v as usize])).collect()
+        };
+        let on_seam = |edge: &[u32; 2]| edge.iter().all(|&v| self.shared[v as usize]);
+        let (seam, beside): (Vec<_>, Vec<_>) = curves.iter().zip(both(&first)).partition(|(edge, _)| on_seam(edge));
+        let reflected = curves.iter().zip(both(&second)).filter(|(edge, _)| !on_seam(edge)).map(|(_, edge)| edge);
+        let curve_edges: Vec<[u32; 2]> = beside.into_iter().map(|(_, edge)| edge).chain(reflected).collect();
+        done.curve_edges = curve_edges.iter().copied().chain(seam.into_iter().map(|(_, edge)| edge)).collect();
+        let broken = |e| RvdError::Internal(format!("a surface was valid before it was mirrored: {e}"));
+        (done.mesh, done.vertex_seed) = (TriMesh::new(places, facets).map_err(broken)?, of_seed);
+        Ok((done, curve_edges))
+    }
+}
+
+/// What is known of the whole result.
+fn finish(
+    given: &TriMesh,
+    options: &RemeshOptions,
+    done: &mut Remesh,
+    mirror: MirrorFigures,
+    token: &Token,
+) -> Result<()> {
+    let whole = preprocess(given, options.weld.map(|weld| weld.length(given)), token)?;
+    let mesh = &done.mesh;
+    // Also along the seam, so that each half has its own regions.
+    let Carried { attributes, provenance, regions } =
+        carry(given, options.attributes.as_ref(), (mesh, &done.curve_edges), token)?;
+    (done.attributes, done.provenance) = (attributes, provenance);
+    let report = &mut done.report;
+    let result = &mut report.result;
+    (result.vertices, result.facets) = (mesh.positions().len(), mesh.facets().len());
+    result.topology = topology_unless(mesh, &Adjacency::unless(mesh, token)?, token)?;
+    result.coincident_vertices = coincident_vertices(mesh, token)?;
+    result.regions = regions;
+    result.mirror = Some(mirror);
+    if options.measure {
+        (result.quality, result.lost) = Some(compare(whole.mesh(given), None, mesh, token)?).unzip();
+        result.crossings = Some(crossings(mesh, token)?);
+    }
+    let wanted = whole.figures.topology;
+    // Where sheets meet, the result has them apart, as the half has.
+    if options.keep_non_manifold || wanted.non_manifold_edges + wanted.non_manifold_vertices == 0 {
+        report.topology_changes = wanted.changes(&result.topology);
+    }
+    report.input = whole.figures;
+    report.vertex_count.seeds = done.seeds.len();
+    Ok(())
+}
