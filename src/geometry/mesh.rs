@@ -26,6 +26,7 @@ pub mod metric;
 pub mod motion;
 pub mod numbers;
 pub mod out_of_core;
+pub(crate) mod pairs;
 pub mod parts;
 pub mod plane;
 pub mod regions;

@@ -1,8 +1,9 @@
 //! Hanging vertices: vertices of a boundary that lie on other boundary edges.
 //!
 //! Purpose: [`divide`] divides facets at the vertices that lie on their boundary edges (T-junctions), so that both sides have the
-//! same vertices and are connected. [`gaps`] finds the boundary edges that others run along at some distance.
-//! Invariant: vertices stay where they are. A facet is divided only if its pieces face as it did, and each piece knows the
+//! same vertices and are connected. [`insert`] divides them at places that are no vertices yet. [`gaps`] finds the boundary edges that
+//! others run along at some distance.
+//! Invariant: vertices stay where they are, and new ones are behind all others. A facet is divided only if its pieces face as it did, and each piece knows the
 //! facet that it is of. Must not know: the use of the surface.
 
 use std::collections::HashMap;
@@ -31,6 +32,18 @@ pub(crate) struct Divided {
     /// The facet that each facet is of.
     pub origin: Vec<u32>,
     pub edges: DividedEdges,
+    /// For each new vertex the edge on which it lies, and where, 0 to 1.
+    pub inserted: Vec<([u32; 2], f64)>,
+}
+
+impl Divided {
+    /// This surface, divided once more.
+    pub(crate) fn then(mut self, next: Self) -> Self {
+        self.origin = next.origin.iter().map(|&f| self.origin[f as usize]).collect();
+        self.edges.0.extend(next.edges.0);
+        self.inserted.extend(next.inserted);
+        Self { mesh: next.mesh, ..self }
+    }
 }
 
 /// Divided edges, by the lowest vertices at their ends, the lower one first, and the vertices between them in order.
@@ -44,7 +57,8 @@ impl DividedEdges {
     /// Edges of the surface as it was, divided as its facets are. `class` has the lowest vertex in the place of each.
     pub(crate) fn pieces(&self, edges: &[[u32; 2]], class: &[u32]) -> Vec<[u32; 2]> {
         let mut all = Vec::with_capacity(edges.len());
-        for &[a, b] in edges {
+        let mut left: Vec<[u32; 2]> = edges.iter().rev().copied().collect();
+        while let Some([a, b]) = left.pop() {
             let welded = [a, b].map(|v| class.get(v as usize).copied().unwrap_or(v));
             let Some(between) = self.0.get(&undirected(welded)) else {
                 all.push([a, b]);
@@ -53,7 +67,8 @@ impl DividedEdges {
             let mut chain = vec![welded[0].min(welded[1])];
             chain.extend(between);
             chain.push(welded[0].max(welded[1]));
-            all.extend(chain.windows(2).map(|pair| [pair[0], pair[1]]));
+            // A piece may be divided once more.
+            left.extend(chain.windows(2).rev().map(|pair| [pair[0], pair[1]]));
         }
         all
     }
@@ -72,22 +87,28 @@ struct Beside {
 
 /// The boundary edges of a surface.
 struct Boundary<'a> {
-    mesh: &'a TriMesh,
+    /// Of the vertices, and of those that may divide edges.
+    positions: &'a [DVec3],
     halves: Vec<usize>,
     /// Their ends, the lowest vertices in their places.
     ends: Vec<[u32; 2]>,
 }
 
 impl<'a> Boundary<'a> {
-    fn new(mesh: &'a TriMesh, adjacency: &Adjacency) -> Self {
+    fn new(mesh: &TriMesh, positions: &'a [DVec3], adjacency: &Adjacency) -> Self {
         let halves: Vec<usize> =
             (0..3 * mesh.facets().len()).filter(|&h| adjacency.kind(h) == EdgeKind::Boundary).collect();
         let ends = halves.iter().map(|&h| adjacency.ends(mesh, h)).collect();
-        Self { mesh, halves, ends }
+        Self { positions, halves, ends }
+    }
+
+    /// Their ends, ascending.
+    fn vertices(&self) -> Vec<u32> {
+        ascending(self.ends.iter().flatten().copied())
     }
 
     fn place(&self, v: u32) -> DVec3 {
-        self.mesh.positions()[v as usize]
+        self.positions[v as usize]
     }
 
     fn length(&self, edge: u32) -> f64 {
@@ -95,8 +116,8 @@ impl<'a> Boundary<'a> {
         a.distance(b)
     }
 
-    /// The vertices within `reach` of edges, and much nearer than these are long, by edge, then along it.
-    fn beside(&self, reach: f64, token: &Token) -> Result<Vec<Beside>, Stopped> {
+    /// Those of `vertices` within `reach` of edges, and much nearer than these are long, by edge, then along it.
+    fn beside(&self, vertices: &[u32], reach: f64, token: &Token) -> Result<Vec<Beside>, Stopped> {
         let at = |v: u32| self.place(v).to_array();
         let lines = self.ends.iter().zip(0u32..).map(|(&[a, b], k)| GeomWithData::new(Line::new(at(a), at(b)), k));
         let tree = RTree::bulk_load(lines.collect());
@@ -116,7 +137,6 @@ impl<'a> Boundary<'a> {
             };
             near.take(MOST_NEAR).filter_map(beside)
         };
-        let vertices = ascending(self.ends.iter().flatten().copied());
         // Where all edges overlap, a query looks at all of them before its first answer.
         let open = vertices.par_iter().filter(|_| !token.is_stopped());
         let mut found: Vec<Beside> = open.flat_map_iter(of_vertex).collect();
@@ -149,9 +169,51 @@ pub(crate) fn divide(
     reach: f64,
     token: &Token,
 ) -> Result<Option<Divided>, Stopped> {
-    let boundary = Boundary::new(mesh, adjacency);
+    let boundary = Boundary::new(mesh, mesh.positions(), adjacency);
+    divide_at(mesh, adjacency, &boundary, (&boundary.vertices(), reach), token)
+}
+
+/// Divides the facets of `mesh` at those of `places` within `reach` of their boundary edges, which become vertices; `None` if there are
+/// none.
+pub(crate) fn insert(
+    mesh: &TriMesh,
+    adjacency: &Adjacency,
+    places: &[DVec3],
+    reach: f64,
+    token: &Token,
+) -> Result<Option<Divided>, Stopped> {
+    let first = mesh.positions().len() as u32;
+    let mut positions = mesh.positions().to_vec();
+    positions.extend(places);
+    let boundary = Boundary::new(mesh, &positions, adjacency);
+    let new: Vec<u32> = (first..positions.len() as u32).collect();
+    let Some(mut divided) = divide_at(mesh, adjacency, &boundary, (&new, reach), token)? else { return Ok(None) };
+    // Without the places that divide nothing.
+    let mut on_edge: HashMap<u32, ([u32; 2], f64)> = HashMap::new();
+    for (&ends, between) in &divided.edges.0 {
+        let [start, end] = ends.map(|v| positions[v as usize]);
+        let share = |v: u32| (positions[v as usize] - start).dot(end - start) / (end - start).length_squared();
+        between.iter().for_each(|&v| _ = on_edge.insert(v, (ends, share(v).clamp(0.0, 1.0))));
+    }
+    let mut used: Vec<u32> = on_edge.keys().copied().collect();
+    used.sort_unstable();
+    let number = |v: u32| if v < first { v } else { first + used.partition_point(|&known| known < v) as u32 };
+    divided.edges.0.values_mut().flatten().for_each(|v| *v = number(*v));
+    divided.inserted = used.iter().map(|v| on_edge[v]).collect();
+    let facets = divided.mesh.facets().iter().map(|t| t.map(number)).collect();
+    let kept = (0..first).chain(used.iter().copied()).map(|v| positions[v as usize]).collect();
+    Ok(TriMesh::new(kept, facets).ok().map(|mesh| Divided { mesh, ..divided }))
+}
+
+fn divide_at(
+    mesh: &TriMesh,
+    adjacency: &Adjacency,
+    boundary: &Boundary<'_>,
+    (vertices, reach): (&[u32], f64),
+    token: &Token,
+) -> Result<Option<Divided>, Stopped> {
     let mut sides: HashMap<usize, [Vec<u32>; 3]> = HashMap::new();
-    for beside in boundary.beside(reach, token)?.chunk_by(|a, b| a.edge == b.edge) {
+    for beside in boundary.beside(vertices, reach, token)?.chunk_by(|a, b| a.edge == b.edge) {
         let half = boundary.halves[beside[0].edge as usize];
         let found = boundary.dividing(beside);
         if !found.is_empty() {
@@ -165,7 +227,7 @@ pub(crate) fn divide(
         if let Some(vertices) = sides.get(&f) {
             fan(corners, vertices.clone(), &mut facets);
             let face = normal(mesh.corners(f));
-            let faces = |t: &[u32; 3]| normal(t.map(|v| mesh.positions()[v as usize])).dot(face) > 0.0;
+            let faces = |t: &[u32; 3]| normal(t.map(|v| boundary.place(v))).dot(face) > 0.0;
             if facets[before..].iter().all(faces) {
                 for (side, between) in vertices.iter().enumerate().filter(|(_, between)| !between.is_empty()) {
                     let [a, b] = adjacency.ends(mesh, 3 * f + side);
@@ -185,10 +247,11 @@ pub(crate) fn divide(
         return Ok(None);
     }
     // Pieces have area, so the surface is as valid as it was.
-    Ok(TriMesh::new(mesh.positions().to_vec(), facets).ok().map(|mesh| Divided {
+    Ok(TriMesh::new(boundary.positions.to_vec(), facets).ok().map(|mesh| Divided {
         mesh,
         origin,
         edges: DividedEdges(edges),
+        inserted: Vec::new(),
     }))
 }
 
@@ -222,9 +285,9 @@ pub(crate) struct Gaps {
 
 /// The boundary edges both of whose ends are within `reach` of other boundary edges, and much nearer than either is long.
 pub(crate) fn gaps(mesh: &TriMesh, adjacency: &Adjacency, reach: f64, token: &Token) -> Result<Gaps, Stopped> {
-    let boundary = Boundary::new(mesh, adjacency);
+    let boundary = Boundary::new(mesh, mesh.positions(), adjacency);
     let mut nearest: HashMap<u32, f64> = HashMap::new();
-    for Beside { vertex, distance, .. } in boundary.beside(reach, token)? {
+    for Beside { vertex, distance, .. } in boundary.beside(&boundary.vertices(), reach, token)? {
         let least = nearest.entry(vertex).or_insert(distance);
         *least = least.min(distance);
     }
@@ -305,8 +368,8 @@ mod tests {
         let mut facets: Vec<[u32; 3]> = (0..n).map(|k| [3 * k, 3 * k + 1, 3 * k + 2]).collect();
         facets.push([0, 1, 3 * n]);
         let mesh = TriMesh::new(positions, facets).unwrap();
-        let boundary = Boundary::new(&mesh, &Adjacency::new(&mesh));
-        let found = boundary.beside(1e6, &Token::default()).unwrap();
+        let boundary = Boundary::new(&mesh, mesh.positions(), &Adjacency::new(&mesh));
+        let found = boundary.beside(&boundary.vertices(), 1e6, &Token::default()).unwrap();
         assert!(found.len() <= MOST_NEAR * 3 * n as usize, "{}", found.len());
     }
 

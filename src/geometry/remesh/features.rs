@@ -105,7 +105,9 @@ impl KeptCurves {
         let mut criteria = FeatureOptions {
             crease_angle_deg: options.crease_angle_deg,
             given_creases: plan.edges(&options.creases, token)?,
-            given_corners: ascending(rims.iter().flatten().copied()),
+            given_corners: ascending(
+                rims.iter().flatten().copied().chain(seams.map(|seams| seams.ends()).into_iter().flatten()),
+            ),
             points: seams.map(|seams| seams.points()).into_iter().flatten().chain(vertices.iter().copied()).collect(),
             rims: plan.edges(rims, token)?,
             min_crease_length: SHORTEST_CREASE * scale,
@@ -329,6 +331,21 @@ impl KeptCurves {
         self.stays.get(seed as usize).copied().unwrap_or(false)
     }
 
+    fn is_periodic(&self, curve: &Curve) -> bool {
+        self.seams.as_ref().is_some_and(|seams| seams.is_periodic(curve))
+    }
+
+    /// For each edge that a result is to have at a boundary that a motion takes to another: its seeds, and the edge if the result has it;
+    /// `edges` are those of [`KeptCurves::edges_in`].
+    pub(crate) fn periodic<'a>(
+        &'a self,
+        edges: &'a [Option<[u32; 2]>],
+    ) -> impl Iterator<Item = ([u32; 2], Option<[u32; 2]>)> + 'a {
+        let periodic: Vec<bool> = self.features.curves.iter().map(|curve| self.is_periodic(curve)).collect();
+        let segments = self.seeds.segments.iter().zip(edges);
+        segments.filter(move |(segment, _)| periodic[segment.curve as usize]).map(|(s, &edge)| (s.ends, edge))
+    }
+
     pub(crate) fn is_corner(&self, seed: u32) -> bool {
         (seed as usize) < self.seeds.corners
     }
@@ -388,7 +405,7 @@ impl KeptCurves {
     pub(crate) fn figures(&self, edges: &[Option<[u32; 2]>]) -> FeatureFigures {
         // Where sheets are joined again, their boundaries are none of the result.
         let kind = |(k, c): (u32, &Curve)| match c.kind {
-            CurveKind::Boundary if self.seeds.is_shared(k) => CurveKind::Crease,
+            CurveKind::Boundary if self.seeds.is_shared(k) && !self.is_periodic(c) => CurveKind::Crease,
             kind => kind,
         };
         let own = || (0..).zip(&self.features.curves).filter(|(_, c)| !c.is_rim);

@@ -25,6 +25,7 @@ mod join;
 mod kept;
 mod mirror;
 mod optimize;
+mod periodic;
 mod prepare;
 mod preprocess;
 mod schedule;
@@ -198,6 +199,9 @@ fn run_stages(
     let (preprocessed, mut prepared) =
         rayon::join(|| preprocess(given, weld, token), || prepare(given, options, asked, None, token));
     let mut preprocessed = preprocessed?;
+    if !options.periodic.is_empty() {
+        preprocessed.pair(given, &options.periodic, token)?;
+    }
     let separated = preprocessed.separate(given, (options, held), token)?;
     let Separated { apart, options: adapted, topology, joined, seams, rims, vertices } = separated;
     let rims = rims.as_deref().unwrap_or(held.rims);
@@ -206,7 +210,7 @@ fn run_stages(
     token.check()?;
     let (clean, options) = (preprocessed.mesh(given), adapted.as_ref().unwrap_or(options));
     let separated = apart.as_ref().map_or(clean, |apart| &apart.mesh);
-    if preprocessed.changed.is_some() || adapted.is_some() || apart.is_some() {
+    if preprocessed.changed.is_some() || adapted.is_some() || apart.is_some() || seams.is_some() {
         prepared = prepare(separated, options, asked, None, token);
     }
     let input = preprocessed.figures.clone();
@@ -280,11 +284,17 @@ fn run_stages(
         }
     };
     job.laps.end(|t| &mut t.attributes);
+    let mut periodic = None;
+    if let Some(pairs) = &preprocessed.pairs {
+        let of = (&attempt.curves, &attempt.seeds[..]);
+        let by = (&options.periodic[..], periodic::reach(given));
+        periodic = Some(periodic::settle(&mut attempt.built, of, by, pairs.unpaired, token)?);
+    }
 
     job.enter("measure");
     let mut measured = measure(clean, input, options, attempt, of_result, job)?;
     let Carried { attributes, provenance, regions } = carried;
-    measured.report.result.regions = regions;
+    (measured.report.result.regions, measured.report.result.periodic) = (regions, periodic);
     Ok(Remesh { attributes, provenance, ..measured })
 }
 

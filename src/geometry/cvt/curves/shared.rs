@@ -2,11 +2,11 @@
 //!
 //! Purpose: [`CurveSeeds::share`] gives copies of a curve, as several sheets have that meet there, the same seeds: those of the copy
 //! that has most.
-//! Invariant: seeds of copies differ by a translation alone, up to rounding. Must not know: why there are copies.
+//! Invariant: seeds of copies differ by a translation and the turns of the copies alone, up to rounding. Must not know: why there are copies.
 
 use std::collections::HashMap;
 
-use glam::DVec3;
+use glam::{DMat3, DVec3};
 
 use super::{CurveSeeds, INNER_POINTS, Segment};
 use crate::mesh::features::Features;
@@ -19,6 +19,8 @@ pub struct Twin {
     pub reversed: bool,
     /// A place on the curve, the same for all copies, unit frame.
     pub place: DVec3,
+    /// How it is turned.
+    pub turn: DMat3,
 }
 
 /// The seeds of a curve in order: those that are no corners, and what lies between neighbours.
@@ -36,9 +38,15 @@ impl Chain {
         self
     }
 
-    fn moved(mut self, by: DVec3) -> Self {
-        self.inner.iter_mut().for_each(|p| *p += by);
-        self.stretches.iter_mut().flat_map(|(between, _)| between).for_each(|p| *p += by);
+    fn moved(mut self, from: &Twin, to: &Twin) -> Self {
+        let by = to.place - from.place;
+        let turn = (to.turn != from.turn).then(|| to.turn * from.turn.transpose());
+        let place = |p: &mut DVec3| match turn {
+            None => *p += by,
+            Some(turn) => *p = to.place + turn * (*p - from.place),
+        };
+        self.inner.iter_mut().for_each(place);
+        self.stretches.iter_mut().flat_map(|(between, _)| between).for_each(place);
         self
     }
 }
@@ -53,7 +61,7 @@ impl CurveSeeds {
             let Some(&model) = group.iter().max_by(order) else { continue };
             let chain = chains[model.curve as usize].clone();
             for twin in group.iter().filter(|twin| twin.curve != model.curve) {
-                let same = chain.clone().moved(twin.place - model.place);
+                let same = chain.clone().moved(&model, twin);
                 chains[twin.curve as usize] = if twin.reversed == model.reversed { same } else { same.reversed() };
             }
             self.shared.extend(group.iter().map(|twin| twin.curve));

@@ -3,15 +3,19 @@
 //! Purpose: [`Seams`] knows where sheets met before they were moved apart. There all of them get the same corners
 //! ([`Seams::corners`]), so that their curves are copies of each other, which get the same seeds ([`Seams::share`]). Results of the
 //! sheets then have the same vertices there. [`Joints`] says which of them are one vertex in the end.
+//! Boundaries that motions take to others are such copies too, turned as these motions turn; they stay apart.
 //! Invariant: depends on the surface alone. Must not know: how seeds of a curve are placed, how sheets were found.
+
+pub(crate) mod periods;
 
 use std::collections::{BTreeMap, HashMap, HashSet};
 
-use glam::DVec3;
+use glam::{DMat3, DVec3};
 
 use crate::cvt::curves::{CurveSeeds, Twin};
 use crate::mesh::edges::undirected;
 use crate::mesh::features::{Curve, Features};
+use periods::Periods;
 
 /// Which copies of a vertex, and of an edge, are one in the end.
 #[derive(Clone, Debug)]
@@ -50,12 +54,47 @@ pub(crate) struct Seams {
     /// Vertices of such edges.
     vertices: HashSet<u32>,
     joints: Joints,
+    /// Edges that motions take to others.
+    periods: Option<Periods>,
+}
+
+/// An edge of a seam, the same for all of its copies, and whether a curve runs along it or against it.
+type Step = ([u32; 2], bool);
+
+/// A curve as all of its copies have it.
+struct Key {
+    steps: Vec<Step>,
+    /// The vertex that is first there.
+    start: u32,
+    /// Whether the curve runs against that order.
+    reversed: bool,
+    /// What the motion from the first copy does to directions.
+    turn: DMat3,
 }
 
 impl Seams {
     pub(crate) fn new(class: Vec<u32>, edges: &[[u32; 2]], joints: Joints) -> Self {
         let vertices = edges.iter().flatten().copied().collect();
-        Self { class, edges: edges.iter().copied().map(undirected).collect(), vertices, joints }
+        Self { class, edges: edges.iter().copied().map(undirected).collect(), vertices, joints, periods: None }
+    }
+
+    /// The same with edges that motions take to others, by the classes of the vertices.
+    pub(crate) fn with_periods(mut self, periods: Periods) -> Self {
+        self.vertices.extend(periods.vertices());
+        self.periods = Some(periods);
+        self
+    }
+
+    /// The vertices at which curves end since motions do, ascending.
+    pub(crate) fn ends(&self) -> Vec<u32> {
+        let ends = self.periods.as_ref().map_or(&[][..], Periods::ends);
+        if ends.is_empty() { Vec::new() } else { self.in_places(&ends.iter().copied().collect()) }
+    }
+
+    /// Whether a curve is a boundary that a motion takes to another.
+    pub(crate) fn is_periodic(&self, curve: &Curve) -> bool {
+        let known: Vec<u32> = curve.vertices.iter().filter_map(|&v| self.class(v)).collect();
+        self.periods.as_ref().is_some_and(|periods| known.windows(2).any(|pair| periods.edge([pair[0], pair[1]]).is_some()))
     }
 
     fn class(&self, v: u32) -> Option<u32> {
@@ -74,8 +113,11 @@ impl Seams {
         self.in_places(touching)
     }
 
+    /// All vertices in places of these classes, or where motions take them.
     fn in_places(&self, classes: &HashSet<u32>) -> Vec<u32> {
-        (0..self.class.len() as u32).filter(|&v| classes.contains(&self.class[v as usize])).collect()
+        let first = |class: u32| self.periods.as_ref().map_or(class, |periods| periods.class(class));
+        let classes: HashSet<u32> = classes.iter().map(|&class| first(class)).collect();
+        (0..self.class.len() as u32).filter(|&v| classes.contains(&first(self.class[v as usize]))).collect()
     }
 
     /// Gives curves that are copies of each other the same seeds. Returns for each seed with copies what it is joined by, and how many are
@@ -86,8 +128,12 @@ impl Seams {
         features: &Features,
         positions: &[DVec3],
     ) -> (Vec<Option<Joint>>, usize) {
-        let groups = self.twins(features, positions);
+        let mut groups = self.twins(features, positions, true);
         seeds.share(features, &groups);
+        if self.periods.is_some() {
+            // What is in one place alone is joined.
+            groups = self.twins(features, positions, false);
+        }
         let mut of_curve = vec![None; features.curves.len()];
         let mut inner = vec![0usize; features.curves.len()];
         for (group, Twin { curve, .. }) in groups.iter().flat_map(|group| group.iter().map(move |twin| (group, twin))) {
@@ -128,41 +174,52 @@ impl Seams {
         known.windows(2).filter_map(of).min().map_or(Joint::Curve(number), Joint::Edge)
     }
 
-    /// Curves that are copies of each other, in groups of at least two. `positions` are those of the vertices, unit frame.
-    fn twins(&self, features: &Features, positions: &[DVec3]) -> Vec<Vec<Twin>> {
-        let mut groups: BTreeMap<(bool, Vec<u32>), Vec<Twin>> = BTreeMap::new();
+    /// Curves that are copies of each other, in groups of at least two; with `moved`, also where a motion takes one to the other.
+    /// `positions` are those of the vertices, unit frame.
+    fn twins(&self, features: &Features, positions: &[DVec3], moved: bool) -> Vec<Vec<Twin>> {
+        let mut groups: BTreeMap<(bool, Vec<Step>), Vec<Twin>> = BTreeMap::new();
+        let periods = self.periods.as_ref().filter(|_| moved);
         for (curve, number) in features.curves.iter().zip(0..) {
-            let Some((key, first, reversed)) = self.key(curve) else { continue };
-            let twin = Twin { curve: number, reversed, place: positions[first as usize] };
-            groups.entry((curve.closed, key)).or_default().push(twin);
+            let Some(Key { steps, start, reversed, turn }) = self.key(curve, periods) else { continue };
+            let twin = Twin { curve: number, reversed, place: positions[start as usize], turn };
+            groups.entry((curve.closed, steps)).or_default().push(twin);
         }
         groups.into_values().filter(|group| group.len() > 1).collect()
     }
 
-    /// The vertices of a seam's curve by what they were, in the same order for all copies; the vertex that is first there, and whether the
-    /// curve runs against that order. `None` if it is no seam.
-    fn key(&self, curve: &Curve) -> Option<(Vec<u32>, u32, bool)> {
+    /// A seam's curve in the order that all copies have in common; `None` if it is no seam.
+    fn key(&self, curve: &Curve, periods: Option<&Periods>) -> Option<Key> {
         let mut chain: Vec<(u32, u32)> =
             curve.vertices.iter().filter_map(|&v| self.class(v).map(|class| (class, v))).collect();
-        let is_seam = |pair: [&(u32, u32); 2]| self.edges.contains(&undirected(pair.map(|end| end.0)));
-        let (first, last) = (chain.first()?, chain.last()?);
-        if chain.len() < 2
-            || curve.closed && !is_seam([last, first])
-            || !chain.windows(2).all(|pair| is_seam([&pair[0], &pair[1]]))
-        {
+        if chain.len() < 2 {
             return None;
         }
-        let mut back = chain.clone();
-        back.reverse();
         if curve.closed {
-            for way in [&mut chain, &mut back] {
-                let lowest = (0..way.len()).min_by_key(|&k| way[k].0)?;
-                way.rotate_left(lowest);
-            }
+            chain.push(chain[0]);
         }
-        let classes = |way: &[(u32, u32)]| way.iter().map(|end| end.0).collect::<Vec<u32>>();
-        let (there, reversed) = (classes(&chain), classes(&back));
-        let runs_against = reversed < there;
-        Some(if runs_against { (reversed, back[0].1, true) } else { (there, chain[0].1, false) })
+        let step = |pair: &[(u32, u32)]| -> Option<Step> {
+            let edge = [pair[0].0, pair[1].0];
+            let along = edge[0] < edge[1];
+            match periods.and_then(|periods| periods.edge(edge)) {
+                Some(moved) => Some((moved.first, along != moved.reversed)),
+                None => self.edges.contains(&undirected(edge)).then_some((undirected(edge), along)),
+            }
+        };
+        let there: Vec<Step> = chain.windows(2).map(step).collect::<Option<_>>()?;
+        let back: Vec<Step> = there.iter().rev().map(|&(edge, along)| (edge, !along)).collect();
+        let begin = |way: &[Step]| (0..way.len()).min_by_key(|&k| way[k]).filter(|_| curve.closed).unwrap_or(0);
+        let from = |mut way: Vec<Step>| {
+            let first = begin(&way);
+            way.rotate_left(first);
+            (way, first)
+        };
+        let ((there, first), (back, last)) = (from(there), from(back));
+        let reversed = back < there;
+        let at = if reversed { chain.len() - 1 - last } else { first };
+        let start = chain[at];
+        let next = chain[if reversed { at - 1 } else { at + 1 }];
+        let moved = periods.and_then(|periods| periods.edge([start.0, next.0]));
+        let turn = moved.map_or(DMat3::IDENTITY, |moved| moved.turn);
+        Some(Key { steps: if reversed { back } else { there }, start: start.1, reversed, turn })
     }
 }

@@ -9,6 +9,7 @@
 use std::collections::{BTreeSet, HashMap, HashSet};
 use std::sync::Arc;
 
+use super::periodic;
 use crate::cvt::density::{DensityOptions, DensitySource};
 use crate::mesh::adjacency::{Adjacency, weld_unless};
 use crate::mesh::apart::Apart;
@@ -18,6 +19,8 @@ use crate::mesh::edges::{DisjointSets, sides, undirected};
 use crate::mesh::hanging::{self, Divided, DividedEdges};
 use crate::mesh::input::{Reach, make_consistent, stitch_boundaries};
 use crate::mesh::measure::{Topology, topology_unless};
+use crate::mesh::motion::Motion;
+use crate::mesh::pairs::{self, Pairs};
 use crate::mesh::parts::{Inclusion, Part, Zone};
 use crate::mesh::regions::Regions;
 use crate::mesh::sheets::pieces::PieceOptions;
@@ -25,6 +28,7 @@ use crate::mesh::sheets::{Link, Sheets};
 use crate::mesh::{MeshError, TriMesh};
 use crate::remesh::constants::{MOST_GAP_DIAGONAL, POINTS_PER_COMPONENT, SEPARATION_DIAGONAL, SEPARATION_EDGES};
 use crate::remesh::features::Held;
+use crate::remesh::features::seams::periods::Periods;
 use crate::remesh::features::seams::{Joints, Seams};
 use crate::remesh::report::InputFigures;
 use crate::remesh::{RemeshError, RemeshOptions, Result, Seeds};
@@ -36,8 +40,12 @@ pub(super) struct Preprocessed {
     pub(super) changed: Option<TriMesh>,
     /// For each facet the one of the input that it is of, if there are fewer or more.
     origin: Option<Vec<u32>>,
-    /// Edges that were divided.
-    divided: Option<DividedEdges>,
+    /// Edges that were divided, one time after the other.
+    divided: Vec<DividedEdges>,
+    /// For each vertex that was put in the edge on which it lies, and where, 0 to 1.
+    inserted: Vec<([u32; 2], f64)>,
+    /// Edges that motions take to others.
+    pub(super) pairs: Option<Pairs>,
 }
 
 /// The figures of the input, and the changed surface. `weld`: how far boundaries may be apart that are joined, caller's units.
@@ -56,7 +64,7 @@ pub(super) fn preprocess(given: &TriMesh, weld: Option<f64>, token: &Token) -> R
     if adjacency.boundary_edges > 0
         && let Some(found) = hanging::divide(changed.as_ref().unwrap_or(given), &adjacency, reach.distance, token)?
     {
-        let Divided { mesh, origin: of, edges } = found;
+        let Divided { mesh, origin: of, edges, .. } = found;
         adjacency = Adjacency::unless(&mesh, token)?;
         (changed, origin, divided) = (Some(mesh), Some(of), Some(edges));
     }
@@ -87,7 +95,8 @@ pub(super) fn preprocess(given: &TriMesh, weld: Option<f64>, token: &Token) -> R
     figures.stitched_vertices = stitched_vertices;
     figures.coincident_facets = coincident_facets;
     figures.divided_edges = divided.as_ref().map_or(0, DividedEdges::len);
-    Ok(Preprocessed { figures, changed, origin, divided })
+    let divided = divided.into_iter().collect();
+    Ok(Preprocessed { figures, changed, origin, divided, inserted: Vec::new(), pairs: None })
 }
 
 /// Edge length that the options ask for; `None` where seeds are given, or where it is not known yet.
@@ -132,6 +141,28 @@ pub(super) struct Separated {
 impl Preprocessed {
     pub(super) fn mesh<'a>(&'a self, given: &'a TriMesh) -> &'a TriMesh {
         self.changed.as_ref().unwrap_or(given)
+    }
+
+    /// Finds the boundaries that motions take to others, and gives both the same vertices.
+    pub(super) fn pair(&mut self, given: &TriMesh, motions: &[Motion], token: &Token) -> Result<()> {
+        let reach = periodic::reach(given);
+        if let Some(Divided { mesh, origin, edges, inserted }) = pairs::complete(self.mesh(given), motions, reach, token)? {
+            self.origin = Some(match &self.origin {
+                Some(before) => origin.iter().map(|&f| before[f as usize]).collect(),
+                None => origin,
+            });
+            self.changed = Some(mesh);
+            self.divided.push(edges);
+            self.inserted = inserted;
+        }
+        let pairs = Pairs::of(self.mesh(given), motions, reach, token)?;
+        for (&motion, k) in motions.iter().zip(0..) {
+            if !pairs.all.iter().any(|pair| pair.motion == k) {
+                return Err(RemeshError::NotPeriodic { motion, reach });
+            }
+        }
+        self.pairs = Some(pairs);
+        Ok(())
     }
 
     /// Moves the sheets apart, so that no cell reaches from one to another. Sheets stay where they are if seeds are given, since
@@ -188,15 +219,9 @@ impl Preprocessed {
             }
             (seams, joined) = (sheets.seams, sheets.joined);
         }
-        if let (Some(apart), true) = (&separated.apart, !seams.is_empty() || options.keep_non_manifold && touching) {
-            let class = weld_unless(clean, token)?;
-            let now = weld_unless(&apart.mesh, token)?;
-            // Of facets: other vertices do not move, and a sheet may have come to where one is.
-            let mut of_place = vec![u32::MAX; now.len()];
-            for &v in apart.mesh.facets().iter().flatten() {
-                of_place[now[v as usize] as usize] = class[apart.before(v) as usize];
-            }
-            let class: Vec<u32> = now.iter().map(|&place| of_place[place as usize]).collect();
+        let meet = !seams.is_empty() || options.keep_non_manifold && touching;
+        if let (Some(apart), true) = (&separated.apart, meet) {
+            let (class, now) = places_before(clean, apart, token)?;
             let joints = match options.keep_non_manifold {
                 true => Joints::All { touching: touching_in_places((&class, &now), &seams, &apart.mesh) },
                 false => joints_of(&joined, (&class, &now), &apart.mesh),
@@ -206,6 +231,19 @@ impl Preprocessed {
                 separated.joined = Some(topology_unless(&apart.mesh, &adjacency, token)?);
             }
             separated.seams = Some(Arc::new(Seams::new(class, &seams, joints)));
+        }
+        if let Some(pairs) = &self.pairs {
+            let seams = match separated.seams.take().map(Arc::unwrap_or_clone) {
+                Some(seams) => seams,
+                None => {
+                    let class = match &separated.apart {
+                        Some(apart) => places_before(clean, apart, token)?.0,
+                        None => weld_unless(clean, token)?,
+                    };
+                    Seams::new(class, &[], Joints::All { touching: HashSet::new() })
+                }
+            };
+            separated.seams = Some(Arc::new(seams.with_periods(Periods::new(pairs, &options.periodic))));
         }
         if let Some(apart) = separated.apart.as_ref().filter(|apart| !apart.copied.is_empty())
             && !(held.rims.is_empty() && held.vertices.is_empty())
@@ -232,10 +270,10 @@ impl Preprocessed {
         let touching = apart.filter(|(apart, seams)| !(apart.copied.is_empty() && seams.is_empty()));
         let (apart, seams) = touching.map_or((None, &[][..]), |(apart, seams)| (Some(apart), seams));
         let regions = options.attributes.as_ref().and_then(Attributes::regions);
-        let has_creases = !(options.creases.is_empty() || self.divided.is_none());
+        let has_creases = !(options.creases.is_empty() || self.divided.is_empty());
         let by_facets = |zone: &Zone| matches!(zone.part, Part::Region(_) | Part::Facets(_));
         let has_zones = options.density.zones.iter().any(by_facets);
-        if apart.is_none() && regions.is_none() && !has_creases && !has_zones {
+        if apart.is_none() && regions.is_none() && !has_creases && !has_zones && self.inserted.is_empty() {
             return Ok(None);
         }
         let mut adapted = options.clone();
@@ -246,7 +284,7 @@ impl Preprocessed {
         }
         if !(options.creases.is_empty() && seams.is_empty() && regions.is_none()) {
             let class = weld_unless(clean, token)?;
-            if let Some(divided) = &self.divided {
+            for divided in &self.divided {
                 adapted.creases = divided.pieces(&adapted.creases, &class);
             }
             // Where sheets meet, each has a curve, so that all have vertices in the same places.
@@ -256,6 +294,13 @@ impl Preprocessed {
             }
             if let Some(apart) = apart {
                 adapted.creases = edges_of_sheets(&adapted.creases, &class, apart);
+            }
+        }
+        if let DensitySource::Sizes(values) | DensitySource::Weights(values) = &mut adapted.density.source {
+            for &([a, b], share) in &self.inserted {
+                let ends = [a, b].map(|v| values.get(v as usize).copied());
+                let [Some(start), Some(end)] = ends else { break };
+                values.push(start + share * (end - start));
             }
         }
         if let Some(Apart { copied, .. }) = apart {
@@ -268,8 +313,10 @@ impl Preprocessed {
                 DensitySource::Metric(tensors) => extend(tensors, copied),
                 _ => {}
             }
-            let own = 0..clean.positions().len() as u32;
-            let all: Vec<u32> = own.chain(copied.iter().copied()).collect();
+            // No facet of the input has a vertex that was put in.
+            let given = (clean.positions().len() - self.inserted.len()) as u32;
+            let own = (0..given).chain(self.inserted.iter().map(|_| 0));
+            let all: Vec<u32> = own.chain(copied.iter().map(|&v| if v < given { v } else { 0 })).collect();
             adapted.attributes = options.attributes.as_ref().map(|attributes| attributes.of_vertices(&all));
         }
         Ok(Some(adapted))
@@ -309,6 +356,18 @@ impl Preprocessed {
         }
         TriMesh::new(apart.mesh.positions().to_vec(), facets)
     }
+}
+
+/// For each vertex of sheets that are apart, the lowest one that was in its place before, and the lowest one that is there now.
+fn places_before(clean: &TriMesh, apart: &Apart, token: &Token) -> Result<(Vec<u32>, Vec<u32>), Stopped> {
+    let class = weld_unless(clean, token)?;
+    let now = weld_unless(&apart.mesh, token)?;
+    // Of facets: other vertices do not move, and a sheet may have come to where one is.
+    let mut of_place = vec![u32::MAX; now.len()];
+    for &v in apart.mesh.facets().iter().flatten() {
+        of_place[now[v as usize] as usize] = class[apart.before(v) as usize];
+    }
+    Ok((now.iter().map(|&place| of_place[place as usize]).collect(), now))
 }
 
 /// The angle between facets, radians, from which a sheet may be divided.
