@@ -175,10 +175,12 @@ mod tests {
     #[test]
     fn what_does_not_come_to_a_boundary_has_no_pairs() {
         let mesh = strip(&[0.0, 1.0], &[0.0, 1.0]);
-        for motion in ["translate:2,0,0", "translate:1,0.5,0", "translate:1,0,0.001"] {
+        for motion in ["translate:2,0,0", "translate:1,1.5,0", "translate:1,0,0.001"] {
             assert!(pairs(&mesh, motion).0.all.is_empty(), "{motion}");
         }
         assert_eq!(pairs(&mesh, "translate:1,0,0").0.all.len(), 1);
+        // Half of a side.
+        assert_eq!(pairs(&mesh, "translate:1,0.5,0").0.all.len(), 1);
         assert_eq!(pairs(&mesh, "rotate:180,0,0,1,0.5,0.5,0").0.all.len(), 4);
     }
 }

@@ -45,6 +45,10 @@ const MOST_SHOWN: usize = 80;
 impl Plane {
     /// The plane of the places p with `normal`·p = `offset`. `None` if the normal has no direction or a number is not finite.
     pub fn new(normal: DVec3, offset: f64) -> Option<Self> {
+        // A unit normal that was written and read stays as it is.
+        if (normal.length_squared() - 1.0).abs() <= 4.0 * f64::EPSILON && offset.is_finite() {
+            return Some(Self { normal: normal + DVec3::ZERO, offset });
+        }
         // In two steps, so that nothing overflows.
         let largest = normal.abs().max_element();
         let length = largest * (normal / largest).length();
@@ -143,11 +147,15 @@ mod tests {
             (" -x = 3 ", "-x=3"),
             ("0,2,0,3", "y=1.5"),
             ("0,-1e300,0,0", "-y=0"),
-            ("3,0,4,10", "0.6,0,0.8,2"),
+            ("3,0,4,10", "0.6000000000000001,0,0.8,2"),
         ] {
             let plane: Plane = text.parse().unwrap();
             assert_eq!(plane.to_string(), written, "{text}");
             assert_eq!(written.parse::<Plane>().unwrap(), plane, "{text}");
+        }
+        for k in 1..100 {
+            let plane = Plane::new(DVec3::new(f64::from(k), f64::from(k * k % 7), -2.5), 0.3).unwrap();
+            assert_eq!(plane.to_string().parse::<Plane>().unwrap(), plane);
         }
         for text in ["", "w", "x=", "x=nan", "x=inf", "0,0,0,1", "1,2,3", "1,2,3,4,5", "1,0,0,nan", "--x"] {
             assert!(text.parse::<Plane>().is_err(), "{text}");
