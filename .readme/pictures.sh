@@ -1,5 +1,5 @@
 #!/bin/sh
-# Draws the pictures of README.md (.readme/) and of docs/first-steps.md (docs/images/) with the program's own --picture.
+# Draws the pictures of README.md (.readme/), docs/first-steps.md and docs/regions.md (docs/images/) with the program's own --picture.
 # Usage: TESSERA_MESHES=FOLDER .readme/pictures.sh
 # FOLDER holds fandisk.obj. TESSERA names another program than `tessera`.
 set -eu
@@ -28,4 +28,16 @@ sed -n '/^```sh$/,/^```$/{/^```/d;p}' "$root/docs/first-steps.md" | sed 's/--pic
 sh -e steps
 for name in ring even curved block near; do
     install -m 0644 "$name.png" "$root/docs/images/first-steps-$name.png"
+done
+
+# Regions, sheets that meet, and a periodic cell eight times.
+python3 "$root/.readme/regions.py"
+tessera remesh materials.obj --points 1500 -o out.obj --colour region --picture materials.png --picture-size 800x600
+tessera remesh hole.obj --points 900 --keep ring -o out.obj --colour region --picture hole.png --picture-size 800x600
+tessera remesh foam.obj --points 3000 --non-manifold keep -o out.obj --colour region --picture foam.png --picture-size 800x600
+tessera remesh cell.obj --points 700 --periodic translate:1,0,0 --periodic translate:0,1,0 --periodic translate:0,0,1 -o out.obj
+python3 "$root/.readme/regions.py" copies out.obj cells.obj
+tessera measure cells.obj --picture cell.png --picture-size 800x600
+for name in materials hole foam cell; do
+    install -m 0644 "$name.png" "$root/docs/images/regions-$name.png"
 done

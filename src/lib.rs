@@ -74,8 +74,8 @@ pub mod mesh {
     pub use geometry::mesh::{FeatureError, MAX_ELEMENTS, MeshError, TriMesh};
     #[doc(inline)]
     pub use geometry::mesh::{
-        attributes, closest_point, io, measure, metric, motion, numbers, out_of_core, parts, plane, regions, sample, shapes,
-        tensor,
+        attributes, closest_point, io, measure, metric, motion, numbers, out_of_core, parts, plane, regions, sample,
+        shapes, tensor,
     };
 }
 

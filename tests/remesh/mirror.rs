@@ -331,7 +331,7 @@ fn other_options_are_met_on_both_sides() {
     assert_mirrored("crease", &mesh, frame.plane, &done);
     let along = (frame.turn * DVec3::Y, (frame.turn * DVec3::Y).dot(frame.shift) + height);
     let on = |p: &&DVec3| (along.0.dot(**p) - along.1).abs() < 1e-6;
-    let (front, behind): (Vec<_>, Vec<_>) =
+    let (front, behind): (Vec<DVec3>, Vec<DVec3>) =
         done.mesh.positions().iter().filter(on).partition(|&&p| frame.plane.height(p) > 0.0);
     // Edges are about 0.055 long.
     assert!(front.len() >= 7 && behind.len() >= 7, "{} {}", front.len(), behind.len());

@@ -160,9 +160,15 @@ mod tests {
             assert_eq!(motion.to_string(), written, "{text}");
             assert_eq!(written.parse::<Motion>().unwrap(), motion, "{text}");
         }
-        let wrong = ["", "x", "translate:", "translate:0,0,0", "translate:1,2", "translate:1,2,nan", "rotate:60", "move:1,0,0"];
-        for text in wrong.into_iter().chain(["rotate:0,z", "rotate:360,z", "rotate:60,0,0,0", "rotate:60,1,2,3,4", "rotate:nan,x"])
-        {
+        let wrong =
+            ["", "x", "translate:", "translate:0,0,0", "translate:1,2", "translate:1,2,nan", "rotate:60", "move:1,0,0"];
+        for text in wrong.into_iter().chain([
+            "rotate:0,z",
+            "rotate:360,z",
+            "rotate:60,0,0,0",
+            "rotate:60,1,2,3,4",
+            "rotate:nan,x",
+        ]) {
             assert!(text.parse::<Motion>().is_err(), "{text}");
         }
     }

@@ -92,8 +92,7 @@ pub fn remesh(
     if options.keeps_parts() && matches!(options.seeds, Seeds::Given(_)) {
         return Err(RemeshError::KeptBesideSeeds);
     }
-    let pairs =
-        [("a mirror plane", options.mirror.is_some()), ("periodic boundaries", !options.periodic.is_empty())];
+    let pairs = [("a mirror plane", options.mirror.is_some()), ("periodic boundaries", !options.periodic.is_empty())];
     for (one, _) in pairs.into_iter().filter(|pair| pair.1) {
         let others = [
             ("seeds", matches!(options.seeds, Seeds::Given(_))),

@@ -94,7 +94,9 @@ impl Seams {
     /// Whether a curve is a boundary that a motion takes to another.
     pub(crate) fn is_periodic(&self, curve: &Curve) -> bool {
         let known: Vec<u32> = curve.vertices.iter().filter_map(|&v| self.class(v)).collect();
-        self.periods.as_ref().is_some_and(|periods| known.windows(2).any(|pair| periods.edge([pair[0], pair[1]]).is_some()))
+        self.periods
+            .as_ref()
+            .is_some_and(|periods| known.windows(2).any(|pair| periods.edge([pair[0], pair[1]]).is_some()))
     }
 
     fn class(&self, v: u32) -> Option<u32> {

@@ -61,7 +61,7 @@ pub(super) fn remesh(
         }
         let done = run(&half.mesh, &own).map_err(whole)?;
         token.check()?;
-        let seam = Seam::of(&done.mesh, (plane, reach), options.keep_non_manifold, token)?;
+        let seam = Seam::of(&done, (plane, reach), options.keep_non_manifold, token)?;
         if let (Some(asked), Some(points), None) = (asked, &mut points, &options.refine)
             && round < HALF_COUNT_ROUNDS
         {
@@ -122,8 +122,15 @@ struct Seam {
 
 impl Seam {
     /// `all`: also vertices and edges in the plane that are on no boundary.
-    fn of(mesh: &TriMesh, (plane, reach): (Plane, f64), all: bool, token: &Token) -> Result<Self> {
-        let near: Vec<bool> = mesh.positions().iter().map(|&p| plane.height(p).abs() <= reach).collect();
+    fn of(
+        Remesh { mesh, seeds, vertex_seed, .. }: &Remesh,
+        (plane, reach): (Plane, f64),
+        all: bool,
+        token: &Token,
+    ) -> Result<Self> {
+        // The fit moves vertices a little off the plane, but no seeds of curves.
+        let near: Vec<bool> =
+            vertex_seed.iter().map(|&seed| plane.height(seeds[seed as usize]).abs() <= reach).collect();
         let adjacency = Adjacency::unless(mesh, token)?;
         let mut shared = if all { near.clone() } else { vec![false; near.len()] };
         let mut edges = 0;
@@ -177,9 +184,8 @@ impl Seam {
         let facets = facets.chain(own.iter().map(|&[a, b, c]| of(&second, [a, c, b]))).collect();
         let there = |&[a, b]: &[u32; 2]| used[a as usize] && used[b as usize];
         let curves: Vec<[u32; 2]> = done.curve_edges.iter().copied().filter(there).collect();
-        let both = |number: &[u32]| -> Vec<[u32; 2]> {
-            curves.iter().map(|edge| edge.map(|v| number[v as usize])).collect()
-        };
+        let both =
+            |number: &[u32]| -> Vec<[u32; 2]> { curves.iter().map(|edge| edge.map(|v| number[v as usize])).collect() };
         let on_seam = |edge: &[u32; 2]| edge.iter().all(|&v| self.shared[v as usize]);
         let (seam, beside): (Vec<_>, Vec<_>) = curves.iter().zip(both(&first)).partition(|(edge, _)| on_seam(edge));
         let reflected = curves.iter().zip(both(&second)).filter(|(edge, _)| !on_seam(edge)).map(|(_, edge)| edge);

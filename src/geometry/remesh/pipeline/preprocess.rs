@@ -146,7 +146,9 @@ impl Preprocessed {
     /// Finds the boundaries that motions take to others, and gives both the same vertices.
     pub(super) fn pair(&mut self, given: &TriMesh, motions: &[Motion], token: &Token) -> Result<()> {
         let reach = periodic::reach(given);
-        if let Some(Divided { mesh, origin, edges, inserted }) = pairs::complete(self.mesh(given), motions, reach, token)? {
+        if let Some(Divided { mesh, origin, edges, inserted }) =
+            pairs::complete(self.mesh(given), motions, reach, token)?
+        {
             self.origin = Some(match &self.origin {
                 Some(before) => origin.iter().map(|&f| before[f as usize]).collect(),
                 None => origin,

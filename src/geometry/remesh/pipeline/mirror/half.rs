@@ -119,9 +119,8 @@ impl Half {
             match left[..] {
                 [a, b, c] => facets.push([a, b, c]),
                 [a, b, c, d] => {
-                    let [one, other] = [[a, c], [b, d]].map(|[v, w]| {
-                        cutter.places[v as usize].distance_squared(cutter.places[w as usize])
-                    });
+                    let [one, other] = [[a, c], [b, d]]
+                        .map(|[v, w]| cutter.places[v as usize].distance_squared(cutter.places[w as usize]));
                     facets.extend(if one <= other { [[a, b, c], [a, c, d]] } else { [[a, b, d], [b, c, d]] });
                 }
                 _ => {}
@@ -172,11 +171,13 @@ impl Half {
         }
         // The other half carries something too, so that the whole gets its attributes from the whole.
         let regions = options.attributes.as_ref().and_then(Attributes::regions);
-        own.attributes = regions.map(|regions| -> Result<_, AttributeError> {
-            let mut attributes = Attributes::new(&self.mesh);
-            attributes.set_regions(regions.of(Some(&self.origin)).into_owned())?;
-            Ok(attributes)
-        }).transpose()?;
+        own.attributes = regions
+            .map(|regions| -> Result<_, AttributeError> {
+                let mut attributes = Attributes::new(&self.mesh);
+                attributes.set_regions(regions.of(Some(&self.origin)).into_owned())?;
+                Ok(attributes)
+            })
+            .transpose()?;
         let vertices = given.positions().len();
         match &mut own.density.source {
             DensitySource::Sizes(values) | DensitySource::Weights(values) if values.len() != vertices => {
