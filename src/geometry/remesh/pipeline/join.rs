@@ -3,10 +3,11 @@
 //! Purpose: [`join`] makes one vertex of those that several sheets, or pieces of one, have in one place on a curve.
 //! Invariant: facets keep their numbers and corners their places. Must not know: how sheets came to have the same vertices.
 
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 
 use super::Carried;
 use super::extract::Built;
+use crate::mesh::edges::undirected;
 use crate::mesh::{MeshError, TriMesh};
 use crate::remesh::features::KeptCurves;
 use crate::remesh::features::seams::Joint;
@@ -37,6 +38,9 @@ pub(super) fn join(built: &mut Built, curves: &KeptCurves, carried: &mut Carried
     built.mesh = TriMesh::new(places, facets)?;
     built.vertex_seed = kept.iter().map(|&v| built.vertex_seed[v as usize]).collect();
     built.curve_edges.iter_mut().for_each(|edge| *edge = edge.map(renumbered));
+    // Copies of a curve are one now.
+    let mut met: HashSet<[u32; 2]> = HashSet::new();
+    built.curve_edges.retain(|&edge| met.insert(undirected(edge)));
     built.segments.iter_mut().flatten().for_each(|edge| *edge = edge.map(renumbered));
     if !carried.provenance.is_empty() {
         carried.provenance = kept.iter().map(|&v| carried.provenance[v as usize]).collect();

@@ -6,6 +6,7 @@
 
 mod half;
 
+use std::collections::HashMap;
 use std::time::Instant;
 
 use glam::DVec3;
@@ -16,6 +17,7 @@ use crate::mesh::TriMesh;
 use crate::mesh::adjacency::{Adjacency, EdgeKind, weld_unless};
 use crate::mesh::closest_point::ClosestPoint;
 use crate::mesh::crossings::crossings;
+use crate::mesh::edges::{sides, undirected};
 use crate::mesh::features::Features;
 use crate::mesh::measure::{coincident_vertices, topology_unless};
 use crate::mesh::plane::Plane;
@@ -62,6 +64,13 @@ pub(super) fn remesh(
         let done = run(&half.mesh, &own).map_err(whole)?;
         token.check()?;
         let seam = Seam::of(&done, (plane, reach), options.keep_non_manifold, token)?;
+        if seam.chords > 0 {
+            let Some(points) = points.as_mut().filter(|_| round < HALF_COUNT_ROUNDS) else {
+                return Err(RemeshError::TooFewSeeds { seeds: done.seeds.len(), least: 2 * done.seeds.len() });
+            };
+            *points += *points / 4 + 1;
+            continue;
+        }
         if let (Some(asked), Some(points), None) = (asked, &mut points, &options.refine)
             && round < HALF_COUNT_ROUNDS
         {
@@ -116,8 +125,12 @@ fn asymmetry(given: &TriMesh, plane: Plane, half: &TriMesh, token: &Token) -> Re
 struct Seam {
     /// For each vertex, whether both halves have it.
     shared: Vec<bool>,
-    /// How many edges.
+    /// Those of the half that are not flat in the plane, where they would lie on their mirror images.
+    facets: Vec<[u32; 3]>,
+    /// How many edges both halves have.
     edges: usize,
+    /// Edges within the half between vertices of the seam, which would have four facets.
+    chords: usize,
 }
 
 impl Seam {
@@ -133,16 +146,20 @@ impl Seam {
             vertex_seed.iter().map(|&seed| plane.height(seeds[seed as usize]).abs() <= reach).collect();
         let adjacency = Adjacency::unless(mesh, token)?;
         let mut shared = if all { near.clone() } else { vec![false; near.len()] };
-        let mut edges = 0;
         for half_edge in (0..3 * mesh.facets().len()).filter(|&h| adjacency.kind(h) == EdgeKind::Boundary) {
-            let corners = mesh.facets()[half_edge / 3];
-            let edge = [corners[half_edge % 3], corners[(half_edge + 1) % 3]];
+            let edge = sides(mesh.facets()[half_edge / 3])[half_edge % 3];
             if edge.iter().all(|&v| near[v as usize]) {
                 edge.iter().for_each(|&v| shared[v as usize] = true);
-                edges += 1;
             }
         }
-        Ok(Self { shared, edges })
+        let on_seam = |corners: &[u32]| corners.iter().all(|&v| shared[v as usize]);
+        let facets: Vec<[u32; 3]> = mesh.facets().iter().copied().filter(|t| !on_seam(t)).collect();
+        let mut of_edge: HashMap<[u32; 2], usize> = HashMap::new();
+        for edge in facets.iter().flat_map(|&t| sides(t)).filter(|edge| on_seam(edge)) {
+            *of_edge.entry(undirected(edge)).or_default() += 1;
+        }
+        let chords = if all { 0 } else { of_edge.values().filter(|&&count| count > 1).count() };
+        Ok(Self { shared, facets, edges: of_edge.len() - chords, chords })
     }
 
     fn vertices(&self) -> usize {
@@ -152,8 +169,7 @@ impl Seam {
     /// The half with its mirror image, and its curve edges without those of the seam. Attributes, provenance and the figures of the result
     /// are the half's.
     fn double(&self, plane: Plane, mut done: Remesh) -> Result<(Remesh, Vec<[u32; 2]>)> {
-        let is_flat = |t: &[u32; 3]| t.iter().all(|&v| self.shared[v as usize]);
-        let own: Vec<[u32; 3]> = done.mesh.facets().iter().copied().filter(|t| !is_flat(t)).collect();
+        let own = &self.facets;
         let mut used = vec![false; self.shared.len()];
         own.iter().flatten().for_each(|&v| used[v as usize] = true);
         let (mut first, mut second) = (vec![u32::MAX; used.len()], vec![u32::MAX; used.len()]);
