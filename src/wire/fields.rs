@@ -223,7 +223,7 @@ mod tests {
         }
         assert_eq!(fields.set("point", "1"), Ok(false));
         assert_eq!(fields.set("keep", "steel; box:0,0,0,1,1,1;"), Ok(true));
-        assert_eq!(fields.set("mirror", " -x=0.5"), Ok(true));
+        assert_eq!(fields.set("mirror", "-x=0.5"), Ok(true));
         assert_eq!(fields.set("periodic", "translate:1,0,0;rotate:-60,z"), Ok(true));
         for (name, text) in
             [("points", "1.5"), ("density", "blue"), ("gradation", "nan"), ("lloyd", "5e9"), ("thin", "")]
