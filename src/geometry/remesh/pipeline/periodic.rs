@@ -59,7 +59,7 @@ pub(super) fn settle(
             paired.extend([edge, other]);
             for (from, to) in edge.into_iter().zip([a, b]).filter(|(from, to)| from != to) {
                 let known = next.entry(from).or_default();
-                if !known.iter().any(|step| *step == (to, motion)) {
+                if !known.contains(&(to, motion)) {
                     known.push((to, motion));
                 }
                 arrived.insert(to);

@@ -22,6 +22,9 @@ pub(crate) struct Moved {
     pub(crate) turn: DMat3,
 }
 
+/// An edge that a motion takes one to, whether ascending vertices become descending ones, and the turn to there.
+type Next = ([u32; 2], bool, DMat3);
+
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Periods {
     /// By the vertices of an edge, the lower one first.
@@ -35,8 +38,7 @@ pub(crate) struct Periods {
 impl Periods {
     /// Vertices are the lowest ones in their places.
     pub(crate) fn new(Pairs { all, boundary, .. }: &Pairs, motions: &[Motion]) -> Self {
-        // For each edge the next ones, with the turn to there and whether ascending vertices become descending ones.
-        let mut next: BTreeMap<[u32; 2], Vec<([u32; 2], bool, DMat3)>> = BTreeMap::new();
+        let mut next: BTreeMap<[u32; 2], Vec<Next>> = BTreeMap::new();
         let mut arrived: HashSet<[u32; 2]> = HashSet::new();
         let mut signs: HashMap<[u32; 2], BTreeSet<(u32, bool)>> = HashMap::new();
         for &Pair { motion, from, to } in all {
