@@ -493,6 +493,15 @@ pub enum RemeshError {
         /// The plane.
         plane: Plane,
     },
+    /// Points are too few for the curves in the mirror plane.
+    #[error(
+        "the points are too few near the mirror plane {plane}, where curves of the surface are close to each other; give more points, shorter \
+         edges, or another plane"
+    )]
+    SeamLost {
+        /// The plane.
+        plane: Plane,
+    },
     /// A motion takes no boundary to another.
     #[error("{motion} takes no edge of a boundary to another boundary, within {reach:.1e}; check its numbers")]
     NotPeriodic {

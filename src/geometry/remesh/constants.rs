@@ -479,3 +479,7 @@ pub(super) const TAKEN_COSINE: f64 = 0.1;
 pub(super) const MATCH_DIAGONAL: f64 = 1e-6;
 /// Times that a half is remeshed again for a number of vertices of the whole.
 pub(super) const HALF_COUNT_ROUNDS: usize = 2;
+/// Vertices between the ends of an edge that a boundary lacks, at most.
+pub(super) const MOST_IN_NOTCH: usize = 4;
+/// A vertex at which the ends of such an edge are seen under a wider angle is taken out instead: cosine of 135°.
+pub(super) const WIDEST_NOTCH_COSINE: f64 = -0.707;

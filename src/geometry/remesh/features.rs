@@ -28,6 +28,7 @@ use crate::rvd::{Frame, Surface};
 use crate::token::{Stopped, Token};
 use envelope::CurveSample;
 use polyline::{Polyline, Stretch};
+use seams::periods::Signs;
 use seams::{Joint, Seams};
 
 /// For each seed, whether it stays at its place.
@@ -56,6 +57,8 @@ pub(crate) struct Held<'a> {
     pub(crate) rims: &'a [[u32; 2]],
     /// Vertices that stay where they are.
     pub(crate) vertices: &'a [u32],
+    /// Whether all boundaries have all of their edges, since something else meets them there.
+    pub(crate) closes: bool,
 }
 
 #[derive(Clone, Debug, Default)]
@@ -73,6 +76,8 @@ pub(crate) struct KeptCurves {
     joints: Vec<Option<Joint>>,
     /// Seeds that are joined to others.
     copies: usize,
+    /// As for [`Held`].
+    closes: bool,
 }
 
 impl KeptCurves {
@@ -82,7 +87,7 @@ impl KeptCurves {
         plan: &Plan<'_>,
         surface: &Surface,
         (options, by_error): (&RemeshOptions, bool),
-        Held { seams, rims, vertices }: Held<'_>,
+        Held { seams, rims, vertices, closes }: Held<'_>,
         token: &Token,
     ) -> Result<Self, RemeshError> {
         Features::check(mesh, options.crease_angle_deg, &options.creases, token)?;
@@ -155,7 +160,17 @@ impl KeptCurves {
                 if seeds.len() as f64 <= most_of(creases(&features)) * points as f64 {
                     let stays = staying(&seeds, &features);
                     let seams = seams.cloned();
-                    return Ok(Self { features, seeds, dropped_curves, has_regions, seams, stays, joints, copies });
+                    return Ok(Self {
+                        features,
+                        seeds,
+                        dropped_curves,
+                        has_regions,
+                        seams,
+                        stays,
+                        joints,
+                        copies,
+                        closes,
+                    });
                 }
             }
             let creases = creases(&features);
@@ -331,19 +346,32 @@ impl KeptCurves {
         self.stays.get(seed as usize).copied().unwrap_or(false)
     }
 
-    fn is_periodic(&self, curve: &Curve) -> bool {
-        self.seams.as_ref().is_some_and(|seams| seams.is_periodic(curve))
+    /// For each seed whether it is on a boundary.
+    pub(crate) fn on_boundaries(&self) -> Vec<bool> {
+        let mut on = vec![false; self.seeds.len()];
+        let kind = |s: &&Segment| self.features.curves[s.curve as usize].kind == CurveKind::Boundary;
+        self.seeds.segments.iter().filter(kind).flat_map(|s| s.ends).for_each(|seed| on[seed as usize] = true);
+        on
     }
 
-    /// For each edge that a result is to have at a boundary that a motion takes to another: its seeds, and the edge if the result has it;
-    /// `edges` are those of [`KeptCurves::edges_in`].
+    /// The ends of boundary edges that a result lacks and has to have, as [`KeptCurves::missing`].
+    pub(crate) fn missing_closing(&self, edges: &[Option<[u32; 2]>], vertex_seed: &[u32]) -> Vec<[u32; 2]> {
+        if self.closes { self.missing(edges, vertex_seed, |kind| kind == CurveKind::Boundary) } else { Vec::new() }
+    }
+
+    fn signs(&self, curve: &Curve) -> Option<&Signs> {
+        self.seams.as_ref().and_then(|seams| seams.signs(curve))
+    }
+
+    /// For each edge that a result is to have at a boundary that a motion takes to another: its seeds, the motions, and the edge if the
+    /// result has it; `edges` are those of [`KeptCurves::edges_in`].
     pub(crate) fn periodic<'a>(
         &'a self,
         edges: &'a [Option<[u32; 2]>],
-    ) -> impl Iterator<Item = ([u32; 2], Option<[u32; 2]>)> + 'a {
-        let periodic: Vec<bool> = self.features.curves.iter().map(|curve| self.is_periodic(curve)).collect();
+    ) -> impl Iterator<Item = ([u32; 2], &'a Signs, Option<[u32; 2]>)> + 'a {
+        let signs: Vec<Option<&Signs>> = self.features.curves.iter().map(|curve| self.signs(curve)).collect();
         let segments = self.seeds.segments.iter().zip(edges);
-        segments.filter(move |(segment, _)| periodic[segment.curve as usize]).map(|(s, &edge)| (s.ends, edge))
+        segments.filter_map(move |(segment, &edge)| Some((segment.ends, signs[segment.curve as usize]?, edge)))
     }
 
     pub(crate) fn is_corner(&self, seed: u32) -> bool {
@@ -405,7 +433,7 @@ impl KeptCurves {
     pub(crate) fn figures(&self, edges: &[Option<[u32; 2]>]) -> FeatureFigures {
         // Where sheets are joined again, their boundaries are none of the result.
         let kind = |(k, c): (u32, &Curve)| match c.kind {
-            CurveKind::Boundary if self.seeds.is_shared(k) && !self.is_periodic(c) => CurveKind::Crease,
+            CurveKind::Boundary if self.seeds.is_shared(k) && self.signs(c).is_none() => CurveKind::Crease,
             kind => kind,
         };
         let own = || (0..).zip(&self.features.curves).filter(|(_, c)| !c.is_rim);

@@ -8,6 +8,7 @@
 //! Must not know: seeds, diagrams, distances, why something changes.
 
 pub(super) mod boundary_ears;
+pub(super) mod notches;
 pub(super) mod repair;
 mod resize;
 pub(super) mod rims;

@@ -155,7 +155,7 @@ fn remesh_parts(
     if let Some(plane) = options.mirror {
         return on_threads_of(backend, || {
             let mut run = |half: &TriMesh, options: &RemeshOptions| {
-                run_stages((half, Held::default()), options, backend, &mut *observer, token)
+                run_stages((half, Held { closes: true, ..Held::default() }), options, backend, &mut *observer, token)
             };
             mirror::remesh(given, options, plane, &mut run, token)
         });
@@ -204,7 +204,9 @@ fn run_stages(
     let separated = preprocessed.separate(given, (options, held), token)?;
     let Separated { apart, options: adapted, topology, joined, seams, rims, vertices } = separated;
     let rims = rims.as_deref().unwrap_or(held.rims);
-    let held = Held { seams: seams.as_ref(), rims, vertices: vertices.as_deref().unwrap_or(held.vertices) };
+    let vertices = vertices.as_deref().unwrap_or(held.vertices);
+    let closes = held.closes || !options.periodic.is_empty();
+    let held = Held { seams: seams.as_ref(), rims, vertices, closes };
     let asked = Asked { apart: apart.as_ref(), held, ..asked };
     token.check()?;
     let (clean, options) = (preprocessed.mesh(given), adapted.as_ref().unwrap_or(options));
@@ -287,7 +289,8 @@ fn run_stages(
     if let Some(pairs) = &preprocessed.pairs {
         let of = (&attempt.curves, &attempt.seeds[..]);
         let by = (&options.periodic[..], periodic::reach(given));
-        periodic = Some(periodic::settle(&mut attempt.built, of, by, pairs.unpaired, token)?);
+        let first = pairs.all.first().map_or(DVec3::ZERO, |pair| clean.positions()[pair.from[0] as usize]);
+        periodic = Some(periodic::settle(&mut attempt.built, of, by, (pairs, first), token)?);
     }
 
     job.enter("measure");

@@ -203,6 +203,7 @@ fn of_remesh(error: &RemeshError) -> Fault {
         RemeshError::BadLift { .. } => "header.options.anisotropy".to_owned(),
         RemeshError::Beside { one: "a mirror plane", .. }
         | RemeshError::NothingOnSide { .. }
+        | RemeshError::SeamLost { .. }
         | RemeshError::FacetsInPlane { .. } => "header.options.mirror".to_owned(),
         RemeshError::Beside { one: "periodic boundaries", .. }
         | RemeshError::NotPeriodic { .. }

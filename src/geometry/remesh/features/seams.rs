@@ -15,7 +15,7 @@ use glam::{DMat3, DVec3};
 use crate::cvt::curves::{CurveSeeds, Twin};
 use crate::mesh::edges::undirected;
 use crate::mesh::features::{Curve, Features};
-use periods::Periods;
+use periods::{Periods, Signs};
 
 /// Which copies of a vertex, and of an edge, are one in the end.
 #[derive(Clone, Debug)]
@@ -91,12 +91,11 @@ impl Seams {
         if ends.is_empty() { Vec::new() } else { self.in_places(&ends.iter().copied().collect()) }
     }
 
-    /// Whether a curve is a boundary that a motion takes to another.
-    pub(crate) fn is_periodic(&self, curve: &Curve) -> bool {
-        let known: Vec<u32> = curve.vertices.iter().filter_map(|&v| self.class(v)).collect();
-        self.periods
-            .as_ref()
-            .is_some_and(|periods| known.windows(2).any(|pair| periods.edge([pair[0], pair[1]]).is_some()))
+    /// The motions at a curve, if it is a boundary that one takes to another or another to it.
+    pub(crate) fn signs(&self, curve: &Curve) -> Option<&Signs> {
+        let known: Vec<u32> = curve.round().filter_map(|v| self.class(v)).collect();
+        let periods = self.periods.as_ref()?;
+        known.windows(2).find_map(|pair| periods.signs([pair[0], pair[1]]))
     }
 
     fn class(&self, v: u32) -> Option<u32> {

@@ -24,7 +24,7 @@ use crate::remesh::fit::{self, Target};
 use crate::remesh::improve::MeshEditor;
 use crate::remesh::improve::places::{improve, recover_edge};
 use crate::remesh::improve::shapes::{Mobility, MotionBounds, improve_shapes, restore, tighten};
-use crate::remesh::manifold::{LocalMesh, boundary_ears, repair, rims};
+use crate::remesh::manifold::{LocalMesh, boundary_ears, notches, repair, rims};
 use crate::remesh::report::{AdaptedFigures, RepairFigures};
 use crate::remesh::triangle::Shapes;
 use crate::remesh::{Placement, RemeshError};
@@ -271,17 +271,19 @@ impl<'a> Extraction<'a> {
         Ok(Built { mesh, vertex_seed, segments, curve_edges, repair, missed, metric: None })
     }
 
-    /// Takes the vertices within edges that stay out of the draft.
+    /// Takes the vertices within edges that stay out of the draft, and those that keep boundaries from edges that they have to have.
     fn straighten_rims(&self, draft: &mut Draft<'_>) {
         let within = self.curves.seeds_within_rims();
-        if within.is_empty() {
-            return;
-        }
         let mut of_seed: HashMap<u32, Vec<u32>> = within.iter().map(|&seed| (seed, Vec::new())).collect();
         for (&seed, v) in draft.vertex_seed.iter().zip(0..) {
             of_seed.entry(seed).and_modify(|vertices| vertices.push(v));
         }
-        let vertices: Vec<u32> = within.iter().flat_map(|seed| &of_seed[seed]).copied().collect();
+        let mut vertices: Vec<u32> = within.iter().flat_map(|seed| &of_seed[seed]).copied().collect();
+        let before = draft.facets.len();
+        vertices.extend(self.close_boundaries(draft, false));
+        if vertices.is_empty() && draft.facets.len() == before {
+            return;
+        }
         let gone = rims::take_out(&draft.positions, &mut draft.facets, &vertices);
         let mut number = vec![u32::MAX; draft.positions.len()];
         let kept: Vec<usize> = (0..draft.positions.len()).filter(|&v| !gone.contains(&(v as u32))).collect();
@@ -290,6 +292,23 @@ impl<'a> Extraction<'a> {
         draft.vertex_seed = kept.iter().map(|&v| draft.vertex_seed[v]).collect();
         draft.facets.iter_mut().for_each(|t| *t = t.map(|v| number[v as usize]));
         draft.curve_edges = self.curves.edges_in(&draft.facets, &draft.vertex_seed);
+        self.close_boundaries(draft, true);
+        draft.curve_edges = self.curves.edges_in(&draft.facets, &draft.vertex_seed);
+    }
+
+    /// As [`notches::close`], for the boundaries that have to have all of their edges.
+    fn close_boundaries(&self, draft: &mut Draft<'_>, all: bool) -> Vec<u32> {
+        let missing = self.curves.missing_closing(&draft.curve_edges, &draft.vertex_seed);
+        if missing.is_empty() {
+            return Vec::new();
+        }
+        let Draft { positions, facets, vertex_seed, .. } = draft;
+        let on_boundaries = self.curves.on_boundaries();
+        let may_fill = |v: u32| !on_boundaries.get(vertex_seed[v as usize] as usize).is_some_and(|on| *on);
+        let mut out = notches::close(positions, facets, &missing, may_fill, all);
+        // Vertices of creases stay.
+        out.retain(|&v| !self.curves.has_seed(vertex_seed[v as usize]));
+        out
     }
 
     /// Recovers edges of curves and improves the places that need it. Returns how many places are still far.

@@ -19,10 +19,10 @@ use crate::mesh::closest_point::ClosestPoint;
 use crate::mesh::crossings::crossings;
 use crate::mesh::edges::{sides, undirected};
 use crate::mesh::features::Features;
-use crate::mesh::measure::{coincident_vertices, topology_unless};
+use crate::mesh::measure::{Topology, coincident_vertices, topology_unless};
 use crate::mesh::plane::Plane;
 use crate::remesh::constants::HALF_COUNT_ROUNDS;
-use crate::remesh::report::MirrorFigures;
+use crate::remesh::report::{CountReason, MirrorFigures};
 use crate::remesh::{Remesh, RemeshError, RemeshOptions, Result, Seeds};
 use crate::rvd::{RvdError, elapsed_ms};
 use crate::token::Token;
@@ -57,6 +57,18 @@ pub(super) fn remesh(
     }
     let mut points = asked.map(share);
     let reach = half::reach(given);
+    let input = preprocess(given, own.weld.map(|weld| weld.length(given)), token)?;
+    // An asymmetric input is none that a result can be compared with.
+    let doubled = half.doubled(plane)?;
+    let symmetric = preprocess(&doubled, own.weld.map(|weld| weld.length(given)), token)?;
+    let wanted = symmetric.figures.topology;
+    let whole = |error: RemeshError| match (error, asked) {
+        (RemeshError::TooFewSeeds { .. } | RemeshError::EdgeTooLong { .. }, asked) => {
+            let edge_length = options.density.edge_length.filter(|_| asked.is_none());
+            RemeshError::too_few(asked.unwrap_or(0)).for_surface(&wanted, doubled.area(), edge_length)
+        }
+        (error, _) => error,
+    };
     for round in 0.. {
         if let (Seeds::Sample { points: own, .. }, Some(points)) = (&mut own.seeds, points) {
             *own = points;
@@ -64,9 +76,17 @@ pub(super) fn remesh(
         let done = run(&half.mesh, &own).map_err(whole)?;
         token.check()?;
         let seam = Seam::of(&done, (plane, reach), options.keep_non_manifold, token)?;
-        if seam.chords > 0 {
+        let is_manifold = |of: Topology| of.non_manifold_edges + of.non_manifold_vertices == 0;
+        let was_manifold = is_manifold(done.report.result.topology);
+        let reason = done.report.vertex_count.reason;
+        let joined = seam.edges > 0 || half.seam.is_empty();
+        let (mut done, curve_edges) = seam.double(plane, done)?;
+        let vertices = done.mesh.positions().len();
+        let each = (0..vertices as u32).collect();
+        let of_result = topology_unless(&done.mesh, &Adjacency::with(&done.mesh, each, token)?, token)?;
+        if !joined || was_manifold && !options.keep_non_manifold && !is_manifold(of_result) {
             let Some(points) = points.as_mut().filter(|_| round < HALF_COUNT_ROUNDS) else {
-                return Err(RemeshError::TooFewSeeds { seeds: done.seeds.len(), least: 2 * done.seeds.len() });
+                return Err(RemeshError::SeamLost { plane });
             };
             *points += *points / 4 + 1;
             continue;
@@ -74,41 +94,33 @@ pub(super) fn remesh(
         if let (Some(asked), Some(points), None) = (asked, &mut points, &options.refine)
             && round < HALF_COUNT_ROUNDS
         {
-            let vertices = 2 * done.mesh.positions().len() - seam.vertices();
             let next = (*points as i64 + (asked as i64 - vertices as i64) / 2).max(1) as usize;
-            if !optimize::is_near(vertices, asked) && next != *points && done.report.vertex_count.reason.is_none() {
+            if !optimize::is_near(vertices, asked) && next != *points && reason.is_none() {
                 *points = next;
                 continue;
             }
         }
-        if seam.edges == 0 && !half.seam.is_empty() {
-            return Err(RemeshError::TooFewSeeds { seeds: done.seeds.len(), least: 4 * done.seeds.len() });
-        }
-        let (mut done, curve_edges) = seam.double(plane, done)?;
         let (low, high) = given.bounds();
         let asymmetry_percent = 100.0 * asymmetry(given, plane, &half.mesh, token)? / (high - low).length();
-        finish(given, options, &mut done, MirrorFigures { seam_edges: seam.edges, asymmetry_percent }, token)?;
+        let mirror = MirrorFigures { seam_edges: seam.edges, asymmetry_percent };
+        finish((given, symmetric.mesh(&doubled)), options, &mut done, mirror, token)?;
+        let sheets_meet = options.keep_non_manifold || is_manifold(wanted);
+        // Where sheets meet, the result has them apart, as the half has.
+        if sheets_meet {
+            done.report.topology_changes = wanted.changes(&done.report.result.topology);
+        }
+        done.report.input = input.figures;
         done.curve_edges = curve_edges;
-        if let Some(asked) = asked {
-            done.report.vertex_count.asked = asked;
-        } else {
-            done.report.vertex_count.asked = 2 * done.report.vertex_count.asked - seam.vertices();
-        }
-        if optimize::is_near(done.mesh.positions().len(), done.report.vertex_count.asked) {
-            done.report.vertex_count.reason = None;
-        }
+        let count = &mut done.report.vertex_count;
+        count.asked = asked.unwrap_or(2 * count.asked - seam.vertices().min(count.asked));
+        count.reason = match optimize::is_near(vertices, count.asked) {
+            true => None,
+            false => Some(count.reason.unwrap_or(CountReason::CloseSheets)),
+        };
         done.report.timings_ms.total = elapsed_ms(begin);
         return Ok(done);
     }
     Err(RvdError::Internal("a mirrored surface has no result".to_owned()).into())
-}
-
-/// An error of a half, said of the whole.
-fn whole(error: RemeshError) -> RemeshError {
-    match error {
-        RemeshError::TooFewSeeds { seeds, least } => RemeshError::TooFewSeeds { seeds: 2 * seeds, least: 2 * least },
-        error => error,
-    }
 }
 
 /// How far the input's other half is from the mirror image of the one that is remeshed, caller's units.
@@ -129,8 +141,6 @@ struct Seam {
     facets: Vec<[u32; 3]>,
     /// How many edges both halves have.
     edges: usize,
-    /// Edges within the half between vertices of the seam, which would have four facets.
-    chords: usize,
 }
 
 impl Seam {
@@ -158,8 +168,7 @@ impl Seam {
         for edge in facets.iter().flat_map(|&t| sides(t)).filter(|edge| on_seam(edge)) {
             *of_edge.entry(undirected(edge)).or_default() += 1;
         }
-        let chords = if all { 0 } else { of_edge.values().filter(|&&count| count > 1).count() };
-        Ok(Self { shared, facets, edges: of_edge.len() - chords, chords })
+        Ok(Self { shared, facets, edges: of_edge.len() })
     }
 
     fn vertices(&self) -> usize {
@@ -174,9 +183,11 @@ impl Seam {
         own.iter().flatten().for_each(|&v| used[v as usize] = true);
         let (mut first, mut second) = (vec![u32::MAX; used.len()], vec![u32::MAX; used.len()]);
         let (mut places, mut of_seed) = (Vec::new(), Vec::new());
+        // The fit brings vertices beyond the plane where the surface touches it.
+        let is_in_plane = |v: usize, p: DVec3| self.shared[v] || plane.height(p) < 0.0;
         for (v, &p) in done.mesh.positions().iter().enumerate().filter(|(v, _)| used[*v]) {
             first[v] = places.len() as u32;
-            places.push(if self.shared[v] { plane.project(p) } else { p });
+            places.push(if is_in_plane(v, p) { plane.project(p) } else { p });
             of_seed.push(done.vertex_seed[v]);
         }
         let mut image: Vec<Option<u32>> = vec![None; done.seeds.len()];
@@ -186,7 +197,7 @@ impl Seam {
                 continue;
             }
             second[v] = places.len() as u32;
-            places.push(plane.reflect(done.mesh.positions()[v]));
+            places.push(plane.reflect(places[first[v] as usize]));
             let seed = done.vertex_seed[v] as usize;
             let next = done.seeds.len() as u32;
             let reflected = *image[seed].get_or_insert(next);
@@ -213,37 +224,29 @@ impl Seam {
     }
 }
 
-/// What is known of the whole result.
+/// What is known of the whole result; `symmetric` is the input whose other half is the mirror image of the one that was remeshed.
 fn finish(
-    given: &TriMesh,
+    (given, symmetric): (&TriMesh, &TriMesh),
     options: &RemeshOptions,
     done: &mut Remesh,
     mirror: MirrorFigures,
     token: &Token,
 ) -> Result<()> {
-    let whole = preprocess(given, options.weld.map(|weld| weld.length(given)), token)?;
     let mesh = &done.mesh;
     // Also along the seam, so that each half has its own regions.
     let Carried { attributes, provenance, regions } =
         carry(given, options.attributes.as_ref(), (mesh, &done.curve_edges), token)?;
     (done.attributes, done.provenance) = (attributes, provenance);
-    let report = &mut done.report;
-    let result = &mut report.result;
+    let result = &mut done.report.result;
     (result.vertices, result.facets) = (mesh.positions().len(), mesh.facets().len());
     result.topology = topology_unless(mesh, &Adjacency::unless(mesh, token)?, token)?;
     result.coincident_vertices = coincident_vertices(mesh, token)?;
     result.regions = regions;
     result.mirror = Some(mirror);
     if options.measure {
-        (result.quality, result.lost) = Some(compare(whole.mesh(given), None, mesh, token)?).unzip();
+        (result.quality, result.lost) = Some(compare(symmetric, None, mesh, token)?).unzip();
         result.crossings = Some(crossings(mesh, token)?);
     }
-    let wanted = whole.figures.topology;
-    // Where sheets meet, the result has them apart, as the half has.
-    if options.keep_non_manifold || wanted.non_manifold_edges + wanted.non_manifold_vertices == 0 {
-        report.topology_changes = wanted.changes(&result.topology);
-    }
-    report.input = whole.figures;
-    report.vertex_count.seeds = done.seeds.len();
+    done.report.vertex_count.seeds = done.seeds.len();
     Ok(())
 }

@@ -5,7 +5,7 @@
 //! Invariant: a vertex is the motion of its partner, to the bit; at corners of several motions one of them is. Where an edge is lacking
 //! there is an error, and no result. Must not know: how seeds came about.
 
-use std::collections::{BTreeSet, HashMap, VecDeque};
+use std::collections::{BTreeSet, HashMap, HashSet, VecDeque};
 
 use glam::DVec3;
 
@@ -14,9 +14,10 @@ use crate::mesh::TriMesh;
 use crate::mesh::adjacency::Adjacency;
 use crate::mesh::edges::undirected;
 use crate::mesh::motion::Motion;
-use crate::mesh::pairs::{Places, boundary_of};
+use crate::mesh::pairs::{Pairs, Places, boundary_of};
 use crate::remesh::constants::MATCH_DIAGONAL;
 use crate::remesh::features::KeptCurves;
+use crate::remesh::features::seams::periods::Signs;
 use crate::remesh::report::PeriodicFigures;
 use crate::remesh::{RemeshError, Result};
 use crate::rvd::RvdError;
@@ -28,12 +29,12 @@ pub(super) fn reach(mesh: &TriMesh) -> f64 {
     MATCH_DIAGONAL * (high - low).length()
 }
 
-/// `unpaired_edges` are those of the input; seeds are in the caller's coordinates.
+/// `pairs` are those of the input, one of them at `first`; seeds are in the caller's coordinates.
 pub(super) fn settle(
     built: &mut Built,
     (curves, seeds): (&KeptCurves, &[DVec3]),
     (motions, reach): (&[Motion], f64),
-    unpaired_edges: usize,
+    (pairs, first): (&Pairs, DVec3),
     token: &Token,
 ) -> Result<PeriodicFigures> {
     let mesh = &built.mesh;
@@ -44,9 +45,10 @@ pub(super) fn settle(
     let image = |motion: &Motion, v: u32| places.nearest(motion.apply(mesh.positions()[v as usize]), 3.0 * reach);
     let mut next: HashMap<u32, Vec<(u32, &Motion)>> = HashMap::new();
     let mut arrived: BTreeSet<u32> = BTreeSet::new();
-    let mut paired: BTreeSet<[u32; 2]> = BTreeSet::new();
+    // By edge, motion, and whether that ends there.
+    let mut paired: HashSet<([u32; 2], u32, bool)> = HashSet::new();
     let mut edges = 0;
-    for motion in motions {
+    for (motion, k) in motions.iter().zip(0..) {
         token.check()?;
         let images: HashMap<u32, u32> = vertices.iter().filter_map(|&v| Some((v, image(motion, v)?))).collect();
         for &edge in &boundary {
@@ -56,7 +58,7 @@ pub(super) fn settle(
                 continue;
             }
             edges += 1;
-            paired.extend([edge, other]);
+            paired.extend([(edge, k, false), (other, k, true)]);
             for (from, to) in edge.into_iter().zip([a, b]).filter(|(from, to)| from != to) {
                 let known = next.entry(from).or_default();
                 if !known.contains(&(to, motion)) {
@@ -67,21 +69,23 @@ pub(super) fn settle(
         }
     }
     let class = |edge: [u32; 2]| undirected(edge.map(|v| adjacency.representative()[v as usize]));
-    let is_lost = |(_, edge): &([u32; 2], Option<[u32; 2]>)| edge.is_none_or(|edge| !paired.contains(&class(edge)));
+    let is_lost = |(_, signs, edge): &([u32; 2], &Signs, Option<[u32; 2]>)| {
+        edge.is_none_or(|edge| !signs.iter().all(|&(motion, ends)| paired.contains(&(class(edge), motion, ends))))
+    };
     let mut lost = curves.periodic(&built.segments).filter(is_lost);
-    if let Some(([a, b], _)) = lost.next() {
+    if let Some(([a, b], ..)) = lost.next() {
         let place = seeds[a as usize].midpoint(seeds[b as usize]);
         return Err(RemeshError::PeriodicLost { edges: 1 + lost.count(), place });
     }
     drop(lost);
     if edges == 0 {
-        return Err(RemeshError::TooFewSeeds { seeds: seeds.len(), least: 2 * seeds.len() });
+        return Err(RemeshError::PeriodicLost { edges: pairs.all.len(), place: first });
     }
     let mut positions = mesh.positions().to_vec();
     let mut settled: BTreeSet<u32> = BTreeSet::new();
-    let (later, first): (Vec<u32>, Vec<u32>) = vertices.iter().partition(|v| arrived.contains(v));
+    let (later, roots): (Vec<u32>, Vec<u32>) = vertices.iter().partition(|v| arrived.contains(v));
     // Motions may come back to where they began, as half a turn does.
-    for root in first.into_iter().chain(later) {
+    for root in roots.into_iter().chain(later) {
         if !settled.insert(root) {
             continue;
         }
@@ -101,5 +105,5 @@ pub(super) fn settle(
     }
     let broken = |e| RvdError::Internal(format!("a surface was valid before its boundaries were moved: {e}"));
     built.mesh = TriMesh::new(positions, mesh.facets().to_vec()).map_err(broken)?;
-    Ok(PeriodicFigures { edges, unpaired_edges })
+    Ok(PeriodicFigures { edges, unpaired_edges: pairs.unpaired })
 }

@@ -31,16 +31,21 @@ pub(crate) struct Periods {
     edges: HashMap<[u32; 2], Moved>,
     /// For a vertex of such an edge the first one of its class.
     vertices: HashMap<u32, u32>,
-    /// Vertices between edges with different motions.
+    /// Vertices between edges with different motions, and such as divide boundaries that motions take to themselves.
     ends: Vec<u32>,
+    /// The motions that take an edge to another, and those that take another to it, by its vertices, the lower one first.
+    signs: HashMap<[u32; 2], Signs>,
 }
+
+/// Motions, and whether they end at an edge or begin there.
+pub(crate) type Signs = BTreeSet<(u32, bool)>;
 
 impl Periods {
     /// Vertices are the lowest ones in their places.
     pub(crate) fn new(Pairs { all, boundary, .. }: &Pairs, motions: &[Motion]) -> Self {
         let mut next: BTreeMap<[u32; 2], Vec<Next>> = BTreeMap::new();
         let mut arrived: HashSet<[u32; 2]> = HashSet::new();
-        let mut signs: HashMap<[u32; 2], BTreeSet<(u32, bool)>> = HashMap::new();
+        let mut signs: HashMap<[u32; 2], Signs> = HashMap::new();
         for &Pair { motion, from, to } in all {
             let (a, b) = (undirected(from), undirected(to));
             let reversed = (a == from) != (b == to);
@@ -75,12 +80,18 @@ impl Periods {
         for (a, b) in all.iter().flat_map(|pair| pair.from.into_iter().zip(pair.to)) {
             classes.join(index(a), index(b));
         }
-        let vertices = known.iter().map(|&v| (v, known[classes.root(index(v))])).collect();
+        let vertices: HashMap<u32, u32> = known.iter().map(|&v| (v, known[classes.root(index(v))])).collect();
         let mut around: BTreeMap<u32, Vec<[u32; 2]>> = BTreeMap::new();
         boundary.iter().for_each(|&edge| edge.iter().for_each(|&v| around.entry(v).or_default().push(edge)));
         let differ = |edges: &[[u32; 2]]| edges.windows(2).any(|pair| signs.get(&pair[0]) != signs.get(&pair[1]));
-        let ends = around.into_iter().filter(|(_, edges)| differ(edges)).map(|(v, _)| v).collect();
-        Self { edges, vertices, ends }
+        let mut ends: BTreeSet<u32> = around.iter().filter(|(_, edges)| differ(edges)).map(|(&v, _)| v).collect();
+        ends.extend(dividing(&edges, &vertices, &around, &ends));
+        Self { edges, vertices, ends: ends.into_iter().collect(), signs }
+    }
+
+    /// The motions at an edge.
+    pub(crate) fn signs(&self, edge: [u32; 2]) -> Option<&Signs> {
+        self.signs.get(&undirected(edge))
     }
 
     /// An edge, if a motion takes it to another or another to it.
@@ -97,8 +108,48 @@ impl Periods {
         self.vertices.keys().copied()
     }
 
-    /// Vertices between edges with different motions, ascending.
+    /// Vertices at which curves end, ascending.
     pub(crate) fn ends(&self) -> &[u32] {
         &self.ends
     }
+}
+
+/// Vertices that divide boundaries which motions take to themselves: in their parts no edge is of the class of another. `around` has the
+/// edges at each vertex of a boundary, `ends` are vertices that divide them already.
+fn dividing(
+    edges: &HashMap<[u32; 2], Moved>,
+    vertices: &HashMap<u32, u32>,
+    around: &BTreeMap<u32, Vec<[u32; 2]>>,
+    ends: &BTreeSet<u32>,
+) -> Vec<u32> {
+    let (mut classes, mut found): (HashSet<u32>, Vec<u32>) = Default::default();
+    let mut met: HashSet<[u32; 2]> = HashSet::new();
+    // From the ends first: what is left are loops.
+    let starts = ends.iter().chain(around.keys());
+    for (&start, first) in starts.flat_map(|start| around[start].iter().map(move |edge| (start, *edge))) {
+        if met.contains(&first) || !edges.contains_key(&first) {
+            continue;
+        }
+        let (mut v, mut edge) = (start, first);
+        let mut of_chain: HashSet<[u32; 2]> = HashSet::new();
+        let mut last = None;
+        while let Some(Moved { first, .. }) = edges.get(&edge).filter(|_| met.insert(edge)) {
+            if !of_chain.insert(*first) {
+                // The motion that turns a curve around leaves the vertex there.
+                if last == Some(*first) {
+                    found.push(v);
+                }
+                classes.extend(vertices.get(&start));
+            }
+            last = Some(*first);
+            v = if edge[0] == v { edge[1] } else { edge[0] };
+            let Some(&next) = around[&v].iter().find(|&&next| next != edge) else { break };
+            if ends.contains(&v) || around[&v].len() != 2 {
+                break;
+            }
+            edge = next;
+        }
+    }
+    found.extend(vertices.iter().filter(|(_, class)| classes.contains(class)).map(|(&v, _)| v));
+    found
 }

@@ -16,6 +16,7 @@ use crate::mesh::parts::Part;
 use crate::mesh::plane::Plane;
 use crate::remesh::constants::MATCH_DIAGONAL;
 use crate::remesh::{Anisotropy, RemeshError, RemeshOptions, Result, Tolerance};
+use crate::rvd::RvdError;
 use crate::token::Token;
 
 pub(super) struct Half {
@@ -28,6 +29,8 @@ pub(super) struct Half {
     pub(super) seam: Vec<[u32; 2]>,
     /// Edges in the plane that facets of this half meet at.
     inner: Vec<[u32; 2]>,
+    /// For each vertex whether it is in the plane.
+    in_plane: Vec<bool>,
     /// What is left of each edge, by the lowest vertices in the places of its ends.
     pieces: HashMap<[u32; 2], [u32; 2]>,
 }
@@ -97,12 +100,12 @@ impl Half {
         let height = given.positions().iter().map(height).collect();
         let (places, from, known) = (Vec::new(), Vec::new(), HashMap::new());
         let mut cutter = Cutter { given, class, plane, height, places, from, known };
-        let (mut facets, mut origin, mut in_plane, mut pieces) = (Vec::new(), Vec::new(), 0, HashMap::new());
+        let (mut facets, mut origin, mut flat, mut pieces) = (Vec::new(), Vec::new(), 0, HashMap::new());
         for (f, &corners) in given.facets().iter().enumerate() {
             token.check_at(f)?;
             let heights = corners.map(|v| cutter.height[v as usize]);
             if !heights.iter().any(|&height| height > 0.0) {
-                in_plane += usize::from(heights == [0.0; 3] && !given.is_degenerate(f));
+                flat += usize::from(heights == [0.0; 3] && !given.is_degenerate(f));
                 continue;
             }
             let left = cutter.clip(corners);
@@ -127,17 +130,16 @@ impl Half {
             }
             origin.resize(facets.len(), f as u32);
         }
-        if in_plane > 0 {
-            return Err(RemeshError::FacetsInPlane { facets: in_plane, plane });
+        if flat > 0 {
+            return Err(RemeshError::FacetsInPlane { facets: flat, plane });
         }
         let Cutter { places, from, height, .. } = cutter;
-        let is_in_plane = |v: u32| {
-            let ([a, b], _) = from[v as usize];
-            a != b || height[a as usize] == 0.0
-        };
+        let in_plane: Vec<bool> = from.iter().map(|&([a, b], _)| a != b || height[a as usize] == 0.0).collect();
         let place = |v: u32| class_of(&from, class, v);
         let mut edges: Vec<([u32; 4], [u32; 2])> = Vec::new();
-        for edge in facets.iter().flat_map(|&facet| sides(facet)).filter(|edge| edge.iter().all(|&v| is_in_plane(v))) {
+        for edge in
+            facets.iter().flat_map(|&facet| sides(facet)).filter(|edge| edge.iter().all(|&v| in_plane[v as usize]))
+        {
             let [a, b] = edge.map(place);
             let key = if a <= b { [a[0], a[1], b[0], b[1]] } else { [b[0], b[1], a[0], a[1]] };
             edges.push((key, edge));
@@ -148,7 +150,21 @@ impl Half {
             if group.len() == 1 { &mut seam } else { &mut inner }.push(group[0].1);
         }
         let mesh = TriMesh::new(places, facets).map_err(|_| RemeshError::NothingOnSide { plane })?;
-        Ok(Self { mesh, origin, from, seam, inner, pieces })
+        Ok(Self { mesh, origin, from, seam, inner, in_plane, pieces })
+    }
+
+    /// This half and its mirror image: what a result is to be like.
+    pub(super) fn doubled(&self, plane: Plane) -> Result<TriMesh> {
+        let mut places = self.mesh.positions().to_vec();
+        let mut image: Vec<u32> = (0..places.len() as u32).collect();
+        for (v, &p) in self.mesh.positions().iter().enumerate().filter(|(v, _)| !self.in_plane[*v]) {
+            image[v] = places.len() as u32;
+            places.push(plane.reflect(p));
+        }
+        let facets = self.mesh.facets();
+        let reflected = facets.iter().map(|&[a, b, c]| [a, c, b].map(|v| image[v as usize]));
+        let broken = |e| RvdError::Internal(format!("a surface was valid before it was doubled: {e}"));
+        Ok(TriMesh::new(places, facets.iter().copied().chain(reflected).collect()).map_err(broken)?)
     }
 
     /// The length of the curves along which both halves meet.
