@@ -15,6 +15,7 @@ use tessera::remesh::{Anisotropy, Placement, Refine, Remesh, RemeshError, Remesh
 use tessera::rvd::Parallel;
 use tessera::{DensityOptions, DensitySource, Token, TriMesh};
 
+use crate::parts;
 use crate::rough::Random;
 
 fn sample(points: usize) -> RemeshOptions {
@@ -460,6 +461,42 @@ fn an_asymmetric_input_is_told_of() {
         assert!(lowest > height(&vertex) - 0.005 * diagonal(&mesh), "{name}: {lowest}");
         let straight = run(&mesh, &options).unwrap();
         assert!(straight.report.result.mirror.unwrap().asymmetry_percent < 1e-3, "{name}");
+    }
+}
+
+/// Planes through solids with flat sides: the seam has corners, and creases end at all angles.
+#[test]
+fn solids_with_flat_sides_stay_closed() {
+    let mut random = Random::new(18);
+    let tetrahedron = TriMesh::new(
+        vec![DVec3::ZERO, 2.0 * DVec3::X, 2.0 * DVec3::Y, DVec3::Z],
+        vec![[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]],
+    )
+    .unwrap();
+    for (kind, mesh) in [("box", Shape::Genus(0).build(12)), ("tetrahedron", tetrahedron), ("l", parts::l_shape())] {
+        let mut lost = 0;
+        for k in 0..12 {
+            let [a, b] = [k, k + 5].map(|f| mesh.corners(f % mesh.facets().len()).into_iter().sum::<DVec3>() / 3.0);
+            let inside = a.lerp(b, random.unit());
+            let normal = random.point().normalize();
+            let plane = Plane::new(normal, normal.dot(inside)).unwrap();
+            let name = format!("{kind} {k} at {plane}");
+            let done = match run(&mesh, &sample(150 + 80 * k).with_mirror(plane)) {
+                Ok(done) => done,
+                Err(RemeshError::SeamLost { .. }) => {
+                    lost += 1;
+                    continue;
+                }
+                Err(error) => panic!("{name}: {error}"),
+            };
+            assert_symmetric(&name, plane, &done);
+            let of = topology(&done.mesh);
+            assert_eq!((of.boundary_edges, of.non_manifold_edges, of.components), (0, 0, 1), "{name}");
+            assert!(done.report.topology_changes.is_empty(), "{name}: {:?}", done.report.topology_changes);
+            // Tips thinner than an edge are lost.
+            assert!(done.report.result.quality.unwrap().hausdorff_percent < 8.0, "{name}");
+        }
+        assert!(lost < 3, "{kind}: {lost} of 12");
     }
 }
 

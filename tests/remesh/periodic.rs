@@ -379,6 +379,78 @@ fn sectors_of_discs() {
     }
 }
 
+/// Rims that a rotation takes to themselves. Where it comes back to its beginning, one place is up to rounding.
+#[test]
+fn boundaries_that_motions_take_to_themselves() {
+    let turn = |k: u32, n: u32| (std::f64::consts::TAU * f64::from(k % n) / f64::from(n)).sin_cos();
+    let annulus = grid([12, 60], true, |i, j| {
+        let (r, (sin, cos)) = (0.4 + 0.05 * f64::from(i), turn(j, 60));
+        dvec3(r * cos, r * sin, 0.0)
+    });
+    let pipe = grid([20, 60], true, |i, j| {
+        let (sin, cos) = turn(j, 60);
+        dvec3(cos, sin, 0.1 * f64::from(i) - 1.0)
+    });
+    let half = grid([30, 40], false, |i, j| {
+        let (sin, cos) = (std::f64::consts::PI * f64::from(j) / 40.0).sin_cos();
+        dvec3(cos * f64::from(i) / 30.0, sin * f64::from(i) / 30.0, 0.0)
+    });
+    let all: [(&str, &TriMesh, &[&str]); 7] = [
+        ("annulus", &annulus, &["rotate:60,z"]),
+        ("annulus", &annulus, &["rotate:-18,z"]),
+        ("pipe", &pipe, &["rotate:90,z"]),
+        ("pipe", &pipe, &["rotate:180,x"]),
+        ("pipe", &pipe, &["rotate:180,z", "translate:0,0,2"]),
+        ("pipe", &pipe, &["translate:0,0,2", "rotate:36,z"]),
+        ("half a disc", &half, &["rotate:180,z"]),
+    ];
+    for (name, mesh, texts) in all {
+        for points in [250, 900] {
+            let (name, motions) = (format!("{name}, {texts:?}, {points}"), motions(texts));
+            let options = sample(points).with_periodic(motions.clone());
+            let done = run(mesh, &options).unwrap_or_else(|error| panic!("{name}: {error}"));
+            assert_like(&name, mesh, &done);
+            let reach = 1e-9 * diagonal(mesh);
+            let edges: Vec<[DVec3; 2]> =
+                boundary(&done.mesh).into_iter().map(|edge| edge.map(|v| done.mesh.positions()[v as usize])).collect();
+            let mut paired = 0;
+            for motion in &motions {
+                let length = |edges: &[[DVec3; 2]]| edges.iter().map(|[a, b]| a.distance(*b)).sum::<f64>();
+                let is_image = |&&[a, b]: &&[DVec3; 2]| {
+                    let [p, q] = [a, b].map(|p| motion.apply(p));
+                    let is = |c: DVec3, d: DVec3| p.distance(c) < reach && q.distance(d) < reach;
+                    edges.iter().any(|&[c, d]| is(c, d) || is(d, c))
+                };
+                let own: Vec<[DVec3; 2]> = edges.iter().filter(is_image).copied().collect();
+                let given = side_length(mesh, motion);
+                assert!((length(&own) / given - 1.0).abs() < 0.05, "{name}, {motion}: {} of {given}", length(&own));
+                paired += own.len();
+            }
+            assert_eq!(done.report.result.periodic.unwrap().edges, paired, "{name}");
+        }
+    }
+}
+
+/// Creases everywhere at the boundary leave no room for its edges, and are dropped.
+#[test]
+fn rough_tiles_stay_periodic() {
+    let mut random = Random::new(29);
+    for k in 0..4 {
+        let heights: Vec<f64> = (0..16 * 16).map(|_| 0.04 * random.signed()).collect();
+        let mesh = grid([16, 16], false, |i, j| {
+            dvec3(f64::from(i) / 16.0, f64::from(j) / 16.0, heights[(i % 16 * 16 + j % 16) as usize])
+        });
+        let motions = motions(&["translate:1,0,0", "translate:0,1,0"]);
+        for points in [1200, 2500] {
+            let name = format!("rough tile {k}, {points}");
+            let done =
+                run(&mesh, &sample(points).with_periodic(motions.clone())).unwrap_or_else(|e| panic!("{name}: {e}"));
+            assert_paired(&name, &mesh, &motions, &done);
+            assert_eq!(topology(&done.mesh).euler, 1, "{name}");
+        }
+    }
+}
+
 /// A cell of a surface with three periods.
 #[test]
 fn a_cell_with_three_periods() {

@@ -59,6 +59,8 @@ pub(crate) struct Held<'a> {
     pub(crate) vertices: &'a [u32],
     /// Whether all boundaries have all of their edges, since something else meets them there.
     pub(crate) closes: bool,
+    /// Whether creases are dropped, for the sake of boundaries.
+    pub(crate) drops_creases: bool,
 }
 
 #[derive(Clone, Debug, Default)]
@@ -87,7 +89,7 @@ impl KeptCurves {
         plan: &Plan<'_>,
         surface: &Surface,
         (options, by_error): (&RemeshOptions, bool),
-        Held { seams, rims, vertices, closes }: Held<'_>,
+        Held { seams, rims, vertices, closes, drops_creases }: Held<'_>,
         token: &Token,
     ) -> Result<Self, RemeshError> {
         Features::check(mesh, options.crease_angle_deg, &options.creases, token)?;
@@ -123,6 +125,11 @@ impl KeptCurves {
         };
         let mut dropped_curves = 0;
         let mut rims_alone = false;
+        if drops_creases {
+            let all = Features::find(&plan.mesh, surface.positions(), &criteria, token)?;
+            dropped_curves += all.curves.iter().filter(|c| c.kind == CurveKind::Crease).count();
+            criteria.crease_angle_deg = 0.0;
+        }
         loop {
             let mut features = Features::find(&plan.mesh, surface.positions(), &criteria, token)?;
             // A corner in one sheet is one in all that meet there. Each may cut curves at others.

@@ -173,6 +173,11 @@ fn remesh_parts(
             put_back_spikes(&mut done, given, &near, token)?;
             Ok(done)
         }
+        // Creases that end at a boundary may leave no room for its edges.
+        Err(RemeshError::PeriodicLost { .. }) if options.crease_angle_deg > 0.0 => {
+            let held = Held { drops_creases: true, ..Held::default() };
+            run_stages((given, held), options, backend, observer, token)
+        }
         done => done,
     })
 }
@@ -206,7 +211,7 @@ fn run_stages(
     let rims = rims.as_deref().unwrap_or(held.rims);
     let vertices = vertices.as_deref().unwrap_or(held.vertices);
     let closes = held.closes || !options.periodic.is_empty();
-    let held = Held { seams: seams.as_ref(), rims, vertices, closes };
+    let held = Held { seams: seams.as_ref(), rims, vertices, closes, ..held };
     let asked = Asked { apart: apart.as_ref(), held, ..asked };
     token.check()?;
     let (clean, options) = (preprocessed.mesh(given), adapted.as_ref().unwrap_or(options));

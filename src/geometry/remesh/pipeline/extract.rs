@@ -157,8 +157,14 @@ impl<'a> Extraction<'a> {
     fn vertex_positions(&self, dual: &dual::Dual, seeds: &[DVec3]) -> Vec<DVec3> {
         let frame = self.surface.frame();
         let closest = dual.components.iter().any(|c| !c.whole).then(|| ClosestPoint::new(self.divided));
+        // The largest part of a cell has its vertex on the curve where others meet it.
+        let mut largest: HashMap<u32, f64> = HashMap::new();
+        for c in dual.components.iter().filter(|c| !c.whole && self.curves.stays(c.seed)) {
+            let area = largest.entry(c.seed).or_default();
+            *area = area.max(c.area);
+        }
         let place = |c: &dual::Component| match &closest {
-            _ if (c.seed as usize) < self.curves.seeds.len() && c.whole => {
+            _ if self.curves.has_seed(c.seed) && (c.whole || largest.get(&c.seed) == Some(&c.area)) => {
                 self.curves.position(self.divided, frame, c.seed)
             }
             _ if self.placement == Placement::Centroids => frame.to_world(c.centroid),
