@@ -493,8 +493,9 @@ fn solids_with_flat_sides_stay_closed() {
             let of = topology(&done.mesh);
             assert_eq!((of.boundary_edges, of.non_manifold_edges, of.components), (0, 0, 1), "{name}");
             assert!(done.report.topology_changes.is_empty(), "{name}: {:?}", done.report.topology_changes);
-            // Tips thinner than an edge are lost.
-            assert!(done.report.result.quality.unwrap().hausdorff_percent < 8.0, "{name}");
+            // Tips and slabs thinner than an edge are lost.
+            let far = done.report.result.quality.unwrap().hausdorff_percent;
+            assert!(far < 8.0 || warns(&done, "lost_parts"), "{name}: {far}");
         }
         assert!(lost < 3, "{kind}: {lost} of 12");
     }
