@@ -224,10 +224,25 @@ mod tests {
         token.cancel();
         let limit = Duration::from_secs(20);
         let is = |wanted: Work| move |work: &Work| *work == wanted;
-        tokio::time::timeout(limit, work.wait_for(is(Work::Stuck { stage: "a stage" }))).await.unwrap().unwrap();
+        // A busy machine may look when the work counts as lost already.
         tokio::time::timeout(limit, work.wait_for(is(Work::Lost { stage: "a stage" }))).await.unwrap().unwrap();
         drop(watched);
         tokio::time::timeout(limit, work.wait_for(is(Work::Stops))).await.unwrap().unwrap();
+    }
+
+    #[test]
+    fn work_is_stuck_before_it_is_lost() {
+        let token = Token::default();
+        token.enter("a stage");
+        token.cancel();
+        let seconds = Duration::from_secs;
+        let limits = Ceilings { stuck: seconds(100), lost: seconds(200), ..Ceilings::default() };
+        let mut entries = [Entry { number: 0, token, base_bytes: 0, stopped: None, reported: false }];
+        let stage = "a stage";
+        for (since, wanted) in [(50, Work::Stops), (200, Work::Stuck { stage }), (400, Work::Lost { stage })] {
+            entries[0].stopped = Instant::now().checked_sub(seconds(since));
+            assert_eq!(look(&mut entries, &limits, &AtomicI64::new(0)), wanted, "{since}");
+        }
     }
 
     #[test]
