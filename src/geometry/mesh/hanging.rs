@@ -3,8 +3,8 @@
 //! Purpose: [`divide`] divides facets at the vertices that lie on their boundary edges (T-junctions), so that both sides have the
 //! same vertices and are connected. [`insert`] divides them at places that are no vertices yet. [`gaps`] finds the boundary edges that
 //! others run along at some distance.
-//! Invariant: vertices stay where they are, and new ones are behind all others. A facet is divided only if its pieces face as it did, and each piece knows the
-//! facet that it is of. Must not know: the use of the surface.
+//! Invariant: vertices stay where they are, and new ones are behind all others. A facet is divided only if its pieces face as it did, and
+//! each piece knows the facet that it is of. Must not know: the use of the surface.
 
 use std::collections::HashMap;
 

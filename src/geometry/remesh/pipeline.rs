@@ -42,7 +42,7 @@ use super::report::{
 };
 use super::{
     Anisotropy, Limits, Observer, Placement, Refine, Remesh, RemeshError, RemeshOptions, Result, Seeds, Tolerance,
-    warnings,
+    constants, warnings,
 };
 use crate::cvt::density::{Count, DensitySource, Plan};
 use crate::mesh::TriMesh;
@@ -293,7 +293,7 @@ fn run_stages(
     let mut periodic = None;
     if let Some(pairs) = &preprocessed.pairs {
         let of = (&attempt.curves, &attempt.seeds[..]);
-        let by = (&options.periodic[..], periodic::reach(given));
+        let by = (&options.periodic[..], match_reach(given));
         let first = pairs.all.first().map_or(DVec3::ZERO, |pair| clean.positions()[pair.from[0] as usize]);
         periodic = Some(periodic::settle(&mut attempt.built, of, by, (pairs, first), token)?);
     }
@@ -303,6 +303,12 @@ fn run_stages(
     let Carried { attributes, provenance, regions } = carried;
     (measured.report.result.regions, measured.report.result.periodic) = (regions, periodic);
     Ok(Remesh { attributes, provenance, ..measured })
+}
+
+/// How near a vertex is to a mirror plane, or a boundary to the image of another, to be in it; caller's units.
+fn match_reach(mesh: &TriMesh) -> f64 {
+    let (low, high) = mesh.bounds();
+    constants::MATCH_DIAGONAL * (high - low).length()
 }
 
 /// What the result has of the input's attributes.

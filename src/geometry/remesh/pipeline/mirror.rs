@@ -12,7 +12,7 @@ use std::time::Instant;
 use glam::DVec3;
 
 use super::preprocess::preprocess;
-use super::{Carried, carry, compare, optimize};
+use super::{Carried, carry, compare, match_reach, optimize};
 use crate::mesh::TriMesh;
 use crate::mesh::adjacency::{Adjacency, EdgeKind, weld_unless};
 use crate::mesh::closest_point::ClosestPoint;
@@ -56,7 +56,7 @@ pub(super) fn remesh(
         *most = share(*most);
     }
     let mut points = asked.map(share);
-    let reach = half::reach(given);
+    let reach = match_reach(given);
     let input = preprocess(given, own.weld.map(|weld| weld.length(given)), token)?;
     // An asymmetric input is none that a result can be compared with.
     let doubled = half.doubled(plane)?;

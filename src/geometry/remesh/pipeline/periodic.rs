@@ -15,19 +15,12 @@ use crate::mesh::adjacency::Adjacency;
 use crate::mesh::edges::undirected;
 use crate::mesh::motion::Motion;
 use crate::mesh::pairs::{Pairs, Places, boundary_of};
-use crate::remesh::constants::MATCH_DIAGONAL;
 use crate::remesh::features::KeptCurves;
 use crate::remesh::features::seams::periods::Signs;
 use crate::remesh::report::PeriodicFigures;
 use crate::remesh::{RemeshError, Result};
 use crate::rvd::RvdError;
 use crate::token::Token;
-
-/// How near a boundary is to the image of another if it is this one, caller's units.
-pub(super) fn reach(mesh: &TriMesh) -> f64 {
-    let (low, high) = mesh.bounds();
-    MATCH_DIAGONAL * (high - low).length()
-}
 
 /// `pairs` are those of the input, one of them at `first`; seeds are in the caller's coordinates.
 pub(super) fn settle(

@@ -9,7 +9,7 @@
 use std::collections::{BTreeSet, HashMap, HashSet};
 use std::sync::Arc;
 
-use super::periodic;
+use super::match_reach;
 use crate::cvt::density::{DensityOptions, DensitySource};
 use crate::mesh::adjacency::{Adjacency, weld_unless};
 use crate::mesh::apart::Apart;
@@ -145,7 +145,7 @@ impl Preprocessed {
 
     /// Finds the boundaries that motions take to others, and gives both the same vertices.
     pub(super) fn pair(&mut self, given: &TriMesh, motions: &[Motion], token: &Token) -> Result<()> {
-        let reach = periodic::reach(given);
+        let reach = match_reach(given);
         if let Some(Divided { mesh, origin, edges, inserted }) =
             pairs::complete(self.mesh(given), motions, reach, token)?
         {

@@ -14,7 +14,7 @@ use crate::mesh::attributes::{AttributeError, Attributes};
 use crate::mesh::edges::{sides, undirected};
 use crate::mesh::parts::Part;
 use crate::mesh::plane::Plane;
-use crate::remesh::constants::MATCH_DIAGONAL;
+use crate::remesh::pipeline::match_reach;
 use crate::remesh::{Anisotropy, RemeshError, RemeshOptions, Result, Tolerance};
 use crate::rvd::RvdError;
 use crate::token::Token;
@@ -33,12 +33,6 @@ pub(super) struct Half {
     in_plane: Vec<bool>,
     /// What is left of each edge, by the lowest vertices in the places of its ends.
     pieces: HashMap<[u32; 2], [u32; 2]>,
-}
-
-/// Vertices as near to the plane are in it, caller's units.
-pub(super) fn reach(mesh: &TriMesh) -> f64 {
-    let (low, high) = mesh.bounds();
-    MATCH_DIAGONAL * (high - low).length()
 }
 
 /// Makes the vertices of a half.
@@ -95,7 +89,7 @@ impl Cutter<'_> {
 impl Half {
     /// `class` has the lowest vertex in the place of each.
     pub(super) fn of(given: &TriMesh, plane: Plane, class: &[u32], token: &Token) -> Result<Self> {
-        let reach = reach(given);
+        let reach = match_reach(given);
         let height = |&p: &DVec3| Some(plane.height(p)).filter(|height| height.abs() > reach).unwrap_or(0.0);
         let height = given.positions().iter().map(height).collect();
         let (places, from, known) = (Vec::new(), Vec::new(), HashMap::new());
