@@ -38,6 +38,7 @@ mod generated;
 mod hostile_meshes;
 mod hostile_seeds;
 mod kept;
+mod mechanical;
 mod metric;
 mod mirror;
 mod near_corners;

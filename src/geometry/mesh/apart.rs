@@ -110,10 +110,15 @@ impl Apart {
         if let Some(&place) = self.places.get(&bits(p)) {
             return place;
         }
+        let (row, part) = self.part(p);
+        p - self.rows[row].parts[part].1
+    }
+
+    /// The part that a place is of or beside: its row, and its number there.
+    pub(crate) fn part(&self, p: DVec3) -> (usize, usize) {
         let row = self.rows.partition_point(|row| row.top + self.margin < p.y).min(self.rows.len() - 1);
         let parts = &self.rows[row].parts;
-        let part = parts.partition_point(|part| part.0 + self.margin < p.x).min(parts.len() - 1);
-        p - parts[part].1
+        (row, parts.partition_point(|part| part.0 + self.margin < p.x).min(parts.len() - 1))
     }
 
     /// A surface beside this one, where it was; no error if it is still valid there. Where sheets touched, vertices that only

@@ -12,10 +12,10 @@ use std::collections::{BTreeSet, HashSet};
 
 use glam::DVec3;
 
-use super::TriMesh;
-use super::adjacency::{Adjacency, EdgeKind, weld};
+use super::adjacency::{Adjacency, EdgeKind, weld, weld_unless};
 use super::csr::ascending;
 use super::edges::{DisjointSets, EdgeGroups, Half, undirected};
+use super::{TriMesh, normal};
 use crate::token::{Stopped, Token};
 use chains::CornerMerge;
 use graph::{DihedralAngles, EdgeInfo, Graph};
@@ -46,6 +46,9 @@ pub struct FeatureOptions {
     /// Factor of lengths at each vertex, at least 0: how fine the remesh is, whose edges they count. All 1 if empty.
     pub resolution: Vec<f64>,
 }
+
+/// Facets whose normals differ by less are in one plane, degrees: the rounding of single precision is less on all but the smallest facets.
+const FLAT_DEG: f64 = 0.1;
 
 /// Curves may change by merging corners if chords as long as [`FeatureOptions::turn_reach`] leave them by less than this share
 /// of it, about as far as chords leave a smooth curve.
@@ -260,6 +263,26 @@ impl Curve {
     pub(crate) fn ends(&self) -> [u32; 2] {
         [self.vertices[0], self.vertices[self.vertices.len() - 1]]
     }
+}
+
+/// Share of the length of edges between two facets whose facets are in one plane, but for [`FLAT_DEG`].
+pub(crate) fn flat_share(mesh: &TriMesh, token: &Token) -> Result<f64, Stopped> {
+    let class = weld_unless(mesh, token)?;
+    let facets = mesh.facets().iter().map(|t| t.map(|v| class[v as usize])).enumerate();
+    let unit = |f: u32| normal(mesh.corners(f as usize)).normalize_or_zero();
+    let least = FLAT_DEG.to_radians().cos();
+    let (mut flat, mut all) = (0.0, 0.0);
+    EdgeGroups::unless(class.len(), facets, token)?.for_each(|_, halves| {
+        let [a, b] = halves else { return };
+        let t = mesh.facets()[a.facet as usize];
+        let [p, q] = [t[a.side], t[(a.side + 1) % 3]].map(|v| mesh.positions()[v as usize]);
+        let length = p.distance(q);
+        all += length;
+        if unit(a.facet).dot(unit(b.facet)).abs() > least {
+            flat += length;
+        }
+    });
+    Ok(if all > 0.0 { flat / all } else { 0.0 })
 }
 
 fn check_angle(degrees: f64) -> Result<(), FeatureError> {

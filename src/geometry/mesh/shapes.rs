@@ -13,6 +13,7 @@ use glam::{DVec3, dvec3};
 use super::TriMesh;
 
 mod lattice;
+pub mod parts;
 
 pub use lattice::Lattice;
 

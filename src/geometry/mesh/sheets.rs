@@ -6,6 +6,7 @@
 //! Invariant: depends on the mesh alone, and on the area below which a sheet counts as noise: that one stays with a sheet it
 //! touches. A facet that names a point twice is of a sheet that it touches. Must not know: why sheets are wanted.
 
+mod patches;
 pub(crate) mod pieces;
 
 use std::collections::BTreeMap;

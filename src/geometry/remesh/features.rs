@@ -4,11 +4,13 @@
 //! Invariant: if the curves would take too many of the seeds, creases are dropped first and boundaries last, and both are
 //! counted. Must not know: backends, iterations, how a result is improved.
 
+mod chain;
+mod crowded;
 pub(super) mod envelope;
 pub(super) mod polyline;
 pub(super) mod seams;
 
-use std::collections::HashSet;
+use std::collections::{HashMap, HashSet};
 use std::sync::Arc;
 
 use glam::DVec3;
@@ -26,6 +28,8 @@ use crate::mesh::features::{Curve, CurveKind, FeatureOptions, Features};
 use crate::mesh::sample::spread_unless;
 use crate::rvd::{Frame, Surface};
 use crate::token::{Stopped, Token};
+pub(crate) use chain::Chain;
+use crowded::{Crowded, Of};
 use envelope::CurveSample;
 use polyline::{Polyline, Stretch};
 use seams::periods::Signs;
@@ -61,6 +65,9 @@ pub(crate) struct Held<'a> {
     pub(crate) closes: bool,
     /// Whether creases are dropped, for the sake of boundaries.
     pub(crate) drops_creases: bool,
+    /// Whether sheets were divided along creases that are close to others: the boundaries there get longer edges until there are points
+    /// enough.
+    pub(crate) crowded: bool,
 }
 
 #[derive(Clone, Debug, Default)]
@@ -80,6 +87,12 @@ pub(crate) struct KeptCurves {
     copies: usize,
     /// As for [`Held`].
     closes: bool,
+    /// Facets of patches that are too narrow for seeds within.
+    narrow: Vec<bool>,
+    /// Whether creases had to be dropped since others are too close, or too many for the points.
+    pub(crate) is_crowded: bool,
+    /// The edges of all curves that were found, by vertices of the mesh before facets were divided.
+    all_curves: Vec<[u32; 2]>,
 }
 
 impl KeptCurves {
@@ -89,7 +102,7 @@ impl KeptCurves {
         plan: &Plan<'_>,
         surface: &Surface,
         (options, by_error): (&RemeshOptions, bool),
-        Held { seams, rims, vertices, closes, drops_creases }: Held<'_>,
+        Held { seams, rims, vertices, closes, drops_creases, crowded: is_crowded }: Held<'_>,
         token: &Token,
     ) -> Result<Self, RemeshError> {
         Features::check(mesh, options.crease_angle_deg, &options.creases, token)?;
@@ -125,6 +138,14 @@ impl KeptCurves {
         };
         let mut dropped_curves = 0;
         let mut rims_alone = false;
+        // The edges of all curves, before any is dropped.
+        let own = |v: &u32| (*v as usize) < mesh.positions().len();
+        let edges_of = |features: &Features| -> Vec<[u32; 2]> {
+            let chain = |c: &Curve| c.round().filter(own).collect::<Vec<u32>>();
+            let edges = |c: &Curve| chain(c).windows(2).map(|pair| [pair[0], pair[1]]).collect::<Vec<_>>();
+            features.curves.iter().flat_map(edges).collect()
+        };
+        let (mut is_short, mut all_curves) = (false, None);
         if drops_creases {
             let all = Features::find(&plan.mesh, surface.positions(), &criteria, token)?;
             dropped_curves += all.curves.iter().filter(|c| c.kind == CurveKind::Crease).count();
@@ -149,11 +170,34 @@ impl KeptCurves {
             // Close curves are dropped next, but do not make room for more than this.
             let most = points.saturating_mul(MOST_SEEDS).saturating_add(SPARE_SEEDS);
             let mut placed = CurveSeeds::place(surface, (&features, &[]), edge, most, token)?;
+            if is_crowded {
+                let of = Of { surface, mesh: &plan.mesh, features: &features, seams, points, most, token };
+                let found = of.fitted(edge)?;
+                let Some(Crowded { seeds, joints, copies, narrow, .. }) = found else { return Ok(Self::default()) };
+                let stays = staying(&seeds, &features);
+                let seams = seams.cloned();
+                return Ok(Self {
+                    features,
+                    seeds,
+                    dropped_curves,
+                    has_regions,
+                    seams,
+                    stays,
+                    joints,
+                    copies,
+                    closes: true,
+                    narrow,
+                    is_crowded: false,
+                    all_curves: Vec::new(),
+                });
+            }
             while let Some(seeds) = &placed {
                 let too_close = seeds.too_close(&features, token)?;
                 if too_close.is_empty() {
                     break;
                 }
+                is_short = true;
+                all_curves.get_or_insert_with(|| edges_of(&features));
                 dropped_curves += too_close.len();
                 features.retain(|k, _| !too_close.contains(&(k as u32)));
                 placed = CurveSeeds::place(surface, (&features, &[]), edge, most, token)?;
@@ -167,6 +211,7 @@ impl KeptCurves {
                 if seeds.len() as f64 <= most_of(creases(&features)) * points as f64 {
                     let stays = staying(&seeds, &features);
                     let seams = seams.cloned();
+                    let all_curves = all_curves.unwrap_or_else(|| edges_of(&features));
                     return Ok(Self {
                         features,
                         seeds,
@@ -177,6 +222,9 @@ impl KeptCurves {
                         joints,
                         copies,
                         closes,
+                        narrow: Vec::new(),
+                        is_crowded: is_short,
+                        all_curves,
                     });
                 }
             }
@@ -184,6 +232,10 @@ impl KeptCurves {
             if criteria.ridge_clearance > 0.0 {
                 criteria.ridge_clearance = 0.0;
                 continue;
+            }
+            if creases > 0 {
+                is_short = true;
+                all_curves.get_or_insert_with(|| edges_of(&features));
             }
             dropped_curves += creases;
             if creases == 0 && !(rims.is_empty() && vertices.is_empty()) {
@@ -194,7 +246,12 @@ impl KeptCurves {
                 dropped_curves += features.curves.iter().filter(|c| !c.is_rim).count();
                 rims_alone = true;
             } else if creases == 0 {
-                return Ok(Self { dropped_curves: dropped_curves + features.curves.len(), ..Self::default() });
+                return Ok(Self {
+                    dropped_curves: dropped_curves + features.curves.len(),
+                    is_crowded: is_short,
+                    all_curves: all_curves.unwrap_or_default(),
+                    ..Self::default()
+                });
             }
             criteria.crease_angle_deg = 0.0;
             criteria.given_creases.clear();
@@ -214,12 +271,16 @@ impl KeptCurves {
         let (mesh, points): (&TriMesh, usize) = (&plan.mesh, plan.points);
         let frame = surface.frame();
         let mut all: Vec<DVec3> = (0..self.seeds.len() as u32).map(|i| self.position(mesh, frame, i)).collect();
-        let others = points - all.len();
+        // Seeds of which others are copies have one vertex with them.
+        let all_narrow = !self.narrow.is_empty() && !self.narrow.contains(&false);
+        let others = if all_narrow { 0 } else { (points + self.copies).saturating_sub(all.len()) };
         let clearance = self.seeds.clearance(CLEARANCE);
         let clear = |p: &DVec3| clearance.holds(frame.to_unit(*p));
         // Seeds do not cross curves, so each region gets its own share.
         let regions = self.features.regions(mesh);
         token.check()?;
+        let wide = self.wide(mesh, weights);
+        let weights = wide.as_deref().or(weights);
         let draw = |count: usize| -> Result<(Vec<DVec3>, Vec<DVec3>), Stopped> {
             let drawn = spread_unless(mesh, (weights, Some(&regions)), count, seed, token)?;
             Ok(drawn.par_iter().map(|s| s.position).partition(clear))
@@ -234,6 +295,18 @@ impl KeptCurves {
         all.extend(evenly(&rest, lacking));
         all.extend(evenly(&kept, others - lacking));
         Ok(all)
+    }
+
+    /// The weights of vertices, 0 at those of narrow patches, if there are any.
+    fn wide(&self, mesh: &TriMesh, weights: Option<&[f64]>) -> Option<Vec<f64>> {
+        if !self.narrow.contains(&true) || !self.narrow.contains(&false) {
+            return None;
+        }
+        let mut wide = weights.map_or_else(|| vec![1.0; mesh.positions().len()], <[f64]>::to_vec);
+        for (&t, _) in mesh.facets().iter().zip(&self.narrow).filter(|(_, narrow)| **narrow) {
+            t.iter().for_each(|&v| wide[v as usize] = 0.0);
+        }
+        Some(wide)
     }
 
     /// Where a curve's seed lies, caller's coordinates: a corner exactly at its vertex.
@@ -381,6 +454,51 @@ impl KeptCurves {
         segments.filter_map(move |(segment, &edge)| Some((segment.ends, signs[segment.curve as usize]?, edge)))
     }
 
+    /// For each facet, whether its patch is too narrow for seeds within; empty if there are none.
+    pub(crate) fn narrow(&self) -> &[bool] {
+        &self.narrow
+    }
+
+    /// The vertex of a corner.
+    pub(crate) fn corner(&self, seed: u32) -> Option<u32> {
+        self.features.corners.get(seed as usize).copied()
+    }
+
+    /// The curves as chains of their seeds.
+    pub(crate) fn chains(&self) -> Vec<Chain> {
+        let mut of_curve: Vec<HashMap<u32, u32>> = vec![HashMap::new(); self.features.curves.len()];
+        let mut first: Vec<Option<u32>> = vec![None; self.features.curves.len()];
+        for Segment { ends, curve, .. } in &self.seeds.segments {
+            of_curve[*curve as usize].insert(ends[0], ends[1]);
+            first[*curve as usize].get_or_insert(ends[0]);
+        }
+        let mut chains = Vec::new();
+        for ((curve, next), first) in self.features.curves.iter().zip(of_curve).zip(first) {
+            let corner = self.features.corners.binary_search(&curve.vertices[0]).ok().filter(|_| !curve.closed);
+            let Some(start) = corner.map(|k| k as u32).or(first) else { continue };
+            let mut seeds = vec![start];
+            while seeds.len() <= next.len()
+                && let Some(&after) = next.get(&seeds[seeds.len() - 1])
+            {
+                seeds.push(after);
+            }
+            let boundary = curve.kind == CurveKind::Boundary;
+            chains.push(Chain { vertices: curve.round().collect(), closed: curve.closed, seeds, boundary });
+        }
+        chains
+    }
+
+    /// The edges of all curves that were found, those that were dropped too.
+    pub(crate) fn all_curves(&self) -> &[[u32; 2]] {
+        &self.all_curves
+    }
+
+    /// Whether curves divide a surface of so many sheets.
+    pub(crate) fn divide(&self, mesh: &TriMesh, sheets: usize) -> bool {
+        let patches: HashSet<u32> = self.features.regions(mesh).into_iter().collect();
+        patches.len() > sheets
+    }
+
     pub(crate) fn is_corner(&self, seed: u32) -> bool {
         (seed as usize) < self.seeds.corners
     }
@@ -444,7 +562,14 @@ impl KeptCurves {
             kind => kind,
         };
         let own = || (0..).zip(&self.features.curves).filter(|(_, c)| !c.is_rim);
-        let count = |wanted| own().filter(|curve| kind(*curve) == wanted).count();
+        // Of copies in one place, the first counts.
+        let mut met = HashSet::new();
+        let is_copy = |c: &Curve| {
+            let seams = self.seams.as_ref().filter(|_| !self.narrow.is_empty());
+            seams.and_then(|seams| seams.first_edge(c)).is_some_and(|edge| !met.insert(edge))
+        };
+        let copies: Vec<bool> = self.features.curves.iter().map(is_copy).collect();
+        let count = |wanted| own().filter(|curve| kind(*curve) == wanted && !copies[curve.0 as usize]).count();
         // What becomes of edges that stay is seen where both parts are put together.
         let is_rim = |s: &Segment| self.features.curves[s.curve as usize].is_rim;
         let own = self.seeds.segments.iter().zip(edges).filter(|(s, _)| !is_rim(s));
@@ -455,7 +580,7 @@ impl KeptCurves {
             creases: count(CurveKind::Crease),
             corners: self.features.corners.len(),
             merged_corners: self.features.joined,
-            seeds: self.seeds.len(),
+            seeds: self.seeds.len() - if self.narrow.is_empty() { 0 } else { self.copies },
             segments: self.seeds.segments.len(),
             missing_segments: missing.len(),
             broken_curves: broken.len(),

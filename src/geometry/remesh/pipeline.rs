@@ -25,6 +25,7 @@ mod join;
 mod kept;
 mod mirror;
 mod optimize;
+mod patches;
 mod periodic;
 mod prepare;
 mod preprocess;
@@ -51,6 +52,7 @@ use crate::mesh::attributes::Attributes;
 use crate::mesh::closest_point::{ClosestPoint, SurfacePoint};
 use crate::mesh::comparison::{LostParts, lost_parts};
 use crate::mesh::crossings::crossings;
+use crate::mesh::features::flat_share;
 use crate::mesh::input::{draw_in, outliers};
 use crate::mesh::measure::{Quality, Topology, coincident_vertices, quality_and_distances, topology_unless};
 use crate::rvd::{Backend, RvdError, elapsed_ms, on_threads_of};
@@ -184,12 +186,50 @@ fn remesh_parts(
 
 /// On the present threads.
 fn run_stages(
-    (given, held): (&TriMesh, Held<'_>),
+    part: (&TriMesh, Held<'_>),
     options: &RemeshOptions,
     backend: &dyn Backend,
     observer: &mut dyn Observer,
     token: &Token,
 ) -> Result<Remesh, RemeshError> {
+    let mut way = Way::Free;
+    loop {
+        match run_once(part, (options, way), backend, observer, token)? {
+            Outcome::Again(other) => way = other,
+            Outcome::Done(done) if way == Way::Free && done.report.lacks_curves() => {
+                let divided = run_once(part, (options, Way::Divided), backend, observer, token)?;
+                return Ok(match divided {
+                    Outcome::Done(divided) if divided.report.is_nearer_than(&done.report) => *divided,
+                    _ => *done,
+                });
+            }
+            Outcome::Done(done) => return Ok(*done),
+        }
+    }
+}
+
+/// Whether a surface is divided along its creases: each patch then has cells of its own, and no crease is dropped.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Way {
+    /// Where creases would be dropped, or the surface is too thin for its cells.
+    Free,
+    Divided,
+    Undivided,
+}
+
+enum Outcome {
+    Done(Box<Remesh>),
+    /// Another way is better.
+    Again(Way),
+}
+
+fn run_once(
+    (given, held): (&TriMesh, Held<'_>),
+    (options, way): (&RemeshOptions, Way),
+    backend: &dyn Backend,
+    observer: &mut dyn Observer,
+    token: &Token,
+) -> Result<Outcome, RemeshError> {
     options.attributes.iter().try_for_each(|attributes| attributes.check_mesh(given))?;
     if options.refine.is_some() && options.placement != Placement::Fitted {
         return Err(RemeshError::RefineUnfitted);
@@ -206,20 +246,62 @@ fn run_stages(
     if !options.periodic.is_empty() {
         preprocessed.pair(given, &options.periodic, token)?;
     }
-    let separated = preprocessed.separate(given, (options, held), token)?;
-    let Separated { apart, options: adapted, topology, joined, seams, rims, vertices } = separated;
-    let rims = rims.as_deref().unwrap_or(held.rims);
-    let vertices = vertices.as_deref().unwrap_or(held.vertices);
+    let in_metric = matches!(options.density.source, DensitySource::Metric(_));
+    let isotropic = options.anisotropy == Anisotropy::None;
     let closes = held.closes || !options.periodic.is_empty();
-    let held = Held { seams: seams.as_ref(), rims, vertices, closes, ..held };
-    let asked = Asked { apart: apart.as_ref(), held, ..asked };
+    let held = Held { closes, ..held };
+    let asked = Asked { held, ..asked };
+    let undivided = preprocessed.separate(given, (options, held), &[], token)?;
+    let clean = preprocessed.mesh(given);
+    let mut separated = &undivided;
+    let first = asked;
+    let mut asked = undivided.asked(first);
     token.check()?;
-    let (clean, options) = (preprocessed.mesh(given), adapted.as_ref().unwrap_or(options));
-    let separated = apart.as_ref().map_or(clean, |apart| &apart.mesh);
-    if preprocessed.changed.is_some() || adapted.is_some() || apart.is_some() || seams.is_some() {
-        prepared = prepare(separated, options, asked, None, token);
+    if preprocessed.changed.is_some() || undivided.is_changed() {
+        let mesh = undivided.apart.as_ref().map_or(clean, |apart| &apart.mesh);
+        prepared = prepare(mesh, undivided.options.as_ref().unwrap_or(options), asked, None, token);
     }
-    let input = preprocessed.figures.clone();
+    let topology = preprocessed.figures.topology;
+    let may_divide = options.keep_boundaries
+        && isotropic
+        && !in_metric
+        && options.refine.is_none()
+        && topology.non_manifold_edges + topology.non_manifold_vertices == 0
+        && !held.closes
+        && !options.keep_non_manifold
+        && options.periodic.is_empty()
+        && held.rims.is_empty()
+        && held.vertices.is_empty()
+        && matches!(&prepared, Ok(prepared) if !prepared.curves.all_curves().is_empty())
+        && flat_share(clean, token)? >= constants::LEAST_FLAT;
+    let creases = match &prepared {
+        Ok(prepared) if may_divide && (way == Way::Divided || way == Way::Free && prepared.curves.is_crowded) => {
+            prepared.curves.all_curves().to_vec()
+        }
+        _ => Vec::new(),
+    };
+    let divided = match creases.is_empty() {
+        true => None,
+        false => Some(preprocessed.separate(given, (options, held), &creases, token)?).filter(|of| of.joined.is_some()),
+    };
+    if let Some(divided) = &divided {
+        let again = divided.asked(Asked { held: Held { crowded: true, ..held }, ..first });
+        let mesh = divided.apart.as_ref().map_or(clean, |apart| &apart.mesh);
+        let of = prepare(mesh, divided.options.as_ref().unwrap_or(options), again, None, token);
+        if of.as_ref().is_ok_and(|of| !of.curves.seeds.is_empty()) {
+            (prepared, separated, asked) = (of, divided, again);
+        }
+    }
+    let is_divided = divided.as_ref().is_some_and(|divided| std::ptr::eq(separated, divided));
+    if way == Way::Divided && !is_divided {
+        return Ok(Outcome::Again(Way::Undivided));
+    }
+    let Separated { apart, options: adapted, topology, joined, figures, .. } = separated;
+    let (topology, joined) = (*topology, *joined);
+    token.check()?;
+    let options = adapted.as_ref().unwrap_or(options);
+    let separated = apart.as_ref().map_or(clean, |apart| &apart.mesh);
+    let input = figures.clone();
     let limits = match (options.refine, &prepared) {
         (Some(Refine { tolerance, max_points }), &Ok(Prepared { plan: Plan { points, .. }, .. })) => {
             let first = if let Count::Points(count) = options.seeds.count() { count } else { points };
@@ -235,9 +317,7 @@ fn run_stages(
     let options = limited.as_ref().unwrap_or(options);
     // Given edge lengths are not changed.
     let source = &options.density.source;
-    let in_metric = matches!(source, DensitySource::Metric(_));
     let free = !matches!(source, DensitySource::Sizes(_) | DensitySource::Weights(_));
-    let isotropic = options.anisotropy == Anisotropy::None;
     // Cells are larger than they look where the lifted surface is, and are no measure of its thickness.
     let improves = in_metric || options.placement == Placement::Fitted;
     let keep_thin = options.keep_thin && free && isotropic && improves;
@@ -245,7 +325,24 @@ fn run_stages(
     let diagonal = (high - low).length();
     // A tolerance decides itself how many points there are, and a metric is scaled for their number.
     let scales_seeds = options.refine.is_none() && !in_metric;
-    let mut job = Job { separated, asked, backend, token, observer, laps, keep_thin, scales_seeds, diagonal, topology };
+    let may_divide = way == Way::Free && may_divide && keep_thin && !is_divided;
+    // Patches that are divided are not thin, and the number of their vertices is known.
+    let (keep_thin, scales_seeds) = (keep_thin && !is_divided, scales_seeds && !is_divided);
+    let wants_division = false;
+    let mut job = Job {
+        separated,
+        asked,
+        backend,
+        token,
+        observer,
+        laps,
+        keep_thin,
+        scales_seeds,
+        diagonal,
+        topology,
+        may_divide,
+        wants_division,
+    };
     let attempt = match (limits, &options.seeds) {
         (Some(limits), &(Seeds::Sample { seed, .. } | Seeds::Implied { seed })) => {
             prepared.and_then(|prepared| tolerance::refine(&mut job, prepared, options, limits, seed))
@@ -258,10 +355,20 @@ fn run_stages(
     let mut attempt = attempt.map_err(|error| error.for_surface(&topology, input.area, edge_length))?;
 
     token.check()?;
+    if job.wants_division {
+        return Ok(Outcome::Again(Way::Divided));
+    }
+    if let Some(apart) = apart.as_ref().filter(|_| is_divided) {
+        let broken = |e| RvdError::Internal(format!("a surface was valid before: {e}"));
+        let of = (&*attempt.plan.mesh, &attempt.curves, &attempt.seeds[..]);
+        if !patches::mend(&mut attempt.built, of, apart, token)?.map_err(broken)? {
+            return Ok(Outcome::Again(Way::Undivided));
+        }
+    }
     let mut of_result = None;
     let result = &mut attempt.built.mesh;
     let curve_edges = &attempt.built.curve_edges[..];
-    let carried = match &apart {
+    let carried = match apart {
         // Attributes are those of the facets as given, and so is the provenance.
         None => transfer(&mut job, given, options, (result, curve_edges))?,
         Some(apart) => {
@@ -289,6 +396,12 @@ fn run_stages(
             transferred
         }
     };
+    if is_divided
+        && crossings(&attempt.built.mesh, token)?.count as f64
+            > constants::MOST_CROSSING * attempt.built.mesh.facets().len() as f64
+    {
+        return Ok(Outcome::Again(Way::Undivided));
+    }
     job.laps.end(|t| &mut t.attributes);
     let mut periodic = None;
     if let Some(pairs) = &preprocessed.pairs {
@@ -302,7 +415,7 @@ fn run_stages(
     let mut measured = measure(clean, input, options, attempt, of_result, job)?;
     let Carried { attributes, provenance, regions } = carried;
     (measured.report.result.regions, measured.report.result.periodic) = (regions, periodic);
-    Ok(Remesh { attributes, provenance, ..measured })
+    Ok(Outcome::Done(Box::new(Remesh { attributes, provenance, ..measured })))
 }
 
 /// How near a vertex is to a mirror plane, or a boundary to the image of another, to be in it; caller's units.
@@ -470,6 +583,9 @@ pub(super) struct Job<'a, 'b> {
     pub(super) diagonal: f64,
     /// What the result is to have.
     pub(super) topology: Topology,
+    /// Whether the surface may be divided along its creases where it is too thin for its cells, and whether it is to be.
+    pub(super) may_divide: bool,
+    pub(super) wants_division: bool,
 }
 
 impl Job<'_, '_> {

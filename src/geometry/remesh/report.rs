@@ -62,6 +62,26 @@ pub struct Report {
     pub warnings: Vec<Warning>,
 }
 
+impl Report {
+    /// Whether curves were dropped or broken, or facets cross.
+    pub(crate) fn lacks_curves(&self) -> bool {
+        let FeatureFigures { creases, missing_segments, dropped_curves, .. } = self.features;
+        let crosses = self.result.crossings.as_ref().is_some_and(|crossings| crossings.count > 0);
+        dropped_curves + missing_segments > 0 || creases > 0 && crosses
+    }
+
+    /// Whether the result is no farther from the input than another one, has no more crossing facets, and a topology as near.
+    pub(crate) fn is_nearer_than(&self, other: &Self) -> bool {
+        let of = |report: &Self| {
+            let distance = report.result.quality.as_ref().map_or(f64::INFINITY, |quality| quality.hausdorff_percent);
+            let crossings = report.result.crossings.as_ref().map_or(0, |crossings| crossings.count);
+            (distance, crossings, report.topology_changes.len())
+        };
+        let (own, other) = (of(self), of(other));
+        own.0 <= other.0 && own.1 <= other.1 && own.2 <= other.2
+    }
+}
+
 /// Old names of keys, for one release: where, now, before.
 const OLD_KEYS: [(&str, &str, &str); 12] = [
     ("/input", "reoriented_facets", "turned_facets"),

@@ -43,6 +43,13 @@ impl Polyline {
         if t == 1.0 { to } else { self.points[k - 1].lerp(to, t) }
     }
 
+    /// The edge at an arc length, and where on it, 0 to 1; `None` if there is no edge.
+    pub(crate) fn edge_at(&self, s: f64) -> Option<(usize, f64)> {
+        let k = self.along.partition_point(|&a| a <= s).clamp(1, (self.along.len() - 1).max(1)) - 1;
+        let width = self.along.get(k + 1)? - self.along[k];
+        Some((k, if width > 0.0 { ((s - self.along[k]) / width).clamp(0.0, 1.0) } else { 0.0 }))
+    }
+
     /// The arc length of the point nearest to `p`; the lowest of equals.
     pub(crate) fn nearest(&self, p: DVec3) -> f64 {
         let mut best = (f64::INFINITY, 0.0);

@@ -98,6 +98,12 @@ impl Seams {
         known.windows(2).find_map(|pair| periods.signs([pair[0], pair[1]]))
     }
 
+    /// The first of a curve's edges in their places, the same for all copies.
+    pub(crate) fn first_edge(&self, curve: &Curve) -> Option<[u32; 2]> {
+        let known: Vec<u32> = curve.round().filter_map(|v| self.class(v)).collect();
+        known.windows(2).map(|pair| undirected([pair[0], pair[1]])).min()
+    }
+
     fn class(&self, v: u32) -> Option<u32> {
         self.class.get(v as usize).copied()
     }

@@ -53,6 +53,11 @@ impl<'a> Job<'a, '_> {
         options: &RemeshOptions,
     ) -> Result<Optimized<'a, P>> {
         let optimized = self.optimize_once(prepared, options, None)?;
+        let failing = !optimized.failing.components.is_empty();
+        if failing && self.may_divide && optimized.curves.divide(&optimized.plan.mesh, self.topology.components) {
+            self.wants_division = true;
+            return Ok(optimized);
+        }
         let optimized = self.resolve_thin_parts(optimized, options)?;
         let optimized = self.resolve_folds(optimized, options)?;
         self.scale_seeds(optimized, options)

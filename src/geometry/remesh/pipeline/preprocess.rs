@@ -10,6 +10,7 @@ use std::collections::{BTreeSet, HashMap, HashSet};
 use std::sync::Arc;
 
 use super::match_reach;
+use super::prepare::Asked;
 use crate::cvt::density::{DensityOptions, DensitySource};
 use crate::mesh::adjacency::{Adjacency, weld_unless};
 use crate::mesh::apart::Apart;
@@ -136,6 +137,8 @@ pub(super) struct Separated {
     pub(super) rims: Option<Vec<[u32; 2]>>,
     /// The vertices that stay, if others are in their places too now.
     pub(super) vertices: Option<Vec<u32>>,
+    /// Those of the input, with what was found out when its sheets were moved apart.
+    pub(super) figures: InputFigures,
 }
 
 impl Preprocessed {
@@ -170,19 +173,28 @@ impl Preprocessed {
     /// Moves the sheets apart, so that no cell reaches from one to another. Sheets stay where they are if seeds are given, since
     /// no seed's sheet is known, and where points are too few for each sheet.
     pub(super) fn separate(
-        &mut self,
+        &self,
         given: &TriMesh,
         (options, held): (&RemeshOptions, Held<'_>),
+        creases: &[[u32; 2]],
         token: &Token,
     ) -> Result<Separated, RemeshError> {
         let topology = self.figures.topology;
         let touching = topology.non_manifold_edges + topology.non_manifold_vertices > 0;
         let surface = self.figures.kind != InputKind::Volume;
         let clean = self.changed.as_ref().unwrap_or(given);
-        let mut separated =
-            Separated { apart: None, options: None, topology, joined: None, seams: None, rims: None, vertices: None };
+        let mut separated = Separated {
+            apart: None,
+            options: None,
+            topology,
+            joined: None,
+            seams: None,
+            rims: None,
+            vertices: None,
+            figures: self.figures.clone(),
+        };
         let (mut seams, mut joined) = (Vec::new(), Vec::new());
-        let several = topology.components > 1 || touching && surface;
+        let several = topology.components > 1 || touching && surface || !creases.is_empty();
         if let Some(edge) = target_edge(clean, topology.components, options).filter(|_| several) {
             // Smaller ones are noise, and get no vertices of their own.
             let least = POINTS_PER_COMPONENT as f64 * (3f64.sqrt() / 2.0) * edge * edge;
@@ -190,7 +202,7 @@ impl Preprocessed {
             let mut sheets = Sheets::of(clean, if touching { least } else { 0.0 }, go_on, token)?;
             let (low, high) = clean.bounds();
             let gap = SEPARATION_EDGES * edge + SEPARATION_DIAGONAL * (high - low).length();
-            let moved = |sheets: &Sheets| match edge <= uniform_edge(clean, POINTS_PER_COMPONENT * sheets.count) {
+            let moved = |sheets: &Sheets| match edge <= uniform_edge(clean, POINTS_PER_COMPONENT * sheets.whole) {
                 true => Apart::of(clean, sheets, gap),
                 false => None,
             };
@@ -205,16 +217,23 @@ impl Preprocessed {
                 separated.apart = moved(&pieces);
                 sheets = if separated.apart.is_some() { pieces } else { sheets };
             }
+            if !creases.is_empty() {
+                let patches = sheets.in_patches(clean, creases, go_on, token)?;
+                let apart = moved(&patches);
+                if apart.is_some() {
+                    (separated.apart, sheets) = (apart, patches);
+                }
+            }
             if separated.apart.is_none() {
                 separated.apart = moved(&sheets);
             }
             if sheets.count > topology.components
                 && let Some(apart) = &mut separated.apart
             {
-                self.figures.sheets = sheets.whole;
+                separated.figures.sheets = sheets.whole;
                 // Facets that are now neighbours had others between them.
                 if let Some((consistent, flipped)) = make_consistent(&apart.mesh, token)? {
-                    self.figures.reoriented_facets += flipped;
+                    separated.figures.reoriented_facets += flipped;
                     apart.mesh = consistent;
                 }
                 separated.topology = topology_unless(&apart.mesh, &Adjacency::unless(&apart.mesh, token)?, token)?;
@@ -357,6 +376,21 @@ impl Preprocessed {
             }
         }
         TriMesh::new(apart.mesh.positions().to_vec(), facets)
+    }
+}
+
+impl Separated {
+    /// Whether the surface or what is said of it is another one.
+    pub(super) fn is_changed(&self) -> bool {
+        self.apart.is_some() || self.options.is_some() || self.seams.is_some()
+    }
+
+    /// What was asked for, of the sheets apart.
+    pub(super) fn asked<'a>(&'a self, asked: Asked<'a>) -> Asked<'a> {
+        let rims = self.rims.as_deref().unwrap_or(asked.held.rims);
+        let vertices = self.vertices.as_deref().unwrap_or(asked.held.vertices);
+        let held = Held { seams: self.seams.as_ref(), rims, vertices, ..asked.held };
+        Asked { apart: self.apart.as_ref(), held, ..asked }
     }
 }
 
