@@ -89,10 +89,10 @@ pub(crate) struct KeptCurves {
     closes: bool,
     /// Facets of patches that are too narrow for seeds within.
     narrow: Vec<bool>,
-    /// Whether creases had to be dropped since others are too close, or too many for the points.
+    /// Whether creases had to be dropped, since others are too close or points too few, or were left out as noise.
     pub(crate) is_crowded: bool,
-    /// The edges of all curves that were found, by vertices of the mesh before facets were divided.
-    all_curves: Vec<[u32; 2]>,
+    /// What curves were sought by.
+    criteria: FeatureOptions,
 }
 
 impl KeptCurves {
@@ -102,7 +102,7 @@ impl KeptCurves {
         plan: &Plan<'_>,
         surface: &Surface,
         (options, by_error): (&RemeshOptions, bool),
-        Held { seams, rims, vertices, closes, drops_creases, crowded: is_crowded }: Held<'_>,
+        Held { seams, rims, vertices, closes, drops_creases, crowded }: Held<'_>,
         token: &Token,
     ) -> Result<Self, RemeshError> {
         Features::check(mesh, options.crease_angle_deg, &options.creases, token)?;
@@ -130,7 +130,8 @@ impl KeptCurves {
             ),
             points: seams.map(|seams| seams.points()).into_iter().flatten().chain(vertices.iter().copied()).collect(),
             rims: plan.edges(rims, token)?,
-            min_crease_length: SHORTEST_CREASE * scale,
+            // On a designed part what is short is no noise.
+            min_crease_length: if crowded { 0.0 } else { SHORTEST_CREASE * scale },
             turn_reach: BEND_REACH * scale,
             ridge_clearance: if weaker { SMOOTH_REACH * scale } else { 0.0 },
             merge_length: JOINED_CORNERS * scale,
@@ -138,14 +139,8 @@ impl KeptCurves {
         };
         let mut dropped_curves = 0;
         let mut rims_alone = false;
-        // The edges of all curves, before any is dropped.
-        let own = |v: &u32| (*v as usize) < mesh.positions().len();
-        let edges_of = |features: &Features| -> Vec<[u32; 2]> {
-            let chain = |c: &Curve| c.round().filter(own).collect::<Vec<u32>>();
-            let edges = |c: &Curve| chain(c).windows(2).map(|pair| [pair[0], pair[1]]).collect::<Vec<_>>();
-            features.curves.iter().flat_map(edges).collect()
-        };
-        let (mut is_short, mut all_curves) = (false, None);
+        let mut is_crowded = false;
+        let all = criteria.clone();
         if drops_creases {
             let all = Features::find(&plan.mesh, surface.positions(), &criteria, token)?;
             dropped_curves += all.curves.iter().filter(|c| c.kind == CurveKind::Crease).count();
@@ -160,6 +155,7 @@ impl KeptCurves {
                 criteria.given_corners = ascending(corners.into_iter().chain(criteria.given_corners));
                 features = Features::find(&plan.mesh, surface.positions(), &criteria, token)?;
             }
+            is_crowded |= features.left_out > 0;
             if !options.keep_boundaries || rims_alone {
                 features.retain(|_, c| c.is_rim || c.kind != CurveKind::Boundary && !rims_alone);
             }
@@ -170,7 +166,7 @@ impl KeptCurves {
             // Close curves are dropped next, but do not make room for more than this.
             let most = points.saturating_mul(MOST_SEEDS).saturating_add(SPARE_SEEDS);
             let mut placed = CurveSeeds::place(surface, (&features, &[]), edge, most, token)?;
-            if is_crowded {
+            if crowded {
                 let of = Of { surface, mesh: &plan.mesh, features: &features, seams, points, most, token };
                 let found = of.fitted(edge)?;
                 let Some(Crowded { seeds, joints, copies, narrow, .. }) = found else { return Ok(Self::default()) };
@@ -188,7 +184,7 @@ impl KeptCurves {
                     closes: true,
                     narrow,
                     is_crowded: false,
-                    all_curves: Vec::new(),
+                    criteria: all,
                 });
             }
             while let Some(seeds) = &placed {
@@ -196,8 +192,7 @@ impl KeptCurves {
                 if too_close.is_empty() {
                     break;
                 }
-                is_short = true;
-                all_curves.get_or_insert_with(|| edges_of(&features));
+                is_crowded = true;
                 dropped_curves += too_close.len();
                 features.retain(|k, _| !too_close.contains(&(k as u32)));
                 placed = CurveSeeds::place(surface, (&features, &[]), edge, most, token)?;
@@ -211,7 +206,6 @@ impl KeptCurves {
                 if seeds.len() as f64 <= most_of(creases(&features)) * points as f64 {
                     let stays = staying(&seeds, &features);
                     let seams = seams.cloned();
-                    let all_curves = all_curves.unwrap_or_else(|| edges_of(&features));
                     return Ok(Self {
                         features,
                         seeds,
@@ -223,8 +217,8 @@ impl KeptCurves {
                         copies,
                         closes,
                         narrow: Vec::new(),
-                        is_crowded: is_short,
-                        all_curves,
+                        is_crowded,
+                        criteria: all,
                     });
                 }
             }
@@ -234,8 +228,7 @@ impl KeptCurves {
                 continue;
             }
             if creases > 0 {
-                is_short = true;
-                all_curves.get_or_insert_with(|| edges_of(&features));
+                is_crowded = true;
             }
             dropped_curves += creases;
             if creases == 0 && !(rims.is_empty() && vertices.is_empty()) {
@@ -248,8 +241,8 @@ impl KeptCurves {
             } else if creases == 0 {
                 return Ok(Self {
                     dropped_curves: dropped_curves + features.curves.len(),
-                    is_crowded: is_short,
-                    all_curves: all_curves.unwrap_or_default(),
+                    is_crowded,
+                    criteria: all,
                     ..Self::default()
                 });
             }
@@ -488,9 +481,26 @@ impl KeptCurves {
         chains
     }
 
-    /// The edges of all curves that were found, those that were dropped too.
-    pub(crate) fn all_curves(&self) -> &[[u32; 2]] {
-        &self.all_curves
+    /// The edges of all curves that there are, those that were dropped or left out as noise too, by the first `vertices` of a surface.
+    pub(crate) fn every_edge(
+        &self,
+        (mesh, surface): (&TriMesh, &Surface),
+        vertices: usize,
+        token: &Token,
+    ) -> Result<Vec<[u32; 2]>, RemeshError> {
+        let criteria = FeatureOptions { min_crease_length: 0.0, ..self.criteria.clone() };
+        let all = Features::find(mesh, surface.positions(), &criteria, token)?;
+        let mut edges = Vec::new();
+        for curve in &all.curves {
+            let chain: Vec<u32> = curve.round().filter(|v| (*v as usize) < vertices).collect();
+            edges.extend(chain.windows(2).map(|pair| [pair[0], pair[1]]));
+        }
+        Ok(edges)
+    }
+
+    /// Whether any curve was sought by an angle.
+    pub(crate) fn seeks_creases(&self) -> bool {
+        self.criteria.crease_angle_deg > 0.0
     }
 
     /// Whether curves divide a surface of so many sheets.

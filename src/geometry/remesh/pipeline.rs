@@ -193,19 +193,21 @@ fn run_stages(
     token: &Token,
 ) -> Result<Remesh, RemeshError> {
     let mut way = Way::Free;
-    loop {
+    let (done, divisible) = loop {
         match run_once(part, (options, way), backend, observer, token)? {
+            Outcome::Done(done, divisible) => break (*done, divisible),
             Outcome::Again(other) => way = other,
-            Outcome::Done(done) if way == Way::Free && done.report.lacks_curves() => {
-                let divided = run_once(part, (options, Way::Divided), backend, observer, token)?;
-                return Ok(match divided {
-                    Outcome::Done(divided) if divided.report.is_nearer_than(&done.report) => *divided,
-                    _ => *done,
-                });
-            }
-            Outcome::Done(done) => return Ok(*done),
         }
+    };
+    if !(divisible && done.report.lacks_curves()) {
+        return Ok(done);
     }
+    let divided = run_once(part, (options, Way::Divided), backend, observer, token);
+    token.check()?;
+    Ok(match divided {
+        Ok(Outcome::Done(divided, _)) if divided.report.is_nearer_than(&done.report) => *divided,
+        _ => done,
+    })
 }
 
 /// Whether a surface is divided along its creases: each patch then has cells of its own, and no crease is dropped.
@@ -218,7 +220,8 @@ enum Way {
 }
 
 enum Outcome {
-    Done(Box<Remesh>),
+    /// And whether the surface may be divided, and is not.
+    Done(Box<Remesh>, bool),
     /// Another way is better.
     Again(Way),
 }
@@ -272,11 +275,13 @@ fn run_once(
         && options.periodic.is_empty()
         && held.rims.is_empty()
         && held.vertices.is_empty()
-        && matches!(&prepared, Ok(prepared) if !prepared.curves.all_curves().is_empty())
+        && matches!(&prepared, Ok(prepared) if prepared.curves.seeks_creases())
         && flat_share(clean, token)? >= constants::LEAST_FLAT;
     let creases = match &prepared {
         Ok(prepared) if may_divide && (way == Way::Divided || way == Way::Free && prepared.curves.is_crowded) => {
-            prepared.curves.all_curves().to_vec()
+            let Prepared { curves, plan, surface, .. } = prepared;
+            let separated = undivided.apart.as_ref().map_or(clean, |apart| &apart.mesh);
+            curves.every_edge((&plan.mesh, surface), separated.positions().len(), token)?
         }
         _ => Vec::new(),
     };
@@ -325,7 +330,8 @@ fn run_once(
     let diagonal = (high - low).length();
     // A tolerance decides itself how many points there are, and a metric is scaled for their number.
     let scales_seeds = options.refine.is_none() && !in_metric;
-    let may_divide = way == Way::Free && may_divide && keep_thin && !is_divided;
+    let divisible = way == Way::Free && may_divide && !is_divided;
+    let may_divide = divisible && keep_thin;
     // Patches that are divided are not thin, and the number of their vertices is known.
     let (keep_thin, scales_seeds) = (keep_thin && !is_divided, scales_seeds && !is_divided);
     let wants_division = false;
@@ -352,7 +358,11 @@ fn run_once(
     };
     let counted = matches!(options.seeds.count(), Count::Points(_));
     let edge_length = options.density.edge_length.filter(|_| !counted);
-    let mut attempt = attempt.map_err(|error| error.for_surface(&topology, input.area, edge_length))?;
+    let mut attempt = match attempt {
+        // Patches may have no room for any cells.
+        Err(_) if is_divided && token.check().is_ok() => return Ok(Outcome::Again(Way::Undivided)),
+        attempt => attempt.map_err(|error| error.for_surface(&topology, input.area, edge_length))?,
+    };
 
     token.check()?;
     if job.wants_division {
@@ -415,7 +425,7 @@ fn run_once(
     let mut measured = measure(clean, input, options, attempt, of_result, job)?;
     let Carried { attributes, provenance, regions } = carried;
     (measured.report.result.regions, measured.report.result.periodic) = (regions, periodic);
-    Ok(Outcome::Done(Box::new(Remesh { attributes, provenance, ..measured })))
+    Ok(Outcome::Done(Box::new(Remesh { attributes, provenance, ..measured }), divisible))
 }
 
 /// How near a vertex is to a mirror plane, or a boundary to the image of another, to be in it; caller's units.
