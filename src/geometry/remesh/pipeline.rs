@@ -301,8 +301,8 @@ fn run_once(
     if way == Way::Divided && !is_divided {
         return Ok(Outcome::Again(Way::Undivided));
     }
-    let Separated { apart, options: adapted, topology, joined, figures, .. } = separated;
-    let (topology, joined) = (*topology, *joined);
+    let Separated { apart, options: adapted, topology, joined, seams, figures, .. } = separated;
+    let (topology, joined, meet) = (*topology, *joined, seams.is_some() && options.periodic.is_empty());
     token.check()?;
     let options = adapted.as_ref().unwrap_or(options);
     let separated = apart.as_ref().map_or(clean, |apart| &apart.mesh);
@@ -368,10 +368,10 @@ fn run_once(
     if job.wants_division {
         return Ok(Outcome::Again(Way::Divided));
     }
-    if let Some(apart) = apart.as_ref().filter(|_| is_divided) {
+    if let Some(apart) = apart.as_ref().filter(|_| meet) {
         let broken = |e| RvdError::Internal(format!("a surface was valid before: {e}"));
         let of = (&*attempt.plan.mesh, &attempt.curves, &attempt.seeds[..]);
-        if !patches::mend(&mut attempt.built, of, apart, token)?.map_err(broken)? {
+        if !patches::mend(&mut attempt.built, of, apart, token)?.map_err(broken)? && is_divided {
             return Ok(Outcome::Again(Way::Undivided));
         }
     }

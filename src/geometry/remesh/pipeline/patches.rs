@@ -1,6 +1,6 @@
 //! Patches between creases that have no room for cells of their own.
 //!
-//! Purpose: where the surface was divided along its creases, [`mend`] looks for patches whose dual lacks edges of the curves around them, or
+//! Purpose: where sheets are apart that meet along curves, [`mend`] looks for those whose dual lacks edges of the curves around them, or
 //! has another topology. It replaces them by the patch of the input itself, of which all vertices but the seeds of the curves are
 //! taken out ([`simplified`]).
 //! Invariant: a patch that was replaced has all edges of its curves, which its neighbours have too. Others stay as they are.
@@ -44,7 +44,7 @@ struct Patch {
     chains: Vec<usize>,
 }
 
-/// Replaces the patches that need it. Returns `false` if one that does has room for cells of its own, and leaves all as they are then.
+/// Replaces the patches that need it. Returns whether all have their edges then: one with room for cells of its own stays as it is.
 pub(super) fn mend(
     built: &mut Built,
     (mesh, curves, seeds): (&TriMesh, &KeptCurves, &[DVec3]),
@@ -66,33 +66,35 @@ pub(super) fn mend(
     }
     let narrow = curves.narrow();
     let at = |seed: u32| curves.corner(seed).map_or(seeds[seed as usize], |v| mesh.positions()[v as usize]);
+    let mut all = true;
     let mut gone: HashSet<u32> = HashSet::new();
-    let mut made: Vec<(Vec<(u32, DVec3)>, Vec<[u32; 3]>)> = Vec::new();
+    let mut made: Vec<Simplified> = Vec::new();
     for patch in patches.values() {
         token.check()?;
         let of = || patch.chains.iter().map(|&k| &chains[k]);
         let wanted: HashSet<[u32; 2]> =
             of().filter(|chain| chain.boundary).flat_map(|chain| chain.edges()).map(undirected).collect();
-        let is_narrow = patch.facets.iter().any(|&f| narrow[f as usize]);
+        let is_narrow = patch.facets.iter().any(|&f| narrow.get(f as usize) == Some(&true));
         if wanted.is_empty() || !is_narrow && is_whole(built, patch, &wanted, (mesh, &class)) {
             continue;
         }
         let facets: Vec<[u32; 3]> =
             patch.facets.iter().map(|&f| mesh.facets()[f as usize].map(|v| class[v as usize])).collect();
         if !is_narrow && patch.result.len() > MOST_FACETS {
-            return Ok(Ok(false));
+            all = false;
+            continue;
         }
         if let Some(new) = simplified((mesh, &facets), &of().collect::<Vec<_>>(), at, token)? {
             gone.extend(&patch.result);
             made.push(new);
         } else {
-            return Ok(Ok(false));
+            all = false;
         }
     }
     if made.is_empty() {
-        return Ok(Ok(true));
+        return Ok(Ok(all));
     }
-    Ok(replace(built, curves, &gone, made).map(|()| true))
+    Ok(replace(built, curves, &gone, made).map(|()| all))
 }
 
 /// Whether a patch has the edges of its curves, as a boundary, and the topology of the input.
