@@ -152,12 +152,12 @@ fn creases_that_are_given_up_are_said() {
     io::write(&folder.path().join("tube.ply"), &tube).unwrap();
     let rings = (1..along).flat_map(|j| (0..around).map(move |i| format!("{} {}\n", at(i, j), at(i + 1, j))));
     std::fs::write(folder.path().join("rings.txt"), rings.collect::<String>()).unwrap();
-    for (points, dropped_curves) in [(60, true), (1200, false)] {
+    for (points, dropped_curves) in [(20, true), (60, false), (1200, false)] {
         let line = format!("remesh tube.ply -o out.ply --points {points} --newton 0 --creases rings.txt");
         let out = tessera(folder.path(), &line);
         let text = said(&out);
         assert!(out.status.success(), "{points}: {text}");
-        assert_eq!(text.contains("11 of 13 creases and boundaries were dropped"), dropped_curves, "{points}: {text}");
+        assert_eq!(text.contains("creases and boundaries were dropped"), dropped_curves, "{points}: {text}");
     }
 }
 

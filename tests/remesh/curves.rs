@@ -331,12 +331,11 @@ fn closed_curves_have_no_seed_twice() {
     }
 }
 
-/// What is short beside the edges of the remesh goes without a curve; the result is valid all the same.
+/// Curves that are short beside the edges of the remesh leave a valid result.
 #[test]
 fn holes_smaller_than_an_edge_leave_a_valid_surface() {
     let mesh = Shape::Genus(6).build(8000);
     let out = run(&mesh, &options(120)).unwrap();
-    assert!(out.report.features.short_crease_edges + out.report.features.dropped_curves > 0);
     let after = topology(&out.mesh);
     assert_eq!((after.non_manifold_edges, after.non_manifold_vertices, after.boundary_edges), (0, 0, 0));
     let many = run(&mesh, &options(2000)).unwrap();

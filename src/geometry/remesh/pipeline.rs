@@ -542,6 +542,7 @@ fn measure(
         _ if metric.is_some() && wanted.fewest_vertices() <= asked => {
             (!optimize::is_near(vertices, asked)).then_some(CountReason::Metric)
         }
+        _ if !curves.narrow().is_empty() => (!optimize::is_near(vertices, asked)).then_some(CountReason::NarrowPatches),
         _ => optimize::count_reason((vertices, result.topology.components), asked, &options.seeds, &wanted),
     };
     let vertex_count = CountFigures { asked, seeds: seeds.len(), reason };

@@ -195,6 +195,8 @@ pub enum CountReason {
     SmallParts,
     /// Parts of the input have no thickness: seeds there have no vertex.
     NoThickness,
+    /// Patches between creases are narrower than an edge, and take no vertices within.
+    NarrowPatches,
     /// Edges cannot have the lengths that the metric asks for with so many vertices.
     Metric,
 }

@@ -91,6 +91,7 @@ fn of_count(report: &Report, all: &mut Vec<Warning>) {
                 "parts of the input are too small for a facet and were left out; more points keep them"
             }
             CountReason::NoThickness => "parts of the input have no thickness",
+            CountReason::NarrowPatches => "what lies between its creases is narrower than an edge",
             CountReason::Metric => "edges of the metric's lengths need another number",
         };
         let (asked, vertices) = (count.asked, report.result.vertices);
