@@ -208,10 +208,12 @@ pub(super) const LARGEST_SHARE: f64 = 0.6;
 /// Curves that need more seeds than this multiple of all seeds plus [`SPARE_SEEDS`] are dropped before any seed is placed, as
 /// those of a strip as narrow as a hair. With less, a noisy surface with few points loses creases that there is room for.
 pub(super) const MOST_SEEDS: usize = 16;
+pub(super) const SPARE_SEEDS: usize = 1000;
 /// How much longer or shorter edges may be on a surface that was divided along its creases than on one without, and how often that range
 /// is halved.
 pub(super) const MOST_CROWDED: f64 = 40.0;
 pub(super) const CROWDED_STEPS: usize = 16;
+/// With fewer vertices than this share of those that were asked for, curves alone get more seeds.
 pub(super) const CROWDED_ENOUGH: f64 = 0.98;
 /// A surface is divided along its creases only if so much of the length of its edges is flat, as of designed parts: a flat or ruled face has
 /// diagonals. Scans have none.
@@ -220,7 +222,6 @@ pub(super) const LEAST_FLAT: f64 = 0.1;
 pub(super) const MOST_CROSSING: f64 = 0.02;
 /// A patch whose mean width is less has no seeds within, edges.
 pub(super) const NARROW_PATCH: f64 = 1.2;
-pub(super) const SPARE_SEEDS: usize = 1000;
 /// Distance of other seeds from a curve's seeds, share of their spacing: about where the cells of the curve end. A larger
 /// distance leaves too few seeds between two close curves, and no step takes a seed across a curve.
 pub(super) const CLEARANCE: f64 = 0.5;

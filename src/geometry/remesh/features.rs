@@ -2,7 +2,7 @@
 //!
 //! Purpose: [`KeptCurves`] finds them, places their seeds and reads their edges off a result; [`envelope`] bounds these.
 //! Invariant: if the curves would take too many of the seeds, creases are dropped first and boundaries last, and both are
-//! counted. Must not know: backends, iterations, how a result is improved.
+//! counted. Where the surface was divided along its creases, none is dropped ([`crowded`]). Must not know: backends, iterations, how a result is improved.
 
 mod chain;
 mod crowded;
@@ -165,7 +165,6 @@ impl KeptCurves {
             let most_of = |creases| if creases == 0 { 1.0 } else { LARGEST_SHARE };
             // Close curves are dropped next, but do not make room for more than this.
             let most = points.saturating_mul(MOST_SEEDS).saturating_add(SPARE_SEEDS);
-            let mut placed = CurveSeeds::place(surface, (&features, &[]), edge, most, token)?;
             if crowded {
                 let of = Of { surface, mesh: &plan.mesh, features: &features, seams, points, most, token };
                 let found = of.fitted(edge)?;
@@ -187,6 +186,7 @@ impl KeptCurves {
                     criteria: all,
                 });
             }
+            let mut placed = CurveSeeds::place(surface, (&features, &[]), edge, most, token)?;
             while let Some(seeds) = &placed {
                 let too_close = seeds.too_close(&features, token)?;
                 if too_close.is_empty() {
@@ -227,9 +227,7 @@ impl KeptCurves {
                 criteria.ridge_clearance = 0.0;
                 continue;
             }
-            if creases > 0 {
-                is_crowded = true;
-            }
+            is_crowded |= creases > 0;
             dropped_curves += creases;
             if creases == 0 && !(rims.is_empty() && vertices.is_empty()) {
                 if rims_alone {

@@ -16,6 +16,9 @@
 //! Points spread evenly over a surface with a spike that is far longer than the rest is wide all lie on the spike. Such a surface
 //! is remeshed with its far vertices drawn in, and [`put_back_spikes`] moves the result to where they were.
 //!
+//! A designed part whose creases are closer than an edge is divided along them ([`Way`]). Where that fails it is remeshed undivided, and
+//! the stages begin again.
+//!
 //! Invariant: the observer hears of the stages in this order; what could not be kept is in the report.
 //! Must not know: how a stage does its work, files, jobs, the network.
 
