@@ -6,6 +6,7 @@ use glam::DVec3;
 use tessera::mesh::TriMesh;
 use tessera::mesh::closest_point::distance_to_segment;
 use tessera::mesh::measure::topology;
+use tessera::mesh::shapes::Shape;
 use tessera::mesh::shapes::parts::{PartKind, part};
 use tessera::remesh::{Remesh, RemeshOptions, Seeds, remesh};
 use tessera::rvd::Parallel;
@@ -96,4 +97,18 @@ fn struts_narrower_than_an_edge_stay_straight() {
     let quality = done.report.result.quality.as_ref().unwrap();
     assert!(quality.hausdorff_percent < 0.01, "{quality:?}");
     assert_eq!(done.report.features.dropped_curves, 0);
+}
+
+/// The facets of a coarse torus make angles like creases, with flat diagonals between. None of them is a feature.
+#[test]
+fn round_surfaces_of_few_facets_are_not_divided() {
+    for facets in [500, 700] {
+        let mesh = Shape::Torus.build(facets);
+        for points in [60, 100, 200, 300] {
+            let done = run(&mesh, points, 2);
+            let quality = done.report.result.quality.as_ref().unwrap();
+            assert_eq!(done.report.result.vertices, points);
+            assert!(quality.theta_min_deg > 30.0 && quality.hausdorff_percent < 3.0, "{facets}, {points}: {quality:?}");
+        }
+    }
 }

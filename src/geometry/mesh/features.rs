@@ -49,6 +49,9 @@ pub struct FeatureOptions {
 
 /// Facets whose normals differ by less are in one plane, degrees: the rounding of single precision is less on all but the smallest facets.
 const FLAT_DEG: f64 = 0.1;
+/// An edge with a larger dihedral angle is one of the surface, and not of the facets that a round face was made of, degrees: nine facets
+/// around a cylinder have as much.
+const SHARP_DEG: f64 = 40.0;
 
 /// Curves may change by merging corners if chords as long as [`FeatureOptions::turn_reach`] leave them by less than this share
 /// of it, about as far as chords leave a smooth curve.
@@ -265,24 +268,38 @@ impl Curve {
     }
 }
 
-/// Share of the length of edges between two facets whose facets are in one plane, but for [`FLAT_DEG`].
-pub(crate) fn flat_share(mesh: &TriMesh, token: &Token) -> Result<f64, Stopped> {
+/// What the edges of a surface are like.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct EdgeShares {
+    /// Share of their length where the two facets are in one plane, but for [`FLAT_DEG`].
+    pub(crate) flat: f64,
+    /// Share of their length with a dihedral angle of more than [`SHARP_DEG`].
+    pub(crate) sharp: f64,
+}
+
+/// The shares of the length of edges between two facets.
+pub(crate) fn edge_shares(mesh: &TriMesh, token: &Token) -> Result<EdgeShares, Stopped> {
     let class = weld_unless(mesh, token)?;
     let facets = mesh.facets().iter().map(|t| t.map(|v| class[v as usize])).enumerate();
     let unit = |f: u32| normal(mesh.corners(f as usize)).normalize_or_zero();
-    let least = FLAT_DEG.to_radians().cos();
-    let (mut flat, mut all) = (0.0, 0.0);
+    let [least_flat, least_smooth] = [FLAT_DEG, SHARP_DEG].map(|angle: f64| angle.to_radians().cos());
+    let (mut shares, mut all) = (EdgeShares::default(), 0.0);
     EdgeGroups::unless(class.len(), facets, token)?.for_each(|_, halves| {
         let [a, b] = halves else { return };
         let t = mesh.facets()[a.facet as usize];
         let [p, q] = [t[a.side], t[(a.side + 1) % 3]].map(|v| mesh.positions()[v as usize]);
         let length = p.distance(q);
         all += length;
-        if unit(a.facet).dot(unit(b.facet)).abs() > least {
-            flat += length;
+        let cosine = unit(a.facet).dot(unit(b.facet));
+        if cosine.abs() > least_flat {
+            shares.flat += length;
+        } else if cosine < least_smooth {
+            shares.sharp += length;
         }
     });
-    Ok(if all > 0.0 { flat / all } else { 0.0 })
+    shares.flat /= all.max(f64::MIN_POSITIVE);
+    shares.sharp /= all.max(f64::MIN_POSITIVE);
+    Ok(shares)
 }
 
 fn check_angle(degrees: f64) -> Result<(), FeatureError> {

@@ -218,6 +218,8 @@ pub(super) const CROWDED_ENOUGH: f64 = 0.98;
 /// A surface is divided along its creases only if so much of the length of its edges is flat, as of designed parts: a flat or ruled face has
 /// diagonals. Scans have none.
 pub(super) const LEAST_FLAT: f64 = 0.1;
+/// And so much of it is sharp: round faces made of few facets have flat diagonals as well.
+pub(super) const LEAST_SHARP: f64 = 0.01;
 /// A divided surface whose result has more crossing facets than this share was not to be divided.
 pub(super) const MOST_CROSSING: f64 = 0.02;
 /// A patch whose mean width is less has no seeds within, edges.

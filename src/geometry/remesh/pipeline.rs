@@ -55,7 +55,7 @@ use crate::mesh::attributes::Attributes;
 use crate::mesh::closest_point::{ClosestPoint, SurfacePoint};
 use crate::mesh::comparison::{LostParts, lost_parts};
 use crate::mesh::crossings::crossings;
-use crate::mesh::features::flat_share;
+use crate::mesh::features::edge_shares;
 use crate::mesh::input::{draw_in, outliers};
 use crate::mesh::measure::{Quality, Topology, coincident_vertices, quality_and_distances, topology_unless};
 use crate::rvd::{Backend, RvdError, elapsed_ms, on_threads_of};
@@ -279,7 +279,7 @@ fn run_once(
         && held.rims.is_empty()
         && held.vertices.is_empty()
         && matches!(&prepared, Ok(prepared) if prepared.curves.seeks_creases())
-        && flat_share(clean, token)? >= constants::LEAST_FLAT;
+        && is_designed(clean, token)?;
     let creases = match &prepared {
         Ok(prepared) if may_divide && (way == Way::Divided || way == Way::Free && prepared.curves.is_crowded) => {
             let Prepared { curves, plan, surface, .. } = prepared;
@@ -429,6 +429,12 @@ fn run_once(
     let Carried { attributes, provenance, regions } = carried;
     (measured.report.result.regions, measured.report.result.periodic) = (regions, periodic);
     Ok(Outcome::Done(Box::new(Remesh { attributes, provenance, ..measured }), divisible))
+}
+
+/// Whether a surface has flat or ruled faces between sharp edges.
+fn is_designed(mesh: &TriMesh, token: &Token) -> Result<bool, Stopped> {
+    let shares = edge_shares(mesh, token)?;
+    Ok(shares.flat >= constants::LEAST_FLAT && shares.sharp >= constants::LEAST_SHARP)
 }
 
 /// How near a vertex is to a mirror plane, or a boundary to the image of another, to be in it; caller's units.
