@@ -112,3 +112,14 @@ fn round_surfaces_of_few_facets_are_not_divided() {
         }
     }
 }
+
+/// Its foot is a curve with room for cells, and its shaft is thinner than an edge.
+#[test]
+fn needles_keep_their_length() {
+    for feature in [0.03, 0.01] {
+        let mesh = part(PartKind::Wedge, feature, 1);
+        let done = run(&mesh, 500, 2);
+        let quality = done.report.result.quality.as_ref().unwrap();
+        assert!(quality.hausdorff_percent < 1.0, "{feature}: {quality:?}");
+    }
+}

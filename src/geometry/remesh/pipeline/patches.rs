@@ -1,8 +1,8 @@
 //! Patches between creases that have no room for cells of their own.
 //!
 //! Purpose: where sheets are apart that meet along curves, [`mend`] looks for those whose dual lacks edges of the curves around them, or
-//! has another topology. It replaces them by the patch of the input itself, of which all vertices but the seeds of the curves are
-//! taken out ([`simplified`]).
+//! has another topology, or is far from the patch, as at a needle whose tip is lost. It replaces them by the patch of the input itself, of
+//! which all vertices but the seeds of the curves are taken out ([`simplified`]).
 //! Invariant: a patch that was replaced has all edges of its curves, which its neighbours have too. Others stay as they are.
 //! Must not know: how seeds of curves are placed, why the surface was divided.
 
@@ -75,8 +75,14 @@ pub(super) fn mend(
         let wanted: HashSet<[u32; 2]> =
             of().filter(|chain| chain.boundary).flat_map(|chain| chain.edges()).map(undirected).collect();
         let is_narrow = patch.facets.iter().any(|&f| narrow.get(f as usize) == Some(&true));
-        if wanted.is_empty() || !is_narrow && is_whole(built, patch, &wanted, (mesh, &class)) {
+        if wanted.is_empty() {
             continue;
+        }
+        if !is_narrow && is_whole(built, patch, &wanted, (mesh, &class)) {
+            let lengths = of().flat_map(|chain| chain.edges()).map(|ends| at(ends[0]).distance(at(ends[1])));
+            if patch.result.len() > MOST_FACETS || !is_far(built, patch, mesh, lengths.fold(0.0, f64::max)) {
+                continue;
+            }
         }
         let facets: Vec<[u32; 3]> =
             patch.facets.iter().map(|&f| mesh.facets()[f as usize].map(|v| class[v as usize])).collect();
@@ -107,6 +113,17 @@ fn is_whole(built: &Built, patch: &Patch, wanted: &HashSet<[u32; 2]>, (mesh, cla
     rim.len() == wanted.len()
         && rim.iter().all(|&edge| wanted.contains(&of_seeds(edge)))
         && outline(given).is_none_or(|(of_given, _)| of_given == euler)
+}
+
+/// Whether a vertex of a patch is farther than this from its facets in the result.
+fn is_far(built: &Built, patch: &Patch, mesh: &TriMesh, reach: f64) -> bool {
+    let vertices: HashSet<u32> = patch.facets.iter().flat_map(|&f| mesh.facets()[f as usize]).collect();
+    vertices.into_iter().any(|v| {
+        let place = mesh.positions()[v as usize];
+        let of_facet =
+            |&f: &u32| closest_on_facet(place, built.mesh.corners(f as usize), built.mesh.facets()[f as usize]).0;
+        patch.result.iter().map(of_facet).all(|apart| apart > reach.powi(2))
+    })
 }
 
 /// The Euler number of some facets, and their boundary; `None` if a half-edge is there twice.
