@@ -34,6 +34,7 @@ pub mod sample;
 pub mod shapes;
 pub(crate) mod sheets;
 pub mod tensor;
+pub(crate) mod tips;
 
 pub use features::FeatureError;
 use glam::DVec3;

@@ -314,6 +314,17 @@ fn too_few_points_give_curves_up() {
         );
         assert_eq!(topology(&out.mesh), topology_of_open(2), "{points} points");
         assert!(out.mesh.positions().len() <= points);
+        let ring = std::f64::consts::TAU;
+        assert!(
+            (figures.dropped_length - dropped_curves as f64 * ring).abs() < 0.01 * ring * dropped_curves as f64 + 1e-9
+        );
+        assert_eq!(figures.dropped.len(), dropped_curves.min(8));
+        for curve in &figures.dropped {
+            let [x, y, _] = curve.place;
+            assert!((x.hypot(y) - 1.0).abs() < 1e-9 && (curve.length - ring).abs() < 0.01 * ring, "{curve:?}");
+        }
+        let warned = out.report.warnings.iter().find(|warning| warning.code == "dropped_curves");
+        assert_eq!(warned.map_or(0, |warning| warning.places.len()), figures.dropped.len());
     }
     let out = run(&mesh, &options(1200).with_creases(creases)).unwrap();
     let figures = &out.report.features;

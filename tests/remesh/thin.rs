@@ -53,6 +53,44 @@ fn ring() -> TriMesh {
     TriMesh::new(positions.into_iter().map(thinner).collect(), facets).unwrap()
 }
 
+/// A unit ball with a needle, 2 long, that ends in a point.
+fn needled(radius: f64) -> TriMesh {
+    let low = (-29..30).map(|k| f64::from(k) / 30.0 * std::f64::consts::FRAC_PI_2).map(|t| (t.sin(), t.cos()));
+    let low = low.filter(|p| p.1 > 1.1 * radius || p.0 < 0.0);
+    let needle = (0..40).map(|k| f64::from(k) / 40.0).map(|t| (1.0 + 2.0 * t, radius * (1.0 - t)));
+    let profile: Vec<(f64, f64)> = [(-1.0, 0.0)].into_iter().chain(low).chain(needle).chain([(3.0, 0.0)]).collect();
+    turned(&profile, 24)
+}
+
+/// A closed sheet in three waves, 1 long and 0.5 wide.
+fn waves(thickness: f64) -> TriMesh {
+    let (along, across) = (120u32, 12u32);
+    let place = |k: u32, side: f64| {
+        let (x, y) = (f64::from(k / (across + 1)) / f64::from(along), f64::from(k % (across + 1)) / f64::from(across));
+        let turn = 6.0 * std::f64::consts::PI * x;
+        let normal = DVec3::new(-0.3 * std::f64::consts::PI * turn.cos(), 0.0, 1.0).normalize();
+        DVec3::new(x, 0.5 * y, 0.05 * turn.sin()) + 0.5 * side * thickness * normal
+    };
+    let count = (along + 1) * (across + 1);
+    let positions = [1.0, -1.0].into_iter().flat_map(|side| (0..count).map(move |k| place(k, side))).collect();
+    let at = |i: u32, j: u32| i * (across + 1) + j;
+    let mut facets: Vec<[u32; 3]> = Vec::new();
+    for (i, j) in (0..along).flat_map(|i| (0..across).map(move |j| (i, j))) {
+        let [a, b, c, d] = [at(i, j), at(i + 1, j), at(i + 1, j + 1), at(i, j + 1)];
+        facets.extend([[a, b, c], [a, c, d]]);
+        facets.extend([[a, c, b], [a, d, c]].map(|t| t.map(|v| v + count)));
+    }
+    let mut rim: Vec<u32> = (0..along).map(|i| at(i, 0)).collect();
+    rim.extend((0..across).map(|j| at(along, j)));
+    rim.extend((1..=along).rev().map(|i| at(i, across)));
+    rim.extend((1..=across).rev().map(|j| at(0, j)));
+    for k in 0..rim.len() {
+        let [a, b] = [rim[k], rim[(k + 1) % rim.len()]];
+        facets.extend([[b, a, a + count], [b, a + count, b + count]]);
+    }
+    TriMesh::new(positions, facets).unwrap()
+}
+
 /// How far the input's vertices are from a result at most.
 fn farthest(mesh: &TriMesh, result: &TriMesh) -> f64 {
     let tree = ClosestPoint::new(result);
@@ -99,6 +137,33 @@ fn a_bridge_and_a_thin_ring_stay() {
         let fails = !even.report.topology_changes.is_empty() || even.report.result.repair.seeds_without_vertex > 0;
         assert!(fails, "{name}: the test shows nothing");
         assert!(finer.report.topology_changes.is_empty(), "{name}: {:?}", finer.report.topology_changes);
+    }
+}
+
+/// No cell is as small as what is near the tip of a needle.
+#[test]
+fn a_needle_keeps_its_tip() {
+    for (radius, points) in [(0.02, 60), (0.02, 300), (0.1, 100), (0.1, 1000)] {
+        let mesh = needled(radius);
+        let out = run(&mesh, &options(points));
+        let (far, edge) = (farthest(&mesh, &out.mesh), edge(&mesh, points));
+        assert!(far < 0.5 * edge, "{radius}, {points} points: {far}, edges {edge}");
+        let after = topology(&out.mesh);
+        assert_eq!((after.euler, after.components, after.non_manifold_edges), (2, 1, 0), "{radius}, {points} points");
+        assert_eq!(out.report.result.crossings.as_ref().unwrap().count, 0);
+    }
+}
+
+/// Chords leave a wave by more than the sheet is thick.
+#[test]
+fn bent_sheets_do_not_cross() {
+    for (thickness, points) in [(0.01, 1000), (0.004, 2000)] {
+        let mesh = waves(thickness);
+        assert_eq!(topology(&mesh).boundary_edges, 0);
+        let out = run(&mesh, &options(points).with_crease_angle_deg(30.0));
+        assert_eq!(out.report.result.crossings.as_ref().unwrap().count, 0, "{thickness}, {points} points");
+        let vertices = out.mesh.positions().len();
+        assert!(vertices.abs_diff(points) <= points / 50, "{thickness}: {vertices} of {points}");
     }
 }
 

@@ -213,6 +213,8 @@ pub(super) const SPARE_SEEDS: usize = 1000;
 /// is halved.
 pub(super) const MOST_CROWDED: f64 = 40.0;
 pub(super) const CROWDED_STEPS: usize = 16;
+/// Dropped curves that are named, at most.
+pub(super) const MOST_DROPPED_NAMED: usize = 8;
 /// With fewer vertices than this share of those that were asked for, curves alone get more seeds.
 pub(super) const CROWDED_ENOUGH: f64 = 0.98;
 /// A surface is divided along its creases only if so much of the length of its edges is flat, as of designed parts: a flat or ruled face has
@@ -373,6 +375,11 @@ pub(super) const MAX_VAIN_ROUNDS: usize = 3;
 pub(super) const THIN_SHORTER: f64 = 0.5;
 /// Factor by which the median edge may grow for it: half of the points may go to thin parts.
 pub(super) const THIN_LONGEST: f64 = 1.4;
+/// Rounds with shorter edges where facets cross, at most; the factor on lengths in a round: chords leave a bent sheet by half as much; and
+/// how far from a facet edges become shorter, longest sides of it.
+pub(super) const MAX_CROSSING_ROUNDS: usize = 3;
+pub(super) const CROSSING_SHORTER: f64 = std::f64::consts::FRAC_1_SQRT_2;
+pub(super) const CROSSING_REACH: f64 = 1.0;
 /// Factor by which the number of points may grow where edge lengths imply it.
 pub(super) const THIN_MOST_POINTS: usize = 2;
 

@@ -17,7 +17,7 @@ use glam::DVec3;
 use rayon::prelude::*;
 
 use super::constants::*;
-use super::report::FeatureFigures;
+use super::report::{DroppedCurve, FeatureFigures};
 use super::{RemeshError, RemeshOptions, Seeds};
 use crate::cvt::curves::{CurveSeeds, INNER_POINTS, Segment, edge_length};
 use crate::cvt::density::Plan;
@@ -74,7 +74,8 @@ pub(crate) struct Held<'a> {
 pub(crate) struct KeptCurves {
     features: Features,
     pub(crate) seeds: CurveSeeds,
-    dropped_curves: usize,
+    /// Curves that there were too few points for.
+    dropped: Vec<DroppedCurve>,
     /// Whether curves are borders of regions or sheets.
     has_regions: bool,
     /// Where several sheets have a curve.
@@ -137,13 +138,14 @@ impl KeptCurves {
             merge_length: JOINED_CORNERS * scale,
             resolution,
         };
-        let mut dropped_curves = 0;
+        let mut dropped: Vec<DroppedCurve> = Vec::new();
+        let named = |curve: &Curve| DroppedCurve::of(curve, &plan.mesh);
         let mut rims_alone = false;
         let mut is_crowded = false;
         let all = criteria.clone();
         if drops_creases {
             let all = Features::find(&plan.mesh, surface.positions(), &criteria, token)?;
-            dropped_curves += all.curves.iter().filter(|c| c.kind == CurveKind::Crease).count();
+            dropped.extend(all.curves.iter().filter(|c| c.kind == CurveKind::Crease).map(named));
             criteria.crease_angle_deg = 0.0;
         }
         loop {
@@ -174,7 +176,7 @@ impl KeptCurves {
                 return Ok(Self {
                     features,
                     seeds,
-                    dropped_curves,
+                    dropped,
                     has_regions,
                     seams,
                     stays,
@@ -193,7 +195,7 @@ impl KeptCurves {
                     break;
                 }
                 is_crowded = true;
-                dropped_curves += too_close.len();
+                dropped.extend(too_close.iter().map(|&k| named(&features.curves[k as usize])));
                 features.retain(|k, _| !too_close.contains(&(k as u32)));
                 placed = CurveSeeds::place(surface, (&features, &[]), edge, most, token)?;
             }
@@ -209,7 +211,7 @@ impl KeptCurves {
                     return Ok(Self {
                         features,
                         seeds,
-                        dropped_curves,
+                        dropped,
                         has_regions,
                         seams,
                         stays,
@@ -222,27 +224,23 @@ impl KeptCurves {
                     });
                 }
             }
-            let creases = creases(&features);
             if criteria.ridge_clearance > 0.0 {
                 criteria.ridge_clearance = 0.0;
                 continue;
             }
+            let creases = creases(&features);
             is_crowded |= creases > 0;
-            dropped_curves += creases;
+            dropped.extend(features.curves.iter().filter(is_crease).map(named));
             if creases == 0 && !(rims.is_empty() && vertices.is_empty()) {
                 if rims_alone {
                     let rims = criteria.given_corners.len() + vertices.len();
                     return Err(RemeshError::TooFewForRims { points, rims });
                 }
-                dropped_curves += features.curves.iter().filter(|c| !c.is_rim).count();
+                dropped.extend(features.curves.iter().filter(|c| !c.is_rim).map(named));
                 rims_alone = true;
             } else if creases == 0 {
-                return Ok(Self {
-                    dropped_curves: dropped_curves + features.curves.len(),
-                    is_crowded,
-                    criteria: all,
-                    ..Self::default()
-                });
+                dropped.extend(features.curves.iter().map(named));
+                return Ok(Self { dropped, is_crowded, criteria: all, ..Self::default() });
             }
             criteria.crease_angle_deg = 0.0;
             criteria.given_creases.clear();
@@ -496,6 +494,11 @@ impl KeptCurves {
         Ok(edges)
     }
 
+    /// Moves the places of curves that were dropped.
+    pub(crate) fn move_dropped(&mut self, to: impl Fn(DVec3) -> DVec3) {
+        self.dropped.iter_mut().for_each(|curve| curve.place = to(curve.place.into()).to_array());
+    }
+
     /// Whether any curve was sought by an angle.
     pub(crate) fn seeks_creases(&self) -> bool {
         self.criteria.crease_angle_deg > 0.0
@@ -583,6 +586,10 @@ impl KeptCurves {
         let own = self.seeds.segments.iter().zip(edges).filter(|(s, _)| !is_rim(s));
         let missing: Vec<u32> = own.filter(|(_, e)| e.is_none()).map(|(s, _)| s.curve).collect();
         let broken: HashSet<u32> = missing.iter().copied().collect();
+        let mut dropped = self.dropped.clone();
+        dropped.sort_by(|a, b| b.length.total_cmp(&a.length));
+        let dropped_length = dropped.iter().map(|curve| curve.length).sum();
+        dropped.truncate(MOST_DROPPED_NAMED);
         FeatureFigures {
             boundaries: count(CurveKind::Boundary),
             creases: count(CurveKind::Crease),
@@ -592,7 +599,9 @@ impl KeptCurves {
             segments: self.seeds.segments.len(),
             missing_segments: missing.len(),
             broken_curves: broken.len(),
-            dropped_curves: self.dropped_curves,
+            dropped_curves: self.dropped.len(),
+            dropped_length,
+            dropped,
             short_crease_edges: self.features.left_out,
         }
     }

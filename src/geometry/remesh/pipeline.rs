@@ -33,7 +33,9 @@ mod periodic;
 mod prepare;
 mod preprocess;
 mod schedule;
+mod tips;
 mod tolerance;
+mod uncross;
 
 use std::time::Instant;
 
@@ -279,7 +281,7 @@ fn run_once(
         && held.rims.is_empty()
         && held.vertices.is_empty()
         && matches!(&prepared, Ok(prepared) if prepared.curves.seeks_creases())
-        && is_designed(clean, token)?;
+        && is_designed(clean, options, token)?;
     let creases = match &prepared {
         Ok(prepared) if may_divide && (way == Way::Divided || way == Way::Free && prepared.curves.is_crowded) => {
             let Prepared { curves, plan, surface, .. } = prepared;
@@ -336,6 +338,7 @@ fn run_once(
     let divisible = way == Way::Free && may_divide && !is_divided;
     let may_divide = divisible && keep_thin;
     // Patches that are divided are not thin, and the number of their vertices is known.
+    let may_shorten = keep_thin && options.refine.is_none() && !matches!(options.seeds, Seeds::Given(_));
     let (keep_thin, scales_seeds) = (keep_thin && !is_divided, scales_seeds && !is_divided);
     let wants_division = false;
     let mut job = Job {
@@ -371,12 +374,16 @@ fn run_once(
     if job.wants_division {
         return Ok(Outcome::Again(Way::Divided));
     }
-    if let Some(apart) = apart.as_ref().filter(|_| meet) {
-        let broken = |e| RvdError::Internal(format!("a surface was valid before: {e}"));
-        let of = (&*attempt.plan.mesh, &attempt.curves, &attempt.seeds[..]);
-        if !patches::mend(&mut attempt.built, of, apart, token)?.map_err(broken)? && is_divided {
-            return Ok(Outcome::Again(Way::Undivided));
-        }
+    let apart_along_curves = apart.as_ref().filter(|_| meet);
+    if !attempt.mend(apart_along_curves, token)? && is_divided {
+        return Ok(Outcome::Again(Way::Undivided));
+    }
+    if may_shorten {
+        attempt = job.uncross(attempt, apart_along_curves, options)?;
+    }
+    if options.keep_thin && options.placement == Placement::Fitted && !matches!(options.seeds, Seeds::Given(_)) {
+        let broken = |e| RvdError::Internal(format!("facets in the places of one: {e}"));
+        tips::put_back(&mut attempt.built, &attempt.plan.mesh, token)?.map_err(broken)?;
     }
     let mut of_result = None;
     let result = &mut attempt.built.mesh;
@@ -392,6 +399,7 @@ fn run_once(
             of_result = Some(topology_unless(result, &Adjacency::unless(result, token)?, token)?);
             *result = apart.mesh_back(result, token)?.map_err(broken)?;
             attempt.seeds.iter_mut().for_each(|p| *p = apart.back(*p));
+            attempt.curves.move_dropped(|p| apart.back(p));
             // It answers for the sheets apart, not for the input.
             attempt.closest = None;
             if options.keep_non_manifold {
@@ -431,10 +439,11 @@ fn run_once(
     Ok(Outcome::Done(Box::new(Remesh { attributes, provenance, ..measured }), divisible))
 }
 
-/// Whether a surface has flat or ruled faces between sharp edges.
-fn is_designed(mesh: &TriMesh, token: &Token) -> Result<bool, Stopped> {
+/// Whether a surface has flat or ruled faces between sharp edges, or edges that the caller named.
+fn is_designed(mesh: &TriMesh, options: &RemeshOptions, token: &Token) -> Result<bool, Stopped> {
     let shares = edge_shares(mesh, token)?;
-    Ok(shares.flat >= constants::LEAST_FLAT && shares.sharp >= constants::LEAST_SHARP)
+    let has_creases = shares.sharp >= constants::LEAST_SHARP || !options.creases.is_empty();
+    Ok(shares.flat >= constants::LEAST_FLAT && has_creases)
 }
 
 /// How near a vertex is to a mirror plane, or a boundary to the image of another, to be in it; caller's units.

@@ -10,9 +10,11 @@ use serde::Serialize;
 
 use crate::cvt::density::DensityFigures;
 pub use crate::cvt::figures::{DeviceFigures, FinalFigures, IterationFigures};
+use crate::mesh::TriMesh;
 pub use crate::mesh::comparison::{LostPart, LostParts, LostReason};
 pub use crate::mesh::crossings::Crossings;
 pub use crate::mesh::duplicates::InputKind;
+use crate::mesh::features::Curve;
 pub use crate::mesh::input::InputFigures;
 use crate::mesh::measure::{Quality, Topology};
 pub use crate::mesh::metric::MetricFigures;
@@ -65,9 +67,9 @@ pub struct Report {
 impl Report {
     /// Whether curves were dropped or broken, or facets cross.
     pub(crate) fn lacks_curves(&self) -> bool {
-        let FeatureFigures { creases, missing_segments, dropped_curves, .. } = self.features;
+        let FeatureFigures { creases, missing_segments, dropped_curves, .. } = &self.features;
         let crosses = self.result.crossings.as_ref().is_some_and(|crossings| crossings.count > 0);
-        dropped_curves + missing_segments > 0 || creases > 0 && crosses
+        dropped_curves + missing_segments > 0 || *creases > 0 && crosses
     }
 
     /// Whether the result is no farther from the input than another one, has no more crossing facets, and a topology as near.
@@ -214,7 +216,7 @@ pub enum RefineEnd {
 }
 
 /// Creases and boundaries that got seeds of their own.
-#[derive(Clone, Copy, Debug, Default, Serialize, PartialEq, Eq)]
+#[derive(Clone, Debug, Default, Serialize, PartialEq)]
 pub struct FeatureFigures {
     /// Boundary curves.
     pub boundaries: usize,
@@ -234,8 +236,31 @@ pub struct FeatureFigures {
     pub broken_curves: usize,
     /// Curves that there were too few points for.
     pub dropped_curves: usize,
+    /// Their length, caller's units.
+    pub dropped_length: f64,
+    /// The longest of them, at most 8.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub dropped: Vec<DroppedCurve>,
     /// Edges bent enough for a crease in stretches too short for one.
     pub short_crease_edges: usize,
+}
+
+/// A crease or a boundary that the result does not follow.
+#[derive(Clone, Copy, Debug, Serialize, PartialEq)]
+pub struct DroppedCurve {
+    /// Caller's units.
+    pub length: f64,
+    /// A vertex in its middle, caller's coordinates.
+    pub place: [f64; 3],
+}
+
+impl DroppedCurve {
+    pub(super) fn of(curve: &Curve, mesh: &TriMesh) -> Self {
+        let at = |v: u32| mesh.positions()[v as usize];
+        let chain: Vec<u32> = curve.round().collect();
+        let length = chain.windows(2).map(|pair| at(pair[0]).distance(at(pair[1]))).sum();
+        Self { length, place: at(chain[chain.len() / 2]).to_array() }
+    }
 }
 
 /// Memory that the run took.

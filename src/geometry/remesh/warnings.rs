@@ -102,15 +102,17 @@ fn of_count(report: &Report, all: &mut Vec<Warning>) {
         let text = format!("{asked}, and the result has {vertices} vertices: {why}");
         all.push(Warning::new("vertex_count", Some(vertices), text));
     }
-    let features = report.features;
-    if features.dropped_curves > 0 {
+    let features = &report.features;
+    if let Some(longest) = features.dropped.first() {
         let curves = features.boundaries + features.creases + features.dropped_curves;
+        let [x, y, z] = longest.place;
         let text = format!(
-            "{} of {curves} creases and boundaries were dropped: they are too close together for so few points; more points \
-             keep more",
-            features.dropped_curves
+            "{} of {curves} creases and boundaries were dropped, {:.4} long in all, the longest of {:.4} at {x:.4} {y:.4} {z:.4}: they are \
+             too close together for so few points; more points keep more",
+            features.dropped_curves, features.dropped_length, longest.length
         );
-        all.push(Warning::new("dropped_curves", Some(features.dropped_curves), text));
+        let places = features.dropped.iter().map(|curve| curve.place).collect();
+        all.push(Warning { places, ..Warning::new("dropped_curves", Some(features.dropped_curves), text) });
     }
     let broken = "edges of creases or boundaries are missing in the result; more points may keep them";
     counted(all, "missing_curve_edges", features.missing_segments, broken);

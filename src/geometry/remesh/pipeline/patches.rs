@@ -9,11 +9,12 @@
 use std::collections::{BTreeMap, HashMap, HashSet};
 
 use glam::DVec3;
+use rayon::prelude::*;
 
 use super::extract::Built;
 use crate::mesh::adjacency::weld_unless;
 use crate::mesh::apart::Apart;
-use crate::mesh::closest_point::closest_on_facet;
+use crate::mesh::closest_point::{ClosestPoint, closest_on_facet};
 use crate::mesh::edges::{sides, undirected};
 use crate::mesh::{MeshError, TriMesh};
 use crate::remesh::features::{Chain, KeptCurves};
@@ -23,8 +24,10 @@ use crate::token::{Stopped, Token};
 
 /// Facets do not turn by more than this from the patch, cosines, and have a better score, as long as vertices can be taken out so.
 const LEAST: [(f64, f64); 5] = [(0.5, 0.1), (0.5, 0.01), (0.5, 1e-6), (0.0, 0.0), (-1.0, -1.0)];
-/// A patch with more facets has room for cells of its own.
+/// A patch with more facets has room for cells of its own, or is a shaft that is thinner than an edge.
 const MOST_FACETS: usize = 50;
+/// All that are replaced with more facets have at most this share of the facets: others would be missed elsewhere.
+const MOST_REPLACED: f64 = 0.1;
 /// A vertex within a patch stays if the patch would be farther from it without, share of the edges of its curves.
 const FARTHEST: f64 = 0.25;
 /// A seed this near to an end of an edge of the input is there, share of the edge.
@@ -66,6 +69,8 @@ pub(super) fn mend(
     }
     let narrow = curves.narrow();
     let at = |seed: u32| curves.corner(seed).map_or(seeds[seed as usize], |v| mesh.positions()[v as usize]);
+    let closest = ClosestPoint::unless(&built.mesh, token)?;
+    let mut left = (MOST_REPLACED * built.mesh.facets().len() as f64) as usize;
     let mut all = true;
     let mut gone: HashSet<u32> = HashSet::new();
     let mut made: Vec<Simplified> = Vec::new();
@@ -78,21 +83,24 @@ pub(super) fn mend(
         if wanted.is_empty() {
             continue;
         }
+        let is_large = !is_narrow && patch.result.len() > MOST_FACETS;
+        let may_replace = !is_large || patch.result.len() <= left;
         if !is_narrow && is_whole(built, patch, &wanted, (mesh, &class)) {
             let lengths = of().flat_map(|chain| chain.edges()).map(|ends| at(ends[0]).distance(at(ends[1])));
-            if patch.result.len() > MOST_FACETS || !is_far(built, patch, mesh, lengths.fold(0.0, f64::max)) {
+            if !may_replace || !is_far(&closest, patch, mesh, lengths.fold(0.0, f64::max)) {
                 continue;
             }
         }
         let facets: Vec<[u32; 3]> =
             patch.facets.iter().map(|&f| mesh.facets()[f as usize].map(|v| class[v as usize])).collect();
-        if !is_narrow && patch.result.len() > MOST_FACETS {
+        if !may_replace {
             all = false;
             continue;
         }
         if let Some(new) = simplified((mesh, &facets), &of().collect::<Vec<_>>(), at, token)? {
             gone.extend(&patch.result);
             made.push(new);
+            left -= if is_large { patch.result.len() } else { 0 };
         } else {
             all = false;
         }
@@ -115,15 +123,12 @@ fn is_whole(built: &Built, patch: &Patch, wanted: &HashSet<[u32; 2]>, (mesh, cla
         && outline(given).is_none_or(|(of_given, _)| of_given == euler)
 }
 
-/// Whether a vertex of a patch is farther than this from its facets in the result.
-fn is_far(built: &Built, patch: &Patch, mesh: &TriMesh, reach: f64) -> bool {
-    let vertices: HashSet<u32> = patch.facets.iter().flat_map(|&f| mesh.facets()[f as usize]).collect();
-    vertices.into_iter().any(|v| {
-        let place = mesh.positions()[v as usize];
-        let of_facet =
-            |&f: &u32| closest_on_facet(place, built.mesh.corners(f as usize), built.mesh.facets()[f as usize]).0;
-        patch.result.iter().map(of_facet).all(|apart| apart > reach.powi(2))
-    })
+/// Whether a vertex of a patch is farther than this from the result.
+fn is_far(closest: &ClosestPoint, patch: &Patch, mesh: &TriMesh, reach: f64) -> bool {
+    let mut vertices: Vec<u32> = patch.facets.iter().flat_map(|&f| mesh.facets()[f as usize]).collect();
+    vertices.sort_unstable();
+    vertices.dedup();
+    vertices.par_iter().any(|&v| closest.distance(mesh.positions()[v as usize]) > reach)
 }
 
 /// The Euler number of some facets, and their boundary; `None` if a half-edge is there twice.

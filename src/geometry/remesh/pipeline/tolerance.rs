@@ -16,9 +16,11 @@ use super::Job;
 use super::adapt;
 use super::extract::{Built, Draft, Extraction, Missed};
 use super::optimize::{Optimized, exact_dual};
+use super::patches;
 use super::prepare::{Metric, Prepared, prepare, with_source};
 use super::schedule::{Figures, Schedule};
 use crate::cvt::density::{DensitySource, Plan};
+use crate::mesh::apart::Apart;
 use crate::mesh::closest_point::ClosestPoint;
 use crate::mesh::comparison::{Comparison, Distances};
 use crate::remesh::constants::*;
@@ -27,6 +29,7 @@ use crate::remesh::metric::Wanted;
 use crate::remesh::report::{DeviceFigures, RefineEnd};
 use crate::remesh::{Limits, Placement, RemeshOptions, Result, Seeds};
 use crate::rvd::{Lifted, RvdError};
+use crate::token::Token;
 
 struct Measured<'a> {
     attempt: Attempt<'a>,
@@ -235,6 +238,16 @@ pub(super) struct Attempt<'a> {
     pub(super) figures: Figures,
     pub(super) device: DeviceFigures,
     pub(super) device_bytes: u64,
+}
+
+impl Attempt<'_> {
+    /// Mends the patches of sheets that are apart along curves, as [`patches::mend`]; nothing where there are none.
+    pub(super) fn mend(&mut self, apart: Option<&Apart>, token: &Token) -> Result<bool> {
+        let Some(apart) = apart else { return Ok(true) };
+        let broken = |e| RvdError::Internal(format!("a surface was valid before: {e}"));
+        let of = (&*self.plan.mesh, &self.curves, &self.seeds[..]);
+        Ok(patches::mend(&mut self.built, of, apart, token)?.map_err(broken)?)
+    }
 }
 
 impl<'a> Job<'a, '_> {

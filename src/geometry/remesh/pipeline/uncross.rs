@@ -1,0 +1,94 @@
+//! Results whose facets cross each other.
+//!
+//! Purpose: chords leave a bent sheet by more than another sheet is away, and their facets cross. [`Job::uncross`] remeshes again with
+//! shorter edges there, as long as fewer cross.
+//! Invariant: the result with the fewest crossing facets comes back. Where the input itself has some, nothing changes.
+//! Must not know: how a result is made.
+
+use rayon::prelude::*;
+
+use super::Job;
+use super::prepare::with_source;
+use super::tolerance::Attempt;
+use crate::cvt::density::DensitySource;
+use crate::mesh::TriMesh;
+use crate::mesh::apart::Apart;
+use crate::mesh::closest_point::ClosestPoint;
+use crate::mesh::crossings::crossing_facets;
+use crate::remesh::constants::{CROSSING_REACH, CROSSING_SHORTER, MAX_CROSSING_ROUNDS, THIN_LONGEST};
+use crate::remesh::{RemeshOptions, Result};
+use crate::token::{Stopped, Token};
+
+impl<'a> Job<'a, '_> {
+    /// A result in place of `best` with fewer crossing facets, if there is one. Sheets may be `apart` along curves.
+    pub(super) fn uncross(
+        &mut self,
+        mut best: Attempt<'a>,
+        apart: Option<&Apart>,
+        options: &RemeshOptions,
+    ) -> Result<Attempt<'a>> {
+        let mut crossing = crossing_facets(&best.built.mesh, self.token)?;
+        if crossing.is_empty() || !crossing_facets(self.separated, self.token)?.is_empty() {
+            return Ok(best);
+        }
+        self.may_divide = false;
+        let mut fewest = crossing.len();
+        let mut lengths = best.plan.lengths(self.separated, self.token)?;
+        shorten_near(&mut lengths, self.separated, (&best.built.mesh, &crossing), self.token)?;
+        for _ in 0..MAX_CROSSING_ROUNDS {
+            let options = with_source(options, DensitySource::Sizes(lengths));
+            let Some(prepared) = self.prepare_again(&options, None)? else { break };
+            let median = best.plan.figures.edge_median.zip(prepared.plan.figures.edge_median);
+            if median.is_some_and(|(before, now)| now > THIN_LONGEST * before) {
+                break;
+            }
+            let Ok(mut next) = self.attempt(prepared, &options, None) else { break };
+            let is_whole = next.mend(apart, self.token)?;
+            crossing = crossing_facets(&next.built.mesh, self.token)?;
+            lengths = next.plan.lengths(self.separated, self.token)?;
+            shorten_near(&mut lengths, self.separated, (&next.built.mesh, &crossing), self.token)?;
+            if is_whole && crossing.len() < fewest {
+                fewest = crossing.len();
+                next.plan.figures.source = best.plan.figures.source;
+                next.figures.refine.evaluations += best.figures.passes();
+                best = next;
+            } else {
+                best.figures.refine.evaluations += next.figures.passes();
+                break;
+            }
+            if fewest == 0 {
+                break;
+            }
+        }
+        self.token.check()?;
+        Ok(best)
+    }
+}
+
+/// Makes the lengths, one a vertex of `mesh`, shorter near the facets of a result that cross others.
+fn shorten_near(
+    lengths: &mut [f64],
+    mesh: &TriMesh,
+    (result, crossing): (&TriMesh, &[u32]),
+    token: &Token,
+) -> std::result::Result<(), Stopped> {
+    let facets: Vec<[u32; 3]> = crossing.iter().map(|&f| result.facets()[f as usize]).collect();
+    // Facets without an area do not cross others.
+    let Ok(crossing) = TriMesh::new(result.positions().to_vec(), facets) else { return Ok(()) };
+    let closest = ClosestPoint::unless(&crossing, token)?;
+    let longest = |f: u32| {
+        let [a, b, c] = crossing.corners(f as usize);
+        a.distance(b).max(b.distance(c)).max(c.distance(a))
+    };
+    let near: Vec<bool> = mesh
+        .positions()
+        .par_iter()
+        .map(|&p| {
+            let there = closest.project(p);
+            there.position.distance(p) < CROSSING_REACH * longest(there.facet)
+        })
+        .collect();
+    token.check()?;
+    lengths.iter_mut().zip(near).filter(|(_, near)| *near).for_each(|(length, _)| *length *= CROSSING_SHORTER);
+    Ok(())
+}
