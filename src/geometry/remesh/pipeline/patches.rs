@@ -24,9 +24,9 @@ use crate::token::{Stopped, Token};
 
 /// Facets do not turn by more than this from the patch, cosines, and have a better score, as long as vertices can be taken out so.
 const LEAST: [(f64, f64); 5] = [(0.5, 0.1), (0.5, 0.01), (0.5, 1e-6), (0.0, 0.0), (-1.0, -1.0)];
-/// A patch with more facets has room for cells of its own, or is a shaft that is thinner than an edge.
+/// A patch with more facets has room for cells of its own, but for what it is far from, as a shaft that is thinner than an edge.
 const MOST_FACETS: usize = 50;
-/// All that are replaced with more facets have at most this share of the facets: others would be missed elsewhere.
+/// Patches with more facets that are replaced have at most this share of all: others would be missed elsewhere.
 const MOST_REPLACED: f64 = 0.1;
 /// A vertex within a patch stays if the patch would be farther from it without, share of the edges of its curves.
 const FARTHEST: f64 = 0.25;
@@ -84,19 +84,17 @@ pub(super) fn mend(
             continue;
         }
         let is_large = !is_narrow && patch.result.len() > MOST_FACETS;
-        let may_replace = !is_large || patch.result.len() <= left;
-        if !is_narrow && is_whole(built, patch, &wanted, (mesh, &class)) {
+        let is_whole = is_narrow || is_whole(built, patch, &wanted, (mesh, &class));
+        if !is_narrow && (is_whole || is_large) {
             let lengths = of().flat_map(|chain| chain.edges()).map(|ends| at(ends[0]).distance(at(ends[1])));
+            let may_replace = !is_large || patch.result.len() <= left;
             if !may_replace || !is_far(&closest, patch, mesh, lengths.fold(0.0, f64::max)) {
+                all &= is_whole;
                 continue;
             }
         }
         let facets: Vec<[u32; 3]> =
             patch.facets.iter().map(|&f| mesh.facets()[f as usize].map(|v| class[v as usize])).collect();
-        if !may_replace {
-            all = false;
-            continue;
-        }
         if let Some(new) = simplified((mesh, &facets), &of().collect::<Vec<_>>(), at, token)? {
             gone.extend(&patch.result);
             made.push(new);

@@ -47,15 +47,14 @@ impl<'a> Job<'a, '_> {
             crossing = crossing_facets(&next.built.mesh, self.token)?;
             lengths = next.plan.lengths(self.separated, self.token)?;
             shorten_near(&mut lengths, self.separated, (&next.built.mesh, &crossing), self.token)?;
-            if is_whole && crossing.len() < fewest {
-                fewest = crossing.len();
-                next.plan.figures.source = best.plan.figures.source;
-                next.figures.refine.evaluations += best.figures.passes();
-                best = next;
-            } else {
+            if !is_whole || crossing.len() >= fewest {
                 best.figures.refine.evaluations += next.figures.passes();
                 break;
             }
+            fewest = crossing.len();
+            next.plan.figures.source = best.plan.figures.source;
+            next.figures.refine.evaluations += best.figures.passes();
+            best = next;
             if fewest == 0 {
                 break;
             }
