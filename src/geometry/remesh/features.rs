@@ -46,6 +46,14 @@ fn staying(seeds: &CurveSeeds, features: &Features) -> Vec<bool> {
     stays
 }
 
+/// A curve as a report has it.
+fn dropped_curve(curve: &Curve, mesh: &TriMesh) -> DroppedCurve {
+    let at = |v: u32| mesh.positions()[v as usize];
+    let chain: Vec<u32> = curve.round().collect();
+    let length = chain.windows(2).map(|pair| at(pair[0]).distance(at(pair[1]))).sum();
+    DroppedCurve { length, place: at(chain[chain.len() / 2]).to_array() }
+}
+
 /// `count` of some points in an order, evenly spaced in it; all if there are fewer.
 fn evenly(points: &[DVec3], count: usize) -> impl Iterator<Item = DVec3> + '_ {
     let count = count.min(points.len());
@@ -139,7 +147,7 @@ impl KeptCurves {
             resolution,
         };
         let mut dropped: Vec<DroppedCurve> = Vec::new();
-        let named = |curve: &Curve| DroppedCurve::of(curve, &plan.mesh);
+        let named = |curve: &Curve| dropped_curve(curve, &plan.mesh);
         let mut rims_alone = false;
         let mut is_crowded = false;
         let all = criteria.clone();
@@ -492,6 +500,10 @@ impl KeptCurves {
             edges.extend(chain.windows(2).map(|pair| [pair[0], pair[1]]));
         }
         Ok(edges)
+    }
+
+    pub(crate) fn dropped(&self) -> &[DroppedCurve] {
+        &self.dropped
     }
 
     /// Moves the places of curves that were dropped.

@@ -10,11 +10,9 @@ use serde::Serialize;
 
 use crate::cvt::density::DensityFigures;
 pub use crate::cvt::figures::{DeviceFigures, FinalFigures, IterationFigures};
-use crate::mesh::TriMesh;
 pub use crate::mesh::comparison::{LostPart, LostParts, LostReason};
 pub use crate::mesh::crossings::Crossings;
 pub use crate::mesh::duplicates::InputKind;
-use crate::mesh::features::Curve;
 pub use crate::mesh::input::InputFigures;
 use crate::mesh::measure::{Quality, Topology};
 pub use crate::mesh::metric::MetricFigures;
@@ -252,15 +250,6 @@ pub struct DroppedCurve {
     pub length: f64,
     /// A vertex in its middle, caller's coordinates.
     pub place: [f64; 3],
-}
-
-impl DroppedCurve {
-    pub(super) fn of(curve: &Curve, mesh: &TriMesh) -> Self {
-        let at = |v: u32| mesh.positions()[v as usize];
-        let chain: Vec<u32> = curve.round().collect();
-        let length = chain.windows(2).map(|pair| at(pair[0]).distance(at(pair[1]))).sum();
-        Self { length, place: at(chain[chain.len() / 2]).to_array() }
-    }
 }
 
 /// Memory that the run took.

@@ -15,6 +15,10 @@ pub(super) fn unit_normal([a, b, c]: [DVec3; 3]) -> DVec3 {
     (b - a).cross(c - a).normalize_or_zero()
 }
 
+pub(super) fn longest_side([a, b, c]: [DVec3; 3]) -> f64 {
+    a.distance(b).max(b.distance(c)).max(c.distance(a))
+}
+
 /// The smallest angle in degrees, or [`DEGREES_PER_QUALITY`] times Q if that is less. Higher is better.
 pub(super) fn score(corners: [DVec3; 3]) -> f64 {
     least_angle(corners).min(DEGREES_PER_QUALITY * facet_quality(corners))

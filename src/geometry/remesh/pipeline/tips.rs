@@ -14,7 +14,7 @@ use crate::mesh::crossings::crossings;
 use crate::mesh::csr::Csr;
 use crate::mesh::tips::Tips;
 use crate::mesh::{MeshError, TriMesh};
-use crate::remesh::triangle::unit_normal;
+use crate::remesh::triangle::{longest_side, unit_normal};
 use crate::token::{Stopped, Token};
 
 /// A tip is lost if the result is farther from it, longest sides of the facet there.
@@ -102,8 +102,4 @@ pub(super) fn put_back(built: &mut Built, mesh: &TriMesh, token: &Token) -> Resu
         built.vertex_seed.resize(built.mesh.positions().len(), last);
     }
     Ok(Ok(()))
-}
-
-fn longest_side([a, b, c]: [DVec3; 3]) -> f64 {
-    a.distance(b).max(b.distance(c)).max(c.distance(a))
 }

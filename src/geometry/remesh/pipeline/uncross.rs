@@ -2,7 +2,8 @@
 //!
 //! Purpose: chords leave a bent sheet by more than another sheet is away, and their facets cross. [`Job::uncross`] remeshes again with
 //! shorter edges there, as long as fewer cross.
-//! Invariant: the result with the fewest crossing facets comes back. Where the input itself has some, nothing changes.
+//! Invariant: of the results that lose no more curves, the one with the fewest crossing facets comes back. Where the input itself has some,
+//! nothing changes.
 //! Must not know: how a result is made.
 
 use rayon::prelude::*;
@@ -16,6 +17,7 @@ use crate::mesh::apart::Apart;
 use crate::mesh::closest_point::ClosestPoint;
 use crate::mesh::crossings::crossing_facets;
 use crate::remesh::constants::{CROSSING_REACH, CROSSING_SHORTER, MAX_CROSSING_ROUNDS, THIN_LONGEST};
+use crate::remesh::triangle::longest_side;
 use crate::remesh::{RemeshOptions, Result};
 use crate::token::{Stopped, Token};
 
@@ -47,7 +49,7 @@ impl<'a> Job<'a, '_> {
             crossing = crossing_facets(&next.built.mesh, self.token)?;
             lengths = next.plan.lengths(self.separated, self.token)?;
             shorten_near(&mut lengths, self.separated, (&next.built.mesh, &crossing), self.token)?;
-            if !is_whole || crossing.len() >= fewest {
+            if !is_whole || crossing.len() >= fewest || lost_curves(&next) > lost_curves(&best) {
                 best.figures.refine.evaluations += next.figures.passes();
                 break;
             }
@@ -64,6 +66,11 @@ impl<'a> Job<'a, '_> {
     }
 }
 
+/// Curves that were dropped, and segments without an edge.
+fn lost_curves(of: &Attempt<'_>) -> usize {
+    of.curves.dropped().len() + of.built.segments.iter().filter(|edge| edge.is_none()).count()
+}
+
 /// Makes the lengths, one a vertex of `mesh`, shorter near the facets of a result that cross others.
 fn shorten_near(
     lengths: &mut [f64],
@@ -75,10 +82,7 @@ fn shorten_near(
     // Facets without an area do not cross others.
     let Ok(crossing) = TriMesh::new(result.positions().to_vec(), facets) else { return Ok(()) };
     let closest = ClosestPoint::unless(&crossing, token)?;
-    let longest = |f: u32| {
-        let [a, b, c] = crossing.corners(f as usize);
-        a.distance(b).max(b.distance(c)).max(c.distance(a))
-    };
+    let longest = |f: u32| longest_side(crossing.corners(f as usize));
     let near: Vec<bool> = mesh
         .positions()
         .par_iter()
