@@ -420,6 +420,7 @@ const CHOICES: &[&str] = &[
     "RemeshOptions.projection",
     "RemeshOptions.seed",
     "RemeshOptions.source_map",
+    "RemeshOptions.strict_creases",
     "RemeshOptions.thin",
     "RemeshOptions.weld",
     "RemeshOptions.weld_percent",

@@ -91,6 +91,7 @@ fn options_come_through_the_message() {
         "--size-in steel=0.5 --size-in sphere:0,0,0,1=0.25 --gradation 0.5",
         "--keep facets:0-7,9 --keep vertices:3",
         "--keep steel --keep box:-1,0,0,1,1,1 --only sphere:0,0,0,1 --keep-rims --source-map",
+        "--creases strict",
         "--mirror -x=0.5",
         "--mirror -y",
         "--mirror=1,2,-3,0.25",
@@ -147,9 +148,9 @@ fn text_of(path: &str) -> String {
     std::fs::read_to_string(root.join(path)).unwrap()
 }
 
-/// Options of the message that the command has not.
+/// Options of the message that the command has not: some are words of others, as `strict` of `--creases`.
 const NOT_OF_COMMAND: &[&str] =
-    &["anisotropy_auto", "max_deviation_length", "measure", "points_percent", "weld_percent"];
+    &["anisotropy_auto", "max_deviation_length", "measure", "points_percent", "strict_creases", "weld_percent"];
 /// Options of the message that Python has not: `points` takes a share too, and `anisotropy` a word.
 const NOT_OF_PYTHON: &[&str] = &["anisotropy_auto", "max_deviation_length", "points_percent", "weld_percent"];
 

@@ -277,6 +277,9 @@ pub struct RemeshOptions {
     pub only: Vec<Part>,
     /// Whether boundaries keep their vertices and edges.
     pub keep_rims: bool,
+    /// Whether a remesh that would drop a crease or a boundary is refused ([`RemeshError::CreasesDropped`]). Without it,
+    /// the report counts what was dropped. Where seeds are given no curve is sought, and none is dropped.
+    pub strict_creases: bool,
     /// A plane at which the result is symmetric: the half of the surface that its normal points to is remeshed, and the other half is its
     /// mirror image ([`Plane::reflect`]). Vertices of the seam are in the plane, and both halves have them.
     pub mirror: Option<Plane>,
@@ -314,6 +317,7 @@ impl RemeshOptions {
             keep: Vec::new(),
             only: Vec::new(),
             keep_rims: false,
+            strict_creases: false,
             mirror: None,
             periodic: Vec::new(),
             refine: None,
@@ -345,6 +349,7 @@ impl RemeshOptions {
         with_keep(keep: Vec<Part>),
         with_only(only: Vec<Part>),
         with_keep_rims(keep_rims: bool),
+        with_strict_creases(strict_creases: bool),
         with_mirror(mirror: Plane => Some(mirror)),
         with_periodic(periodic: Vec<Motion>),
         with_refine(refine: Refine => Some(refine)),
@@ -560,6 +565,19 @@ pub enum RemeshError {
         /// How many edges.
         edges: usize,
         /// The middle of one.
+        place: DVec3,
+    },
+    /// Creases or boundaries are not in the result, and [`RemeshOptions::strict_creases`] asks for all.
+    #[error(
+        "{curves} of the creases and boundaries could not be kept, {length:.4} long in all, the longest at \
+         {:.4} {:.4} {:.4}; give more points, or leave strict creases out", .place.x, .place.y, .place.z
+    )]
+    CreasesDropped {
+        /// How many curves.
+        curves: usize,
+        /// Their length, caller's units.
+        length: f64,
+        /// A vertex in the middle of the longest.
         place: DVec3,
     },
     /// The attributes are not the surface's.

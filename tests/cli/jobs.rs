@@ -79,7 +79,7 @@ fn wrong_options_are_wrong_usage() {
         ("jobs submit remesh in.off --points 9 --max-deviation 1 --placement surface", "for the placement fitted"),
         ("jobs submit remesh in.off --points 9 --adaptivity 2", "adaptivity"),
         ("jobs submit remesh in.xyz --points 9", "no known mesh format"),
-        ("jobs submit remesh in.stl --points 9 --creases c.txt", "no numbered vertices"),
+        ("jobs submit remesh in.stl --points 9 --creases c.txt --creases strict", "no numbered vertices"),
         (&format!("jobs submit remesh blob:{digest} --points 9"), "--input-format"),
         ("jobs submit remesh blob:abc --points 9", "64 hexadecimal digits"),
         ("jobs submit remesh in.off --points 9 --label x", "KEY=VALUE"),
@@ -198,6 +198,15 @@ fn every_option_arrives() {
     assert_eq!(spec.run_deadline, Some(prost_types::Duration { seconds: 1, nanos: 500_000_000 }));
     assert_eq!(spec.queue_deadline, Some(prost_types::Duration { seconds: 60, nanos: 0 }));
     assert_eq!(spec.labels.len(), 2);
+
+    // Creases of several files are one text.
+    file("more.txt", "1 2\n");
+    stage.ok("jobs submit remesh in.off --points 9 --creases creases.txt --creases strict --creases more.txt");
+    let spec = stage.fake.created().0.spec.unwrap();
+    let Some(job_spec::Work::Remesh(work)) = &spec.work else { panic!("{spec:?}") };
+    assert!(work.strict_creases);
+    let creases = spec.arrays.unwrap().creases.unwrap();
+    assert_eq!((creases.digest.clone(), creases.form()), (digest(b"0 1\n\n1 2\n"), ArrayForm::Text));
 
     file("metric.txt", "# text\n4 0 4 0 0 4\n4 0 4 0 0 0.25\n");
     stage.ok("jobs submit remesh in.off --metric metric.txt");

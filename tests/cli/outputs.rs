@@ -133,10 +133,9 @@ fn an_index_that_is_missing_is_named() {
     assert!(said(&out).contains("names value 0, but there are 0"), "{}", said(&out));
 }
 
-#[test]
-fn creases_that_are_given_up_are_said() {
-    let folder = tempfile::tempdir().unwrap();
-    // A tube of twelve rings of 48 facets' edges, of which the inner ones are to be creases.
+/// Writes tube.ply, a tube of twelve rings of 48 facets' edges. Gives the edges of the inner rings, two vertices a
+/// line.
+fn write_tube(folder: &Path) -> String {
     let (around, along) = (48u32, 12u32);
     let place = |k: u32| {
         let (sin, cos) = (f64::from(k % around) / f64::from(around) * std::f64::consts::TAU).sin_cos();
@@ -149,15 +148,52 @@ fn creases_that_are_given_up_are_said() {
         [[a, b, c], [a, c, d]]
     });
     let tube = TriMesh::new((0..around * (along + 1)).map(place).collect(), facets.collect()).unwrap();
-    io::write(&folder.path().join("tube.ply"), &tube).unwrap();
-    let rings = (1..along).flat_map(|j| (0..around).map(move |i| format!("{} {}\n", at(i, j), at(i + 1, j))));
-    std::fs::write(folder.path().join("rings.txt"), rings.collect::<String>()).unwrap();
+    io::write(&folder.join("tube.ply"), &tube).unwrap();
+    (1..along).flat_map(|j| (0..around).map(move |i| format!("{} {}\n", at(i, j), at(i + 1, j)))).collect()
+}
+
+#[test]
+fn creases_that_are_given_up_are_said() {
+    let folder = tempfile::tempdir().unwrap();
+    let rings = write_tube(folder.path());
+    std::fs::write(folder.path().join("rings.txt"), rings).unwrap();
     for (points, dropped_curves) in [(20, true), (60, false), (1200, false)] {
         let line = format!("remesh tube.ply -o out.ply --points {points} --newton 0 --creases rings.txt");
         let out = tessera(folder.path(), &line);
         let text = said(&out);
         assert!(out.status.success(), "{points}: {text}");
         assert_eq!(text.contains("creases and boundaries were dropped"), dropped_curves, "{points}: {text}");
+    }
+}
+
+/// Where creases are strict, there is a result with all of them or none. Files are read in turn, also one that is called
+/// as the word is.
+#[test]
+fn strict_creases_are_kept_or_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    let rings = write_tube(folder.path());
+    std::fs::write(at("rings.txt"), &rings).unwrap();
+    let remesh = |points: u32, creases: &str| {
+        let line =
+            format!("remesh tube.ply -o out.ply --report r.json --points {points} --newton 0 --creases {creases}");
+        tessera(folder.path(), &line)
+    };
+    let out = remesh(20, "rings.txt --creases strict");
+    assert_eq!(out.status.code(), Some(65), "{}", said(&out));
+    assert!(said(&out).contains("could not be kept") && said(&out).contains("give more points"), "{}", said(&out));
+    assert!(!at("out.ply").exists() && !at("r.json").exists());
+    // Of the files, one has five rings and one six.
+    let (first, second) = rings.split_at(rings.match_indices('\n').nth(5 * 48 - 1).unwrap().0 + 1);
+    std::fs::write(at("strict"), first).unwrap();
+    std::fs::write(at("others.txt"), second).unwrap();
+    for (creases, kept) in
+        [("strict --creases ./strict --creases others.txt", 11), ("./strict", 5), ("others.txt", 6), ("strict", 0)]
+    {
+        let out = remesh(1200, creases);
+        assert!(out.status.success(), "{creases}: {}", said(&out));
+        let report: Value = serde_json::from_slice(&std::fs::read(at("r.json")).unwrap()).unwrap();
+        assert_eq!(report["features"]["creases"], kept, "{creases}");
     }
 }
 

@@ -184,6 +184,7 @@ fn options() -> impl Strategy<Value = RemeshOptions> {
                 keep: Vec::new(),
                 only: Vec::new(),
                 keep_rims: false,
+                strict_creases: false,
                 mirror: None,
                 periodic: Vec::new(),
                 source_map: false,

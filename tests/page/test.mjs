@@ -388,6 +388,7 @@ const tests = {
         { facets: 500 },
         { points: 300, density: "error_max", anisotropy: "auto" },
         { points: 310, density: "error", anisotropy: 0.1 },
+        { points: 330, strict_creases: true, source_map: true },
         { points: 320, keep: "sphere:0,0,-1,0.1", size_in: "sphere:0,0,1,0.5=0.2" },
         { points: 290, sizes: (await json(`${at}v1/blobs`, { method: "POST", body: ".3\n.4\n.5\n.3\n.4\n.5\n" })).digest,
           creases: (await json(`${at}v1/blobs`, { method: "POST", body: "0 2\n2 1\n" })).digest, gradation: 0.5 },

@@ -296,14 +296,17 @@ impl PartialEq<TopologyWithoutEdges> for tessera::mesh::measure::Topology {
     }
 }
 
+/// A tube whose eleven inner rings are to be creases.
+fn ringed_tube() -> (TriMesh, Vec<[u32; 2]>) {
+    let ring = |j: u32| (0..48).map(move |i| [j * 48 + i, j * 48 + (i + 1) % 48]);
+    (tube(48, 12), (1..12).flat_map(ring).collect())
+}
+
 /// With few points, creases get longer edges. If they need more points than there are, they go before boundaries, and the remesh is still
 /// one.
 #[test]
 fn too_few_points_give_curves_up() {
-    let mesh = tube(48, 12);
-    // Eleven rings.
-    let ring = |j: u32| (0..48).map(move |i| [j * 48 + i, j * 48 + (i + 1) % 48]);
-    let creases: Vec<[u32; 2]> = (1..12).flat_map(ring).collect();
+    let (mesh, creases) = ringed_tube();
     for (points, dropped_curves, creases_kept) in [(60, 0, 11), (20, 11, 0)] {
         let out = run(&mesh, &options(points).with_creases(creases.clone())).unwrap();
         let figures = &out.report.features;
@@ -329,6 +332,26 @@ fn too_few_points_give_curves_up() {
     let out = run(&mesh, &options(1200).with_creases(creases)).unwrap();
     let figures = &out.report.features;
     assert_eq!((figures.dropped_curves, figures.creases, figures.missing_segments), (0, 11, 0), "{figures:?}");
+}
+
+/// Where creases are strict, there is a result with all curves or none at all.
+#[test]
+fn strict_creases_are_kept_or_refused() {
+    let (mesh, creases) = ringed_tube();
+    let run =
+        |points, is_strict| run(&mesh, &options(points).with_creases(creases.clone()).with_strict_creases(is_strict));
+    let error = run(20, true).unwrap_err();
+    let RemeshError::CreasesDropped { curves, length, place } = error else { panic!("{error}") };
+    let ring = std::f64::consts::TAU;
+    assert_eq!(curves, 11);
+    assert!(length > 10.0 * ring && length < 11.0 * ring, "{length}");
+    assert!((place.x.hypot(place.y) - 1.0).abs() < 1e-9, "{place}");
+    assert!(error.to_string().starts_with("11 of the creases and boundaries could not be kept"), "{error}");
+    for points in [60, 1200] {
+        let (strict, other) = (run(points, true).unwrap(), run(points, false).unwrap());
+        assert_eq!(strict.report.features.dropped_curves, 0, "{points} points");
+        assert_eq!(strict.mesh.positions(), other.mesh.positions(), "{points} points");
+    }
 }
 
 /// Seeds of a closed curve move to its kinks; two of them never to the same one, where it begins either.

@@ -48,6 +48,8 @@ function command(call: Call, options: Readonly<Record<string, unknown>>, output:
     if (key in ELSEWHERE || key === "measure") return [];
     if (FILES.includes(key)) return [`--${key} ${key}.txt`];
     if (key === "attributes") return value === false ? ["--no-attributes"] : [];
+    if (key === "strict_creases") return value === true ? ["--creases strict"] : [];
+    if (typeof value === "boolean") return value ? [`--${key.replaceAll("_", "-")}`] : [];
     if (LISTS.includes(key)) return String(value).split(";").map((part) => `--${key.replaceAll("_", "-")} ${shell(part)}`);
     // The command has hyphens in the words of a density too.
     const word = key === "density" ? String(value).replaceAll("_", "-") : String(value);

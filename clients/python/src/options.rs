@@ -176,6 +176,7 @@ impl<'py> Options<'py> {
             self.word("non_manifold", &[("keep", true), ("cut", false)])?.unwrap_or(options.keep_non_manifold);
         (options.keep, options.only) = (self.parts("keep")?, self.parts("only")?);
         options.keep_rims = self.get("keep_rims", "True or False")?.unwrap_or(options.keep_rims);
+        options.strict_creases = self.get("strict_creases", "True or False")?.unwrap_or(options.strict_creases);
         options.mirror = self.mirror()?;
         options.periodic = self.parts("periodic")?;
         options.source_map = self.get("source_map", "True or False")?.unwrap_or(options.source_map);

@@ -103,6 +103,7 @@ WRONG = [
     ({"points": 100, "placement": "here"}, "placement"),
     ({"points": 100, "creases": [[0, 5000]]}, "5000"),
     ({"points": 100, "creases": [[0, 1, 2]]}, "creases"),
+    ({"points": 100, "strict_creases": "yes"}, "strict_creases"),
     ({"points": 100, "crease_angle": 200.0}, "crease_angle"),
     ({"points": 100, "max_points": 200}, "max_points"),
     ({"points": 100, "max_deviation": 0.0}, "max_deviation"),

@@ -126,15 +126,19 @@ impl RemeshWork {
         options::remesh(&message, size.beside(), &Bounds::WIDEST).map_err(usage)?;
         if let Input::File(path) = &input.input {
             let format = input.format()?;
-            let named = [(&size.sizes, "--sizes"), (&size.metric, "--metric"), (&shape.creases, "--creases")];
+            let named = [
+                (size.sizes.is_some(), "--sizes"),
+                (size.metric.is_some(), "--metric"),
+                (shape.has_crease_files(), "--creases"),
+            ];
             named
                 .iter()
-                .filter(|(file, _)| file.is_some())
+                .filter(|(is_given, _)| *is_given)
                 .try_for_each(|(_, option)| files::check_numbered(&files::Surface::new(path, Some(format)), option))?;
         }
         let mut asked = input.begin(self.no_attributes.then_some(false))?;
-        let mut text = |path: &Option<PathBuf>| path.as_deref().map(|path| text(path, &mut asked.sources)).transpose();
-        let (edge_lengths, creases) = (text(&size.sizes)?, text(&shape.creases)?);
+        let edge_lengths = size.sizes.as_deref().map(|path| text(path, &mut asked.sources)).transpose()?;
+        let creases = creases(shape, &mut asked.sources)?;
         let metric = size.metric.as_deref().map(|path| metric(path, &mut asked.sources)).transpose()?;
         asked.spec.arrays = Some(JobArrays { edge_lengths, creases, metric, ..JobArrays::default() })
             .filter(|arrays| *arrays != JobArrays::default());
@@ -190,16 +194,30 @@ fn metric(path: &Path, sources: &mut Vec<Source>) -> Result<ArrayRef> {
         text += &numbers.join(" ");
         text.push('\n');
     }
-    let source = Source::of(path, text.as_bytes())?;
-    let array = ArrayRef { digest: source.digest.clone(), form: ArrayForm::Text.into(), count: 0 };
-    sources.push(source);
-    Ok(array)
+    Ok(added(Source::of(path, text.as_bytes())?, sources))
+}
+
+/// The files with edges that are creases, as one text.
+fn creases(shape: &ShapeArgs, sources: &mut Vec<Source>) -> Result<Option<ArrayRef>> {
+    let paths: Vec<&Path> = shape.crease_files().collect();
+    match paths[..] {
+        [] => Ok(None),
+        [path] => text(path, sources).map(Some),
+        [first, ..] => {
+            let texts = paths.iter().map(|path| files::read_text(path)).collect::<Result<Vec<_>>>()?;
+            Ok(Some(added(Source::of(first, texts.join("\n").as_bytes())?, sources)))
+        }
+    }
 }
 
 /// A file of text that an option names.
 fn text(path: &Path, sources: &mut Vec<Source>) -> Result<ArrayRef> {
-    let source = Source::open(path)?;
+    Ok(added(Source::open(path)?, sources))
+}
+
+/// A text that is sent too.
+fn added(source: Source, sources: &mut Vec<Source>) -> ArrayRef {
     let array = ArrayRef { digest: source.digest.clone(), form: ArrayForm::Text.into(), count: 0 };
     sources.push(source);
-    Ok(array)
+    array
 }

@@ -7,7 +7,8 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::Result;
-use clap::{ArgGroup, Args};
+use clap::builder::{PathBufValueParser, TypedValueParser};
+use clap::{ArgGroup, Args, ValueHint};
 
 use crate::exit::{BadInput, Usage};
 use crate::files::{self, Surface};
@@ -149,9 +150,10 @@ pub(crate) struct ShapeArgs {
     #[arg(long, value_name = "DEGREES", default_value_t = RemeshOptions::usual().crease_angle_deg)]
     #[arg(value_parser = angle, allow_negative_numbers = true)]
     pub(crate) crease_angle: f64,
-    /// File with edges that are creases whatever their angle: the numbers of two vertices of the input a line, from 0.
-    #[arg(long, value_name = "FILE")]
-    pub(crate) creases: Option<PathBuf>,
+    /// File with edges that are creases whatever their angle: the numbers of two vertices of the input a line, from 0. Or
+    /// strict: refuse if a crease or a boundary cannot be kept; ./strict is a file of that name. May be repeated.
+    #[arg(long, value_name = "FILE|strict", value_parser = creases(), value_hint = ValueHint::AnyPath)]
+    pub(crate) creases: Vec<Creases>,
     /// Join boundaries that are at most this far apart: a length, or percent of the bounding box's diagonal, as 0.01%.
     #[arg(long, value_name = "DISTANCE", value_parser = distance, allow_negative_numbers = true)]
     pub(crate) weld: Option<String>,
@@ -193,6 +195,39 @@ pub(crate) struct ShapeArgs {
     /// Where the vertices of the remesh go.
     #[arg(long, default_value = "fitted", value_parser = words(PLACEMENTS))]
     pub(crate) placement: Placement,
+}
+
+impl ShapeArgs {
+    /// Files with edges that are creases.
+    pub(crate) fn crease_files(&self) -> impl Iterator<Item = &Path> {
+        self.creases.iter().filter_map(|given| match given {
+            Creases::File(path) => Some(path.as_path()),
+            Creases::Strict => None,
+        })
+    }
+
+    pub(crate) fn has_crease_files(&self) -> bool {
+        self.crease_files().next().is_some()
+    }
+}
+
+/// What is said of creases.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) enum Creases {
+    /// None is dropped, and no boundary either.
+    Strict,
+    /// A file names edges.
+    File(PathBuf),
+}
+
+impl From<PathBuf> for Creases {
+    fn from(path: PathBuf) -> Self {
+        if path.as_os_str() == "strict" { Self::Strict } else { Self::File(path) }
+    }
+}
+
+fn creases() -> impl TypedValueParser<Value = Creases> {
+    PathBufValueParser::new().map(Creases::from)
 }
 
 #[derive(Args, Debug)]
@@ -316,6 +351,7 @@ pub(crate) fn message(
     let mut message = given::message(&[&size.set, &shape.set, &steps.set])?;
     // The numbers of files, not their names.
     (message.keep, message.only) = (texts(&shape.keep), texts(&shape.only));
+    message.strict_creases = shape.creases.contains(&Creases::Strict);
     if let Some(density) = &mut message.density {
         density.size_in = texts(&size.size_in);
     }
@@ -370,11 +406,12 @@ impl RemeshArgs {
         let arrays = ByVertex { edge_lengths: lengths, metric, ..ByVertex::default() };
         options::fill(&mut options, Vec::new(), arrays);
         options.creases = creases;
-        if let Some(path) = &self.shape.creases {
-            options.creases.extend(files::read_edges(path, input, mesh)?);
+        for path in self.shape.crease_files() {
+            let edges = files::read_edges(path, input, mesh)?;
             // Before a server is asked.
-            Features::check(mesh, options.crease_angle_deg, &options.creases, &Token::default())
+            Features::check(mesh, options.crease_angle_deg, &edges, &Token::default())
                 .map_err(|e| BadInput(format!("{}: {e} (numbers of the surface as it was read)", path.display())))?;
+            options.creases.extend(edges);
         }
         options.attributes = attributes;
         Ok((message, options))

@@ -46,7 +46,7 @@ fn check_together(args: &RemeshArgs) -> Result<()> {
         (several && report.is_some(), for_one("--report") + "; --json prints a report a line"),
         (several && args.size.sizes.is_some(), for_one("--sizes")),
         (several && args.size.metric.is_some(), for_one("--metric")),
-        (several && args.shape.creases.is_some(), for_one("--creases")),
+        (several && args.shape.has_crease_files(), for_one("--creases FILE")),
         (several && args.picture.picture.is_some(), for_one("--picture")),
         (several && reads_standard, "- is the standard input; it goes with no other input".to_owned()),
         (
@@ -95,8 +95,8 @@ fn place(folder: &Path, input: &Path, format: Option<geometry::mesh::io::Format>
 /// Refuses outputs that would replace what is needed, or each other.
 fn check_files(args: &RemeshArgs, tasks: &[Task]) -> Result<()> {
     let RemeshArgs { files: FileArgs { report, overwrite, .. }, size, shape, picture, .. } = args;
-    let named = [shape.creases.as_deref(), size.sizes.as_deref(), size.metric.as_deref()];
-    let named = || named.into_iter().flatten();
+    let lists = [size.sizes.as_deref(), size.metric.as_deref()];
+    let named = || shape.crease_files().chain(lists.into_iter().flatten());
     for Task { input, output } in tasks {
         if !output.is_standard() && files::same(input.path(), output.path()) && !overwrite {
             return Err(Usage(format!(
@@ -107,7 +107,7 @@ fn check_files(args: &RemeshArgs, tasks: &[Task]) -> Result<()> {
         let numbers = [
             (size.sizes.is_some(), "--sizes"),
             (size.metric.is_some(), "--metric"),
-            (shape.creases.is_some(), "--creases"),
+            (shape.has_crease_files(), "--creases"),
         ];
         for (_, option) in numbers.iter().filter(|(is_given, _)| *is_given) {
             files::check_numbered(input, option)?;

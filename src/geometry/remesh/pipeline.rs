@@ -134,6 +134,14 @@ pub fn remesh(
     });
     let options = measured.as_ref().unwrap_or(options);
     let mut done = remesh_parts(given, options, backend, observer, token)?;
+    // Of the result alone: what one of several attempts drops, another may keep.
+    let features = &done.report.features;
+    if options.strict_creases
+        && let Some(longest) = features.dropped.first()
+    {
+        let (curves, length) = (features.dropped_curves, features.dropped_length);
+        return Err(RemeshError::CreasesDropped { curves, length, place: longest.place.into() });
+    }
     done.report.warnings = warnings::of(&done.report, options.attributes.as_ref());
     if options.source_map
         && let Some(attributes) = &mut done.attributes

@@ -88,6 +88,7 @@ mod tests {
             keep: vec!["steel".to_owned()],
             only: vec!["sphere:0,0,0,1".to_owned()],
             keep_rims: true,
+            strict_creases: true,
             mirror: Some("x=0.5".to_owned()),
             periodic: vec!["translate:1,0,0".to_owned()],
             source_map: true,

@@ -184,6 +184,7 @@ def remesh(
     max_points: float | str | None = None,
     crease_angle: float | None = None,
     creases: ArrayLike | None = None,
+    strict_creases: bool = False,
     weld: float | str | None = None,
     non_manifold: Literal["cut", "keep"] | None = None,
     keep: str | ArrayLike | Sequence[str | ArrayLike] | None = None,
@@ -243,6 +244,7 @@ def remesh(
         max_points: the most points that `max_deviation` may come to; twice `points` if None.
         crease_angle: edges bent by more than this are creases that are kept, degrees from 0 (none) to 180.
         creases: (k, 2) integer: edges that are creases whatever their angle.
+        strict_creases: whether a remesh that would drop a crease or a boundary is refused: an InputError in place of a warning.
         non_manifold: "cut": sheets that meet in an edge have vertices of their own there; or "keep": they have them in common.
         keep: parts that stay as they are, to the bit: "box:X0,Y0,Z0,X1,Y1,Z1", "sphere:X,Y,Z,R", each with the faces that touch it,
             a region by its name or number as text; an array of numbers of faces, or of whether each is of the part; "vertices:7,12"
