@@ -56,7 +56,7 @@ use crate::mesh::adjacency::Adjacency;
 use crate::mesh::attributes::Attributes;
 use crate::mesh::closest_point::{ClosestPoint, SurfacePoint};
 use crate::mesh::comparison::{LostParts, lost_parts};
-use crate::mesh::crossings::crossings;
+use crate::mesh::crossings::{Crossings, crossings};
 use crate::mesh::features::edge_shares;
 use crate::mesh::input::{draw_in, outliers};
 use crate::mesh::measure::{Quality, Topology, coincident_vertices, quality_and_distances, topology_unless};
@@ -386,12 +386,16 @@ fn run_once(
     if !attempt.mend(apart_along_curves, token)? && is_divided {
         return Ok(Outcome::Again(Way::Undivided));
     }
+    // Not known again once vertices move.
+    let mut none_crosses = false;
     if may_shorten {
-        attempt = job.uncross(attempt, apart_along_curves, options)?;
+        let crossing;
+        (attempt, crossing) = job.uncross(attempt, apart_along_curves, options)?;
+        none_crosses = crossing == 0 && apart.is_none() && preprocessed.pairs.is_none();
     }
     if options.keep_thin && options.placement == Placement::Fitted && !matches!(options.seeds, Seeds::Given(_)) {
         let broken = |e| RvdError::Internal(format!("facets in the places of one: {e}"));
-        tips::put_back(&mut attempt.built, &attempt.plan.mesh, token)?.map_err(broken)?;
+        none_crosses &= !tips::put_back(&mut attempt.built, &attempt.plan.mesh, token)?.map_err(broken)?;
     }
     let mut of_result = None;
     let result = &mut attempt.built.mesh;
@@ -441,7 +445,8 @@ fn run_once(
     }
 
     job.enter("measure");
-    let mut measured = measure(clean, input, options, attempt, of_result, job)?;
+    let known = Known { topology: of_result, none_crosses };
+    let mut measured = measure(clean, input, options, attempt, known, job)?;
     let Carried { attributes, provenance, regions } = carried;
     (measured.report.result.regions, measured.report.result.periodic) = (regions, periodic);
     Ok(Outcome::Done(Box::new(Remesh { attributes, provenance, ..measured }), divisible))
@@ -514,13 +519,19 @@ fn compare(
     Ok((quality, lost_parts(mesh, result, &distances, token)?))
 }
 
+/// What is known of a result before it is measured.
+struct Known {
+    topology: Option<Topology>,
+    none_crosses: bool,
+}
+
 /// Measures the result against `clean` and writes the report. Attributes and provenance are left empty.
 fn measure(
     clean: &TriMesh,
     input: InputFigures,
     options: &RemeshOptions,
     attempt: Attempt<'_>,
-    of_result: Option<Topology>,
+    known: Known,
     Job { backend, token, mut laps, topology: wanted, .. }: Job<'_, '_>,
 ) -> Result<Remesh, RemeshError> {
     let Attempt { plan, curves, closest, built, seeds, figures, device, device_bytes } = attempt;
@@ -528,13 +539,16 @@ fn measure(
     token.check()?;
     let result = &built.mesh;
     let quality = || options.measure.then(|| compare(clean, closest, result, token)).transpose();
-    let crossings = || options.measure.then(|| crossings(result, token)).transpose();
+    let crossings = || {
+        let count = || if known.none_crosses { Ok(Crossings::default()) } else { crossings(result, token) };
+        options.measure.then(count).transpose()
+    };
     // Only parts of one seed's cell, or of the surface, can be in one place.
-    let touches = built.repair.extra_vertices > 0 || wanted.components > 1 || of_result.is_some();
+    let touches = built.repair.extra_vertices > 0 || wanted.components > 1 || known.topology.is_some();
     let topology = || -> Result<_, Stopped> {
         let coincident_vertices = if touches { coincident_vertices(result, token)? } else { 0 };
-        let topology = match of_result {
-            Some(known) => known,
+        let topology = match known.topology {
+            Some(topology) => topology,
             None => topology_unless(result, &Adjacency::unless(result, token)?, token)?,
         };
         Ok((topology, coincident_vertices))

@@ -28,9 +28,9 @@ const TURNED: f64 = 0.5;
 /// New and moved vertices are at most this share of all.
 const MOST_TIPS: f64 = 0.01;
 
-/// Puts the tips of `mesh` back that are lost.
-pub(super) fn put_back(built: &mut Built, mesh: &TriMesh, token: &Token) -> Result<Result<(), MeshError>, Stopped> {
-    let Some(tips) = Tips::of(mesh, token)? else { return Ok(Ok(())) };
+/// Puts the tips of `mesh` back that are lost. Whether the result changes.
+pub(super) fn put_back(built: &mut Built, mesh: &TriMesh, token: &Token) -> Result<Result<bool, MeshError>, Stopped> {
+    let Some(tips) = Tips::of(mesh, token)? else { return Ok(Ok(false)) };
     let result = &built.mesh;
     let closest = ClosestPoint::unless(result, token)?;
     let rings = Csr::one_rings(result.positions().len(), result.facets());
@@ -79,7 +79,7 @@ pub(super) fn put_back(built: &mut Built, mesh: &TriMesh, token: &Token) -> Resu
         }
     }
     if made.is_empty() && moved.is_empty() {
-        return Ok(Ok(()));
+        return Ok(Ok(false));
     }
     let mut positions = result.positions().to_vec();
     moved.iter().for_each(|&(v, tip)| positions[v as usize] = tip);
@@ -95,11 +95,12 @@ pub(super) fn put_back(built: &mut Built, mesh: &TriMesh, token: &Token) -> Resu
         Ok(pointed) => pointed,
         Err(error) => return Ok(Err(error)),
     };
-    if crossings(&pointed, token)?.count <= crossings(result, token)?.count {
+    let changes = crossings(&pointed, token)?.count <= crossings(result, token)?.count;
+    if changes {
         built.mesh = pointed;
         // Vertices are in the order of their seeds.
         let last = built.vertex_seed.last().copied().unwrap_or(0);
         built.vertex_seed.resize(built.mesh.positions().len(), last);
     }
-    Ok(Ok(()))
+    Ok(Ok(changes))
 }

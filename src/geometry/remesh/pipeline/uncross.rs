@@ -22,16 +22,16 @@ use crate::remesh::{RemeshOptions, Result};
 use crate::token::{Stopped, Token};
 
 impl<'a> Job<'a, '_> {
-    /// A result in place of `best` with fewer crossing facets, if there is one. Sheets may be `apart` along curves.
+    /// A result in place of `best` with fewer crossing facets, if there is one, and how many it has. Sheets may be `apart` along curves.
     pub(super) fn uncross(
         &mut self,
         mut best: Attempt<'a>,
         apart: Option<&Apart>,
         options: &RemeshOptions,
-    ) -> Result<Attempt<'a>> {
+    ) -> Result<(Attempt<'a>, usize)> {
         let mut crossing = crossing_facets(&best.built.mesh, self.token)?;
         if crossing.is_empty() || !crossing_facets(self.separated, self.token)?.is_empty() {
-            return Ok(best);
+            return Ok((best, crossing.len()));
         }
         self.may_divide = false;
         let mut fewest = crossing.len();
@@ -62,7 +62,7 @@ impl<'a> Job<'a, '_> {
             }
         }
         self.token.check()?;
-        Ok(best)
+        Ok((best, fewest))
     }
 }
 

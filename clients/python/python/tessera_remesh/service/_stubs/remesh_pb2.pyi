@@ -310,7 +310,7 @@ class Density(_message.Message):
     def __init__(self, source: _Optional[_Union[DensitySource, str]] = ..., edge_length: _Optional[float] = ..., adaptivity: _Optional[float] = ..., gradation: _Optional[float] = ..., size_in: _Optional[_Iterable[str]] = ...) -> None: ...
 
 class RemeshOptions(_message.Message):
-    __slots__ = ("points", "seed", "density", "lloyd", "newton", "projection", "placement", "crease_angle", "boundaries", "thin", "max_deviation", "max_deviation_length", "max_points", "measure", "points_percent", "facets", "anisotropy", "anisotropy_auto", "weld", "weld_percent", "non_manifold", "keep", "only", "keep_rims", "source_map", "mirror", "periodic")
+    __slots__ = ("points", "seed", "density", "lloyd", "newton", "projection", "placement", "crease_angle", "boundaries", "thin", "max_deviation", "max_deviation_length", "max_points", "measure", "points_percent", "facets", "anisotropy", "anisotropy_auto", "weld", "weld_percent", "non_manifold", "keep", "only", "keep_rims", "source_map", "mirror", "periodic", "strict_creases")
     POINTS_FIELD_NUMBER: _ClassVar[int]
     SEED_FIELD_NUMBER: _ClassVar[int]
     DENSITY_FIELD_NUMBER: _ClassVar[int]
@@ -338,6 +338,7 @@ class RemeshOptions(_message.Message):
     SOURCE_MAP_FIELD_NUMBER: _ClassVar[int]
     MIRROR_FIELD_NUMBER: _ClassVar[int]
     PERIODIC_FIELD_NUMBER: _ClassVar[int]
+    STRICT_CREASES_FIELD_NUMBER: _ClassVar[int]
     points: int
     seed: int
     density: Density
@@ -365,7 +366,8 @@ class RemeshOptions(_message.Message):
     source_map: bool
     mirror: str
     periodic: _containers.RepeatedScalarFieldContainer[str]
-    def __init__(self, points: _Optional[int] = ..., seed: _Optional[int] = ..., density: _Optional[_Union[Density, _Mapping]] = ..., lloyd: _Optional[int] = ..., newton: _Optional[int] = ..., projection: _Optional[_Union[Projection, str]] = ..., placement: _Optional[_Union[Placement, str]] = ..., crease_angle: _Optional[float] = ..., boundaries: _Optional[_Union[BoundaryRule, str]] = ..., thin: _Optional[_Union[ThinRule, str]] = ..., max_deviation: _Optional[float] = ..., max_deviation_length: _Optional[float] = ..., max_points: _Optional[int] = ..., measure: _Optional[_Union[Measure, str]] = ..., points_percent: _Optional[float] = ..., facets: _Optional[int] = ..., anisotropy: _Optional[float] = ..., anisotropy_auto: bool = ..., weld: _Optional[float] = ..., weld_percent: _Optional[float] = ..., non_manifold: _Optional[_Union[NonManifoldRule, str]] = ..., keep: _Optional[_Iterable[str]] = ..., only: _Optional[_Iterable[str]] = ..., keep_rims: bool = ..., source_map: bool = ..., mirror: _Optional[str] = ..., periodic: _Optional[_Iterable[str]] = ...) -> None: ...
+    strict_creases: bool
+    def __init__(self, points: _Optional[int] = ..., seed: _Optional[int] = ..., density: _Optional[_Union[Density, _Mapping]] = ..., lloyd: _Optional[int] = ..., newton: _Optional[int] = ..., projection: _Optional[_Union[Projection, str]] = ..., placement: _Optional[_Union[Placement, str]] = ..., crease_angle: _Optional[float] = ..., boundaries: _Optional[_Union[BoundaryRule, str]] = ..., thin: _Optional[_Union[ThinRule, str]] = ..., max_deviation: _Optional[float] = ..., max_deviation_length: _Optional[float] = ..., max_points: _Optional[int] = ..., measure: _Optional[_Union[Measure, str]] = ..., points_percent: _Optional[float] = ..., facets: _Optional[int] = ..., anisotropy: _Optional[float] = ..., anisotropy_auto: bool = ..., weld: _Optional[float] = ..., weld_percent: _Optional[float] = ..., non_manifold: _Optional[_Union[NonManifoldRule, str]] = ..., keep: _Optional[_Iterable[str]] = ..., only: _Optional[_Iterable[str]] = ..., keep_rims: bool = ..., source_map: bool = ..., mirror: _Optional[str] = ..., periodic: _Optional[_Iterable[str]] = ..., strict_creases: bool = ...) -> None: ...
 
 class DiagramOptions(_message.Message):
     __slots__ = ("points", "seed", "outputs", "points_percent")
