@@ -99,6 +99,32 @@ fn struts_narrower_than_an_edge_stay_straight() {
     assert_eq!(done.report.features.dropped_curves, 0);
 }
 
+/// A lattice has as many patches as an object of hundreds of parts.
+#[test]
+fn lattices_keep_all_their_struts() {
+    for (feature, seed) in [(0.1, 6), (0.03, 20)] {
+        let mesh = part(PartKind::Frame, feature, seed);
+        for points in [600, 1500] {
+            let done = run(&mesh, points, 2);
+            let (quality, features) = (done.report.result.quality.as_ref().unwrap(), &done.report.features);
+            let name = format!("{feature}, {points}");
+            assert!(quality.hausdorff_percent < 0.01, "{name}: {quality:?}");
+            assert_eq!((features.dropped_curves, features.missing_segments), (0, 0), "{name}");
+            assert_eq!(topology(&done.mesh).euler, topology(&mesh).euler, "{name}");
+        }
+    }
+}
+
+/// A circle begins anywhere in each of its copies.
+#[test]
+fn patches_are_joined_all_around_their_holes() {
+    for (kind, seed) in [PartKind::Gear, PartKind::Perforated].into_iter().flat_map(|k| (2..7).map(move |s| (k, s))) {
+        let mesh = part(kind, 0.02, seed);
+        let found = topology(&run(&mesh, 400, 2).mesh);
+        assert_eq!((found.boundary_edges, found.euler), (0, topology(&mesh).euler), "{kind}, {seed}");
+    }
+}
+
 /// The facets of a coarse torus make angles like creases, with flat diagonals between. None of them is a feature.
 #[test]
 fn round_surfaces_of_few_facets_are_not_divided() {

@@ -113,14 +113,14 @@ def with_meshlab(surface: Surface) -> tuple[Path, float]:
     return by_length(surface, remesh), taken
 
 
-def with_mmgs(surface: Surface) -> tuple[Path, float]:
+def with_mmgs(surface: Surface, *further: str) -> tuple[Path, float]:
     taken = 0.0
     program = Path(sys.executable).with_name("mmgs")
 
     def remesh(length: float) -> tuple[Path, int]:
         nonlocal taken
         out = surface.work / "out.mesh"
-        options = ["-v", "0", "-hausd", 1e-2 * surface.diagonal, "-hsiz", length]
+        options = ["-v", "0", "-hausd", 1e-2 * surface.diagonal, "-hsiz", length, *further]
         start = time.perf_counter()
         subprocess.run([program, *map(str, options), surface.medit, out], check=True, capture_output=True)
         taken = time.perf_counter() - start

@@ -24,8 +24,10 @@ const LONGEST: f64 = 8.0;
 #[derive(Clone, Debug)]
 pub(crate) struct Apart {
     pub mesh: TriMesh,
-    /// Rows of parts, one above the other.
-    rows: Vec<Row>,
+    /// One above the other.
+    layers: Vec<Layer>,
+    /// By how much each part was moved.
+    moved: Vec<DVec3>,
     /// Half of the least gap between two components.
     margin: f64,
     /// Where vertices were, by where they are.
@@ -36,12 +38,20 @@ pub(crate) struct Apart {
     pub copied: Vec<u32>,
 }
 
+/// Rows beside each other along y.
+#[derive(Clone, Debug, Default)]
+struct Layer {
+    /// Where it ends along z.
+    top: f64,
+    rows: Vec<Row>,
+}
+
 #[derive(Clone, Debug, Default)]
 struct Row {
-    /// Where it ends upward.
-    top: f64,
-    /// Where each part ends, and by how much it was moved.
-    parts: Vec<(f64, DVec3)>,
+    /// Where it ends along y.
+    end: f64,
+    /// Where each part ends along x, and its number.
+    parts: Vec<(f64, usize)>,
 }
 
 type Box = (DVec3, DVec3);
@@ -65,38 +75,36 @@ impl Apart {
         }
         let size = |b: &Box| b.1 - b.0 + gap;
         let (low, high) = mesh.bounds();
+        let largest = |least: DVec3| boxes.iter().fold(least, |side, b| side.max(size(b)));
+        // In one layer; or in a cube, which is smaller where parts are many, those of one height beside each other.
         let floor: f64 = boxes.iter().map(|b| size(b).x * size(b).y).sum();
-        let width = boxes.iter().map(|b| size(b).x).fold(floor.sqrt(), f64::max);
-        let mut rows = vec![Row::default()];
-        let (mut x, mut y) = (0.0, 0.0);
-        let mut by = Vec::with_capacity(boxes.len());
-        for b in &boxes {
-            if x > 0.0 && x + size(b).x > width {
-                y = rows[rows.len() - 1].top + gap;
-                x = 0.0;
-                rows.push(Row::default());
-            }
-            let count = rows.len();
-            let row = &mut rows[count - 1];
-            let move_by = low + DVec3::new(x, y, 0.0) - b.0;
-            by.push(move_by);
-            x += size(b).x;
-            row.parts.push((x - gap, move_by));
-            row.top = row.top.max(y + size(b).y - gap);
+        let mut order: Vec<usize> = (0..boxes.len()).collect();
+        let mut shelves = Shelves::new(&boxes, &order, gap, largest(DVec3::splat(floor.sqrt())).with_y(f64::INFINITY));
+        if shelves.longest() > LONGEST * (high - low).max_element() {
+            let volume: f64 = boxes.iter().map(|b| size(b).element_product()).sum();
+            order.sort_by(|&a, &b| {
+                let [a, b] = [a, b].map(|part| size(&boxes[part]));
+                b.z.total_cmp(&a.z).then(b.y.total_cmp(&a.y))
+            });
+            shelves = Shelves::new(&boxes, &order, gap, largest(DVec3::splat(volume.cbrt())));
         }
-        let longest = rows.iter().flat_map(|r| r.parts.iter().map(|p| p.0)).fold(rows[rows.len() - 1].top, f64::max);
-        if longest > LONGEST * (high - low).max_element() {
+        if shelves.longest() > LONGEST * (high - low).max_element() {
             return None;
         }
+        let Shelves { mut layers, places: by } = shelves;
+        let by: Vec<DVec3> = by.iter().zip(&boxes).map(|(&at, b)| low + at - b.0).collect();
         let place = |(&p, &part): (&DVec3, &u32)| by.get(part as usize).map_or(p, |&by| p + by);
         let moved: Vec<DVec3> = positions.iter().zip(&part).map(place).collect();
         let places = moved.iter().zip(&positions).map(|(&now, &then)| (bits(now), then)).collect();
-        for row in &mut rows {
-            row.top += low.y;
-            row.parts.iter_mut().for_each(|part| part.0 += low.x);
+        for layer in &mut layers {
+            layer.top += low.z;
+            for row in &mut layer.rows {
+                row.end += low.y;
+                row.parts.iter_mut().for_each(|part| part.0 += low.x);
+            }
         }
         let mesh = TriMesh::new(moved, facets).ok()?;
-        Some(Self { mesh, rows, margin: 0.5 * gap, places, touched: sheets.touch, copied })
+        Some(Self { mesh, layers, moved: by, margin: 0.5 * gap, places, touched: sheets.touch, copied })
     }
 
     /// The vertex that this one is, or is a copy of.
@@ -110,15 +118,17 @@ impl Apart {
         if let Some(&place) = self.places.get(&bits(p)) {
             return place;
         }
-        let (row, part) = self.part(p);
-        p - self.rows[row].parts[part].1
+        p - self.moved[self.part(p)]
     }
 
-    /// The part that a place is of or beside: its row, and its number there.
-    pub(crate) fn part(&self, p: DVec3) -> (usize, usize) {
-        let row = self.rows.partition_point(|row| row.top + self.margin < p.y).min(self.rows.len() - 1);
-        let parts = &self.rows[row].parts;
-        (row, parts.partition_point(|part| part.0 + self.margin < p.x).min(parts.len() - 1))
+    /// The part that a place is of or beside.
+    pub(crate) fn part(&self, p: DVec3) -> usize {
+        let beside = |end: f64, at: f64| end + self.margin < at;
+        let layer = self.layers.partition_point(|layer| beside(layer.top, p.z)).min(self.layers.len() - 1);
+        let rows = &self.layers[layer].rows;
+        let row = rows.partition_point(|row| beside(row.end, p.y)).min(rows.len() - 1);
+        let parts = &rows[row].parts;
+        parts[parts.partition_point(|part| beside(part.0, p.x)).min(parts.len() - 1)].1
     }
 
     /// A surface beside this one, where it was; no error if it is still valid there. Where sheets touched, vertices that only
@@ -133,6 +143,50 @@ impl Apart {
             }
         }
         Ok(TriMesh::new(positions, mesh.facets().to_vec()))
+    }
+}
+
+/// Boxes in rows along x, rows beside each other along y, and layers of these above each other.
+struct Shelves {
+    layers: Vec<Layer>,
+    /// Of each box, from the low corner of the whole.
+    places: Vec<DVec3>,
+}
+
+impl Shelves {
+    /// Puts boxes down in an order, `gap` apart, in rows and layers at most as long as a side unless a box is.
+    fn new(boxes: &[Box], order: &[usize], gap: f64, side: DVec3) -> Self {
+        let mut layers = vec![Layer::default()];
+        let mut places = vec![DVec3::ZERO; boxes.len()];
+        let mut at = DVec3::ZERO;
+        for &part in order {
+            let size = boxes[part].1 - boxes[part].0 + gap;
+            let mut row = layers.last_mut().and_then(|layer| layer.rows.pop()).unwrap_or_default();
+            if at.x > 0.0 && at.x + size.x > side.x {
+                at = DVec3::new(0.0, row.end + gap, at.z);
+                let above = layers.len() - 1;
+                layers[above].rows.push(std::mem::take(&mut row));
+                if at.y + size.y > side.y {
+                    at = DVec3::new(0.0, 0.0, layers[above].top + gap);
+                    layers.push(Layer::default());
+                }
+            }
+            let end = at + size - gap;
+            row.parts.push((end.x, part));
+            row.end = row.end.max(end.y);
+            places[part] = at;
+            at.x += size.x;
+            let above = layers.len() - 1;
+            layers[above].top = layers[above].top.max(end.z);
+            layers[above].rows.push(row);
+        }
+        Self { layers, places }
+    }
+
+    fn longest(&self) -> f64 {
+        let rows = self.layers.iter().flat_map(|layer| &layer.rows);
+        let ends = rows.flat_map(|row| row.parts.iter().map(|part| part.0).chain([row.end]));
+        ends.chain(self.layers.iter().map(|layer| layer.top)).fold(0.0, f64::max)
     }
 }
 

@@ -380,6 +380,9 @@ pub(super) const THIN_LONGEST: f64 = 1.4;
 pub(super) const MAX_CROSSING_ROUNDS: usize = 3;
 pub(super) const CROSSING_SHORTER: f64 = std::f64::consts::FRAC_1_SQRT_2;
 pub(super) const CROSSING_REACH: f64 = 1.0;
+/// A part with creases is divided along them if cells in several pieces would give it so many vertices, times the number asked for. Fewer
+/// seeds cost less for what is left.
+pub(super) const DIVIDED_ABOVE: f64 = 1.1;
 /// Factor by which the number of points may grow where edge lengths imply it.
 pub(super) const THIN_MOST_POINTS: usize = 2;
 

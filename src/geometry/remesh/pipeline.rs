@@ -370,6 +370,9 @@ fn run_once(
         (Some(limits), _) => prepared.and_then(|prepared| job.add(prepared, options, limits)),
         (None, _) => prepared.and_then(|prepared| job.attempt(prepared, options, None)),
     };
+    if job.wants_division {
+        return Ok(Outcome::Again(Way::Divided));
+    }
     let counted = matches!(options.seeds.count(), Count::Points(_));
     let edge_length = options.density.edge_length.filter(|_| !counted);
     let mut attempt = match attempt {
@@ -379,9 +382,6 @@ fn run_once(
     };
 
     token.check()?;
-    if job.wants_division {
-        return Ok(Outcome::Again(Way::Divided));
-    }
     let apart_along_curves = apart.as_ref().filter(|_| meet);
     if !attempt.mend(apart_along_curves, token)? && is_divided {
         return Ok(Outcome::Again(Way::Undivided));
@@ -390,8 +390,11 @@ fn run_once(
     let mut none_crosses = false;
     if may_shorten {
         let crossing;
-        (attempt, crossing) = job.uncross(attempt, apart_along_curves, options)?;
-        none_crosses = crossing == 0 && apart.is_none() && preprocessed.pairs.is_none();
+        (attempt, crossing) = match job.uncross(attempt, (clean, apart.as_ref()), (meet, divisible), options)? {
+            Some(found) => found,
+            None => return Ok(Outcome::Again(Way::Divided)),
+        };
+        none_crosses = crossing == 0 && preprocessed.pairs.is_none();
     }
     if options.keep_thin && options.placement == Placement::Fitted && !matches!(options.seeds, Seeds::Given(_)) {
         let broken = |e| RvdError::Internal(format!("facets in the places of one: {e}"));
@@ -424,7 +427,11 @@ fn run_once(
                 // What has one vertex is joined, and not what touches.
                 let result = &attempt.built.mesh;
                 let own = (0..result.positions().len() as u32).collect();
-                of_result = Some(topology_unless(result, &Adjacency::with(result, own, token)?, token)?);
+                let found = topology_unless(result, &Adjacency::with(result, own, token)?, token)?;
+                if is_divided && found.boundary_loops != joined.boundary_loops {
+                    return Ok(Outcome::Again(Way::Undivided));
+                }
+                of_result = Some(found);
             }
             transferred
         }

@@ -176,7 +176,7 @@ impl Seams {
     /// What the seeds within a curve are joined by; `first` is the first of its copies.
     fn of_curve(&self, curve: &Curve, first: u32, number: u32) -> Joint {
         let Joints::Pieces { edges, .. } = &self.joints else { return Joint::Curve(first) };
-        let known: Vec<u32> = curve.vertices.iter().copied().filter(|&v| self.class(v).is_some()).collect();
+        let known: Vec<u32> = curve.round().filter(|&v| self.class(v).is_some()).collect();
         let of = |pair: &[u32]| edges.get(&undirected([pair[0], pair[1]])).copied();
         known.windows(2).filter_map(of).min().map_or(Joint::Curve(number), Joint::Edge)
     }

@@ -53,10 +53,14 @@ impl<'a> Job<'a, '_> {
         options: &RemeshOptions,
     ) -> Result<Optimized<'a, P>> {
         let optimized = self.optimize_once(prepared, options, None)?;
-        let failing = !optimized.failing.components.is_empty();
-        if failing && self.may_divide && optimized.curves.divide(&optimized.plan.mesh, self.topology.components) {
+        let vertices = optimized.failing.vertices.saturating_sub(optimized.curves.surplus());
+        // Cells in several pieces have parts of both skins.
+        let is_thin = !optimized.failing.components.is_empty()
+            || vertices as f64 > DIVIDED_ABOVE * optimized.figures.asked as f64;
+        if is_thin && self.may_divide && optimized.curves.divide(&optimized.plan.mesh, self.topology.components) {
             self.wants_division = true;
-            return Ok(optimized);
+            // Not for callers of the library: what wants division is not built.
+            return Err(RvdError::Internal("the surface is to be divided".to_owned()).into());
         }
         let optimized = self.resolve_thin_parts(optimized, options)?;
         let optimized = self.resolve_folds(optimized, options)?;

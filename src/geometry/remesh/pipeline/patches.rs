@@ -56,7 +56,7 @@ pub(super) fn mend(
 ) -> Result<Result<bool, MeshError>, Stopped> {
     let class = weld_unless(mesh, token)?;
     let chains = curves.chains();
-    let mut patches: BTreeMap<(usize, usize), Patch> = BTreeMap::new();
+    let mut patches: BTreeMap<usize, Patch> = BTreeMap::new();
     for (f, t) in mesh.facets().iter().enumerate() {
         patches.entry(apart.part(mesh.positions()[t[0] as usize])).or_default().facets.push(f as u32);
     }

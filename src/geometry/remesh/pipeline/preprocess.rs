@@ -219,7 +219,8 @@ impl Preprocessed {
             }
             if !creases.is_empty() {
                 let patches = sheets.in_patches(clean, creases, go_on, token)?;
-                let apart = moved(&patches);
+                // Patches share the vertices of their curves, and need none of their own.
+                let apart = Apart::of(clean, &patches, gap);
                 if apart.is_some() {
                     (separated.apart, sheets) = (apart, patches);
                 }

@@ -19,19 +19,31 @@ use crate::mesh::crossings::crossing_facets;
 use crate::remesh::constants::{CROSSING_REACH, CROSSING_SHORTER, MAX_CROSSING_ROUNDS, THIN_LONGEST};
 use crate::remesh::triangle::longest_side;
 use crate::remesh::{RemeshOptions, Result};
+use crate::rvd::RvdError;
 use crate::token::{Stopped, Token};
 
 impl<'a> Job<'a, '_> {
-    /// A result in place of `best` with fewer crossing facets, if there is one, and how many it has. Sheets may be `apart` along curves.
+    /// A result in place of `best` with fewer crossing facets, if there is one, and how many it has. Sheets of `clean` may be apart, and
+    /// `meet` along curves. `None` if some cross and the surface is `divisible`: divided, it has room for its cells.
     pub(super) fn uncross(
         &mut self,
         mut best: Attempt<'a>,
-        apart: Option<&Apart>,
+        (clean, apart): (&TriMesh, Option<&Apart>),
+        (meet, divisible): (bool, bool),
         options: &RemeshOptions,
-    ) -> Result<(Attempt<'a>, usize)> {
-        let mut crossing = crossing_facets(&best.built.mesh, self.token)?;
-        if crossing.is_empty() || !crossing_facets(self.separated, self.token)?.is_empty() {
-            return Ok((best, crossing.len()));
+    ) -> Result<Option<(Attempt<'a>, usize)>> {
+        let token = self.token;
+        let crossing_of = |mesh: &TriMesh| -> Result<Vec<u32>> {
+            let Some(apart) = apart else { return Ok(crossing_facets(mesh, token)?) };
+            let broken = |e| RvdError::Internal(format!("a surface was valid where its parts were apart: {e}"));
+            Ok(crossing_facets(&apart.mesh_back(mesh, token)?.map_err(broken)?, token)?)
+        };
+        let mut crossing = crossing_of(&best.built.mesh)?;
+        if crossing.is_empty() || !crossing_facets(clean, self.token)?.is_empty() {
+            return Ok(Some((best, crossing.len())));
+        }
+        if divisible {
+            return Ok(None);
         }
         self.may_divide = false;
         let mut fewest = crossing.len();
@@ -45,8 +57,8 @@ impl<'a> Job<'a, '_> {
                 break;
             }
             let Ok(mut next) = self.attempt(prepared, &options, None) else { break };
-            let is_whole = next.mend(apart, self.token)?;
-            crossing = crossing_facets(&next.built.mesh, self.token)?;
+            let is_whole = next.mend(apart.filter(|_| meet), self.token)?;
+            crossing = crossing_of(&next.built.mesh)?;
             lengths = next.plan.lengths(self.separated, self.token)?;
             shorten_near(&mut lengths, self.separated, (&next.built.mesh, &crossing), self.token)?;
             if !is_whole || crossing.len() >= fewest || lost_curves(&next) > lost_curves(&best) {
@@ -62,7 +74,7 @@ impl<'a> Job<'a, '_> {
             }
         }
         self.token.check()?;
-        Ok((best, fewest))
+        Ok(Some((best, fewest)))
     }
 }
 
