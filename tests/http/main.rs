@@ -380,6 +380,14 @@ async fn who_goes_away_ends_the_work() {
     stream.shutdown().await.unwrap();
     drop(stream);
     running(false).await;
+    // Also while its job is created.
+    for milliseconds in 0..40 {
+        let stream = client::send(&house, "POST", "/v1/remesh?points=20000&lloyd=2000", &[], &file).await;
+        tokio::time::sleep(Duration::from_millis(milliseconds)).await;
+        drop(stream);
+    }
+    tokio::time::sleep(Duration::from_millis(500)).await;
+    running(false).await;
     house.stop().await;
 }
 

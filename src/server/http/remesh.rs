@@ -19,7 +19,7 @@ use super::guard::Whose;
 use super::jobs::{MESH, send_result};
 use super::options::{Asked, format_names, format_of_types};
 use super::problem::{Answered, wrong};
-use crate::service::{self, Caller, Desk, RequestError};
+use crate::service::{self, Caller, Desk, RequestError, to_the_end};
 use geometry::mesh::io::Format;
 use jobs::blob::Digest;
 use jobs::executor::api::{JobApi, Reuse};
@@ -34,9 +34,8 @@ pub(super) async fn remesh(State(desk): State<Desk>, Extension(client): Whose, r
     let (info, bytes) = store(&desk, &client, &parts.headers, body).await?;
     let spec = wanted.of(info.digest, &bytes)?;
     drop(bytes);
-    let created = service::create(Arc::clone(&desk.api), &*desk.blobs, client.bytes, (spec, Reuse::Never)).await?;
-    let mine = Mine { api: Arc::clone(&desk.api), tenant: client.tenant.clone(), id: created.job.id };
-    let job = ended(&desk, &client.tenant, created.job.id).await?;
+    let mine = to_the_end(Mine::of(desk.clone(), client.clone(), spec)).await?;
+    let job = ended(&desk, &client.tenant, mine.id).await?;
     send_result(&desk, &client, &job, MESH, &HeaderMap::new(), mine).await
 }
 
@@ -100,6 +99,15 @@ struct Mine {
     api: Arc<dyn JobApi>,
     tenant: String,
     id: JobId,
+}
+
+impl Mine {
+    /// Its job is its own from the first: a request may end while a job is created.
+    async fn of(desk: Desk, client: Caller, spec: Spec) -> Result<Self, RequestError> {
+        let api = Arc::clone(&desk.api);
+        let created = service::create(Arc::clone(&api), &*desk.blobs, client.bytes, (spec, Reuse::Never)).await?;
+        Ok(Self { api, tenant: client.tenant, id: created.job.id })
+    }
 }
 
 impl Drop for Mine {

@@ -18,7 +18,7 @@ use crate::config::Limits;
 use crate::metrics::Metrics;
 use jobs::JobError;
 use jobs::blob::{BlobError, BlobStore, Digest, Owner, UploadId, UploadStatus};
-use jobs::executor::api::{JobApi, JobApiError, Reuse};
+use jobs::executor::api::{JobApi, Reuse};
 use jobs::record::event::{Event, What};
 use jobs::record::{JobId, Spec};
 use jobs::store::Created;
@@ -69,11 +69,11 @@ pub(crate) async fn create(
 }
 
 /// Runs a change to its end, even if the caller goes away: half of one would leave blobs pinned for no job.
-pub(crate) async fn to_the_end<T: Send + 'static>(
-    work: impl Future<Output = Result<T, JobApiError>> + Send + 'static,
+pub(crate) async fn to_the_end<T: Send + 'static, E: Into<RequestError> + Send + 'static>(
+    work: impl Future<Output = Result<T, E>> + Send + 'static,
 ) -> Result<T, RequestError> {
     match tokio::spawn(trace::carry(work)).await {
-        Ok(result) => result.map_err(RequestError::from),
+        Ok(result) => result.map_err(Into::into),
         Err(panic) => Err(JobError::Panicked(panic.to_string()).into()),
     }
 }
