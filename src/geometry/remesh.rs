@@ -277,8 +277,8 @@ pub struct RemeshOptions {
     pub only: Vec<Part>,
     /// Whether boundaries keep their vertices and edges.
     pub keep_rims: bool,
-    /// Whether a remesh that would drop a crease or a boundary is refused ([`RemeshError::CreasesDropped`]). Without it,
-    /// the report counts what was dropped. Where seeds are given no curve is sought, and none is dropped.
+    /// Whether a remesh is refused that would drop a crease or a boundary ([`RemeshError::CreasesDropped`]), or lack an edge of one
+    /// ([`RemeshError::CreasesBroken`]). Otherwise the report counts both. Where seeds are given no curve is sought.
     pub strict_creases: bool,
     /// A plane at which the result is symmetric: the half of the surface that its normal points to is remeshed, and the other half is its
     /// mirror image ([`Plane::reflect`]). Vertices of the seam are in the plane, and both halves have them.
@@ -579,6 +579,16 @@ pub enum RemeshError {
         length: f64,
         /// A vertex in the middle of the longest.
         place: DVec3,
+    },
+    /// Edges of creases or boundaries are missing in the result, and [`RemeshOptions::strict_creases`] asks for all.
+    #[error(
+        "{edges} edges of {curves} creases and boundaries are missing in the result; give more points, or leave strict creases out"
+    )]
+    CreasesBroken {
+        /// How many curves.
+        curves: usize,
+        /// How many edges.
+        edges: usize,
     },
     /// The attributes are not the surface's.
     #[error(transparent)]

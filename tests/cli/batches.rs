@@ -9,6 +9,7 @@ use serde_json::Value;
 use tessera::mesh::io;
 use tessera::mesh::io::Format;
 use tessera::mesh::shapes::Shape;
+use tessera::mesh::shapes::parts::{PartKind, part};
 
 use super::outputs::{said, tessera};
 
@@ -56,6 +57,9 @@ fn the_standard_streams_have_the_bits_of_files() {
     assert_eq!(read("out.bin"), read("out.off"));
     let made = fed(folder.path(), "shape torus --facets 800 -o - --format obj", b"");
     assert!(made.stdout == bytes, "{}", said(&made));
+    let gear = fed(folder.path(), "shape gear --feature 0.02 --seed 3 -o - --format obj", b"");
+    std::fs::write(folder.path().join("gear.obj"), &gear.stdout).unwrap();
+    assert!(io::read(&folder.path().join("gear.obj")).unwrap() == part(PartKind::Gear, 0.02, 3), "{}", said(&gear));
     let diagram = fed(folder.path(), "rvd - --input-format obj --points 20 --json", &bytes);
     assert!(diagram.status.success(), "{}", said(&diagram));
 }
@@ -76,6 +80,11 @@ fn what_a_stream_cannot_be_is_told() {
         ("remesh - --input-format obj -o out.ply --sizes sizes.txt", 2, "read only once"),
         ("measure - - --input-format obj", 2, "one of the two"),
         ("measure -", 2, "--input-format"),
+        ("shape gear --facets 900 -o out.ply", 2, "as many as it needs"),
+        ("shape gear --feature 2 -o out.ply", 2, "to 0.3"),
+        ("shape gear --feature -1 -o out.ply", 2, "above 0"),
+        ("shape torus --seed 2 -o out.ply", 2, "mechanical parts"),
+        ("shape wheel -o out.ply", 2, "gear"),
         ("shape torus -o -", 2, "--format"),
     ] {
         let out = fed(folder.path(), line, b"");

@@ -8,7 +8,7 @@ use tessera::mesh::closest_point::distance_to_segment;
 use tessera::mesh::measure::topology;
 use tessera::mesh::shapes::Shape;
 use tessera::mesh::shapes::parts::{PartKind, part};
-use tessera::remesh::{Remesh, RemeshOptions, Seeds, remesh};
+use tessera::remesh::{Remesh, RemeshError, RemeshOptions, Seeds, remesh};
 use tessera::rvd::Parallel;
 use tessera::token::Token;
 
@@ -123,6 +123,32 @@ fn patches_are_joined_all_around_their_holes() {
         let found = topology(&run(&mesh, 400, 2).mesh);
         assert_eq!((found.boundary_edges, found.euler), (0, topology(&mesh).euler), "{kind}, {seed}");
     }
+}
+
+/// Where creases are strict, a result has all of their edges, or there is none.
+#[test]
+fn strict_parts_are_whole_or_refused() {
+    let mut refused = 0;
+    for kind in [PartKind::Drilled, PartKind::Thread, PartKind::Cup, PartKind::Frame] {
+        let mesh = part(kind, 0.01, 1);
+        let options = RemeshOptions::new(Seeds::Sample { points: 500, seed: 0 }).with_strict_creases(true);
+        match remesh(&mesh, &options, &Parallel::new(Some(2)).unwrap(), &mut (), &Token::default()) {
+            Ok(done) => {
+                let features = &done.report.features;
+                assert_eq!((features.dropped_curves, features.missing_segments), (0, 0), "{kind}");
+            }
+            Err(RemeshError::CreasesDropped { curves, length, .. }) => {
+                assert!(curves > 0 && length > 0.0, "{kind}");
+                refused += 1;
+            }
+            Err(RemeshError::CreasesBroken { curves, edges }) => {
+                assert!(edges >= curves && curves > 0, "{kind}");
+                refused += 1;
+            }
+            Err(error) => panic!("{kind}: {error}"),
+        }
+    }
+    assert!((1..4).contains(&refused), "{refused}");
 }
 
 /// The facets of a coarse torus make angles like creases, with flat diagonals between. None of them is a feature.

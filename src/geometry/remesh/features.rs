@@ -157,6 +157,8 @@ impl KeptCurves {
             criteria.crease_angle_deg = 0.0;
         }
         loop {
+            // What a search drops, the next one may find again.
+            let dropped_before = dropped.len();
             let mut features = Features::find(&plan.mesh, surface.positions(), &criteria, token)?;
             // A corner in one sheet is one in all that meet there. Each may cut curves at others.
             while let Some(corners) = seams.map(|seams| seams.corners(&features))
@@ -234,6 +236,7 @@ impl KeptCurves {
             }
             if criteria.ridge_clearance > 0.0 {
                 criteria.ridge_clearance = 0.0;
+                dropped.truncate(dropped_before);
                 continue;
             }
             let creases = creases(&features);

@@ -26,6 +26,7 @@ mod adapt;
 mod extract;
 mod join;
 mod kept;
+mod measured;
 mod mirror;
 mod optimize;
 mod patches;
@@ -43,9 +44,7 @@ use glam::DVec3;
 
 use super::attributes::{self, Provenance};
 use super::features::Held;
-use super::report::{
-    CountFigures, CountReason, InputFigures, MemoryFigures, RegionFigures, Report, ResultFigures, Timings,
-};
+use super::report::{RegionFigures, Timings};
 use super::{
     Anisotropy, Limits, Observer, Placement, Refine, Remesh, RemeshError, RemeshOptions, Result, Seeds, Tolerance,
     constants, warnings,
@@ -55,17 +54,14 @@ use crate::mesh::TriMesh;
 use crate::mesh::adjacency::Adjacency;
 use crate::mesh::attributes::Attributes;
 use crate::mesh::closest_point::{ClosestPoint, SurfacePoint};
-use crate::mesh::comparison::{LostParts, lost_parts};
-use crate::mesh::crossings::{Crossings, crossings};
+use crate::mesh::crossings::crossings;
 use crate::mesh::features::edge_shares;
 use crate::mesh::input::{draw_in, outliers};
-use crate::mesh::measure::{Quality, Topology, coincident_vertices, quality_and_distances, topology_unless};
+use crate::mesh::measure::{Topology, topology_unless};
 use crate::rvd::{Backend, RvdError, elapsed_ms, on_threads_of};
 use crate::token::{Stopped, Token};
 use prepare::{Asked, Prepared, prepare};
 use preprocess::{Separated, preprocess};
-use schedule::Figures;
-use tolerance::Attempt;
 
 /// Remeshes `given` on `backend`.
 ///
@@ -136,11 +132,15 @@ pub fn remesh(
     let mut done = remesh_parts(given, options, backend, observer, token)?;
     // Of the result alone: what one of several attempts drops, another may keep.
     let features = &done.report.features;
-    if options.strict_creases
-        && let Some(longest) = features.dropped.first()
-    {
-        let (curves, length) = (features.dropped_curves, features.dropped_length);
-        return Err(RemeshError::CreasesDropped { curves, length, place: longest.place.into() });
+    if options.strict_creases && !features.are_whole() {
+        return Err(match features.dropped.first() {
+            Some(longest) => RemeshError::CreasesDropped {
+                curves: features.dropped_curves,
+                length: features.dropped_length,
+                place: longest.place.into(),
+            },
+            None => RemeshError::CreasesBroken { curves: features.broken_curves, edges: features.missing_segments },
+        });
     }
     done.report.warnings = warnings::of(&done.report, options.attributes.as_ref());
     if options.source_map
@@ -218,7 +218,12 @@ fn run_stages(
     let divided = run_once(part, (options, Way::Divided), backend, observer, token);
     token.check()?;
     Ok(match divided {
-        Ok(Outcome::Done(divided, _)) if divided.report.is_nearer_than(&done.report) => *divided,
+        Ok(Outcome::Done(divided, _))
+            if divided.report.is_nearer_than(&done.report)
+                || options.strict_creases && divided.report.features.are_whole() =>
+        {
+            *divided
+        }
         _ => done,
     })
 }
@@ -437,6 +442,7 @@ fn run_once(
         }
     };
     if is_divided
+        && !none_crosses
         && crossings(&attempt.built.mesh, token)?.count as f64
             > constants::MOST_CROSSING * attempt.built.mesh.facets().len() as f64
     {
@@ -452,8 +458,8 @@ fn run_once(
     }
 
     job.enter("measure");
-    let known = Known { topology: of_result, none_crosses };
-    let mut measured = measure(clean, input, options, attempt, known, job)?;
+    let known = measured::Known { topology: of_result, none_crosses };
+    let mut measured = measured::measure(clean, input, options, attempt, known, job)?;
     let Carried { attributes, provenance, regions } = carried;
     (measured.report.result.regions, measured.report.result.periodic) = (regions, periodic);
     Ok(Outcome::Done(Box::new(Remesh { attributes, provenance, ..measured }), divisible))
@@ -513,116 +519,6 @@ fn carry(
         carried.set_regions(regions.with_facets(of_facet))?;
     }
     Ok(Carried { attributes: Some(carried), provenance, regions: figures })
-}
-
-/// The quality of a result, and what it lacks of `mesh`, for which `closest` may answer.
-fn compare(
-    mesh: &TriMesh,
-    closest: Option<ClosestPoint>,
-    result: &TriMesh,
-    token: &Token,
-) -> Result<(Quality, LostParts), Stopped> {
-    let (quality, distances) = quality_and_distances(mesh, closest, result, token)?;
-    Ok((quality, lost_parts(mesh, result, &distances, token)?))
-}
-
-/// What is known of a result before it is measured.
-struct Known {
-    topology: Option<Topology>,
-    none_crosses: bool,
-}
-
-/// Measures the result against `clean` and writes the report. Attributes and provenance are left empty.
-fn measure(
-    clean: &TriMesh,
-    input: InputFigures,
-    options: &RemeshOptions,
-    attempt: Attempt<'_>,
-    known: Known,
-    Job { backend, token, mut laps, topology: wanted, .. }: Job<'_, '_>,
-) -> Result<Remesh, RemeshError> {
-    let Attempt { plan, curves, closest, built, seeds, figures, device, device_bytes } = attempt;
-    let Figures { seed, asked, converged, last, rvd, iterations, refine } = figures;
-    token.check()?;
-    let result = &built.mesh;
-    let quality = || options.measure.then(|| compare(clean, closest, result, token)).transpose();
-    let crossings = || {
-        let count = || if known.none_crosses { Ok(Crossings::default()) } else { crossings(result, token) };
-        options.measure.then(count).transpose()
-    };
-    // Only parts of one seed's cell, or of the surface, can be in one place.
-    let touches = built.repair.extra_vertices > 0 || wanted.components > 1 || known.topology.is_some();
-    let topology = || -> Result<_, Stopped> {
-        let coincident_vertices = if touches { coincident_vertices(result, token)? } else { 0 };
-        let topology = match known.topology {
-            Some(topology) => topology,
-            None => topology_unless(result, &Adjacency::unless(result, token)?, token)?,
-        };
-        Ok((topology, coincident_vertices))
-    };
-    let ((topology, crossings), quality) = rayon::join(|| rayon::join(topology, crossings), quality);
-    let crossings = crossings?;
-    let ((topology, coincident_vertices), (quality, lost)) = (topology?, quality?.unzip());
-    let (vertices, facets) = (result.positions().len(), result.facets().len());
-    let (repair, metric) = (built.repair, built.metric);
-    let regions = Vec::new();
-    let result = ResultFigures {
-        vertices,
-        facets,
-        topology,
-        coincident_vertices,
-        quality,
-        metric,
-        regions,
-        kept: None,
-        mirror: None,
-        periodic: None,
-        lost,
-        crossings,
-        repair,
-    };
-    laps.end(|t| &mut t.measure);
-    laps.timings.total = elapsed_ms(laps.begin);
-    let reason = match options.refine {
-        // A tolerance decides how many points there are, and not how many vertices share one.
-        Some(_) if vertices <= asked => None,
-        _ if metric.is_some() && wanted.fewest_vertices() <= asked => {
-            (!optimize::is_near(vertices, asked)).then_some(CountReason::Metric)
-        }
-        _ if !curves.narrow().is_empty() => (!optimize::is_near(vertices, asked)).then_some(CountReason::NarrowPatches),
-        _ => optimize::count_reason((vertices, result.topology.components), asked, &options.seeds, &wanted),
-    };
-    let vertex_count = CountFigures { asked, seeds: seeds.len(), reason };
-    let report = Report {
-        backend: backend.kind().name().into(),
-        adapter: backend.adapter(),
-        threads: backend.threads(),
-        seed,
-        converged,
-        topology_changes: wanted.changes(&result.topology),
-        input,
-        features: curves.figures(&built.segments),
-        rvd,
-        device,
-        iterations,
-        last,
-        refine,
-        vertex_count,
-        timings_ms: laps.timings,
-        memory: MemoryFigures { host_peak_bytes: None, device_bytes },
-        result,
-        density: plan.figures,
-        warnings: Vec::new(),
-    };
-    Ok(Remesh {
-        mesh: built.mesh,
-        vertex_seed: built.vertex_seed,
-        curve_edges: built.curve_edges,
-        seeds,
-        report,
-        attributes: None,
-        provenance: Vec::new(),
-    })
 }
 
 pub(super) struct Job<'a, 'b> {
@@ -707,7 +603,7 @@ fn put_back_spikes(done: &mut Remesh, given: &TriMesh, near: &TriMesh, token: &T
     let report = &mut done.report;
     (report.input.area, report.input.outlier_vertices) = (given.area(), far.len());
     if report.result.quality.is_some() {
-        (report.result.quality, report.result.lost) = Some(compare(given, None, &done.mesh, token)?).unzip();
+        (report.result.quality, report.result.lost) = Some(measured::compare(given, None, &done.mesh, token)?).unzip();
     }
     Ok(())
 }

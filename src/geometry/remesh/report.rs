@@ -65,9 +65,8 @@ pub struct Report {
 impl Report {
     /// Whether curves were dropped or broken, or facets cross.
     pub(crate) fn lacks_curves(&self) -> bool {
-        let FeatureFigures { creases, missing_segments, dropped_curves, .. } = &self.features;
         let crosses = self.result.crossings.as_ref().is_some_and(|crossings| crossings.count > 0);
-        dropped_curves + missing_segments > 0 || *creases > 0 && crosses
+        !self.features.are_whole() || self.features.creases > 0 && crosses
     }
 
     /// Whether the result is no farther from the input than another one, has no more crossing facets, and a topology as near.
@@ -241,6 +240,13 @@ pub struct FeatureFigures {
     pub dropped: Vec<DroppedCurve>,
     /// Edges bent enough for a crease in stretches too short for one.
     pub short_crease_edges: usize,
+}
+
+impl FeatureFigures {
+    /// Whether the result has all edges of all curves.
+    pub(crate) fn are_whole(&self) -> bool {
+        self.dropped_curves + self.missing_segments == 0
+    }
 }
 
 /// A crease or a boundary that the result does not follow.

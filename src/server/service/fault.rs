@@ -217,7 +217,9 @@ fn of_remesh(error: &RemeshError) -> Fault {
         | RemeshError::RimsMissed { .. } => "header.options.keep".to_owned(),
         RemeshError::KeptBesideSeeds => "seeds".to_owned(),
         RemeshError::TooFewForRims { .. } => "header.options.points".to_owned(),
-        RemeshError::CreasesDropped { .. } => "header.options.strict_creases".to_owned(),
+        RemeshError::CreasesDropped { .. } | RemeshError::CreasesBroken { .. } => {
+            "header.options.strict_creases".to_owned()
+        }
         // What an upload carries is checked when it is collected, where its index is known.
         RemeshError::Attributes(_) => "mesh.attributes".to_owned(),
         RemeshError::Rvd(error) => return of_rvd(error),

@@ -9,8 +9,9 @@ use std::collections::{BTreeMap, HashMap, HashSet};
 
 use glam::DVec3;
 
+use super::attributes;
+use super::measured::compare;
 use super::preprocess::{Preprocessed, preprocess};
-use super::{attributes, compare};
 use crate::cvt::density::{DensityError, DensitySource};
 use crate::mesh::TriMesh;
 use crate::mesh::adjacency::{Adjacency, weld_unless};

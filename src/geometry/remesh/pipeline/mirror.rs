@@ -11,8 +11,9 @@ use std::time::Instant;
 
 use glam::DVec3;
 
+use super::measured::compare;
 use super::preprocess::preprocess;
-use super::{Carried, carry, compare, match_reach, optimize};
+use super::{Carried, carry, match_reach, optimize};
 use crate::mesh::TriMesh;
 use crate::mesh::adjacency::{Adjacency, EdgeKind, weld_unless};
 use crate::mesh::closest_point::ClosestPoint;

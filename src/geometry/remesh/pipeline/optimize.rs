@@ -59,7 +59,7 @@ impl<'a> Job<'a, '_> {
             || vertices as f64 > DIVIDED_ABOVE * optimized.figures.asked as f64;
         if is_thin && self.may_divide && optimized.curves.divide(&optimized.plan.mesh, self.topology.components) {
             self.wants_division = true;
-            // Not for callers of the library: what wants division is not built.
+            // No caller sees it: the stages look at `wants_division` first.
             return Err(RvdError::Internal("the surface is to be divided".to_owned()).into());
         }
         let optimized = self.resolve_thin_parts(optimized, options)?;
