@@ -6,6 +6,8 @@
 //! Invariant: a patch that was replaced has all edges of its curves, which its neighbours have too. Others stay as they are.
 //! Must not know: how seeds of curves are placed, why the surface was divided.
 
+mod flat;
+
 use std::collections::{BTreeMap, HashMap, HashSet};
 
 use glam::DVec3;
@@ -47,7 +49,24 @@ struct Patch {
     chains: Vec<usize>,
 }
 
-/// Replaces the patches that need it. Returns whether all have their edges then: one with room for cells of its own stays as it is.
+impl Patch {
+    /// The corners of the facets of the divided surface.
+    fn places(&self, mesh: &TriMesh) -> Vec<[DVec3; 3]> {
+        self.facets.iter().map(|&f| mesh.facets()[f as usize].map(|v| mesh.positions()[v as usize])).collect()
+    }
+
+    /// The vertices of the result that are of none of the curves, with their seeds.
+    fn within(&self, built: &Built, chains: &[&Chain]) -> Vec<(u32, DVec3)> {
+        let of_curves: HashSet<u32> = chains.iter().flat_map(|chain| &chain.seeds).copied().collect();
+        let mut vertices: Vec<u32> = self.result.iter().flat_map(|&f| built.mesh.facets()[f as usize]).collect();
+        vertices.sort_unstable();
+        vertices.dedup();
+        let own = |v: u32| (built.vertex_seed[v as usize], built.mesh.positions()[v as usize]);
+        vertices.into_iter().map(own).filter(|own| !of_curves.contains(&own.0)).collect()
+    }
+}
+
+/// Replaces the patches that need it. Returns whether all have their edges then: a curved one with room for cells of its own stays as it is.
 pub(super) fn mend(
     built: &mut Built,
     (mesh, curves, seeds): (&TriMesh, &KeptCurves, &[DVec3]),
@@ -85,6 +104,14 @@ pub(super) fn mend(
         }
         let is_large = !is_narrow && patch.result.len() > MOST_FACETS;
         let is_whole = is_narrow || is_whole(built, patch, &wanted, (mesh, &class));
+        let chains: Vec<&Chain> = of().collect();
+        if !is_whole
+            && let Some(new) = flat::triangulated(&patch.places(mesh), &chains, at, &patch.within(built, &chains))
+        {
+            gone.extend(&patch.result);
+            made.push(new);
+            continue;
+        }
         if !is_narrow && (is_whole || is_large) {
             let lengths = of().flat_map(|chain| chain.edges()).map(|ends| at(ends[0]).distance(at(ends[1])));
             let may_replace = !is_large || patch.result.len() <= left;
@@ -95,7 +122,7 @@ pub(super) fn mend(
         }
         let facets: Vec<[u32; 3]> =
             patch.facets.iter().map(|&f| mesh.facets()[f as usize].map(|v| class[v as usize])).collect();
-        if let Some(new) = simplified((mesh, &facets), &of().collect::<Vec<_>>(), at, token)? {
+        if let Some(new) = simplified((mesh, &facets), &chains, at, token)? {
             gone.extend(&patch.result);
             made.push(new);
             left -= if is_large { patch.result.len() } else { 0 };
