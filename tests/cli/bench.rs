@@ -309,6 +309,41 @@ fn jump_flooding_on_a_gpu_has_the_labels_of_the_cpu() {
 
 #[needs(gpu)]
 #[test]
+fn bands_and_images_on_a_gpu_have_the_labels_of_the_cpu() {
+    if crate::gpu::device().is_none() {
+        return;
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    io::write(&folder.join("hills.ply"), &Shape::Hills.build(2000)).unwrap();
+    let methods = "--baseline band --voxels 37 --shell 2 --baseline geometry-image --texels 96";
+    let line = "bench fig4 --mesh hills.ply --points 100 --iterations 5 --gpu-software --json out.json";
+    run(folder, &format!("{line} {methods}"));
+    let report = json(folder, "out.json");
+    let rows = report["baselines"].as_array().unwrap();
+    let row = |name: &str| rows.iter().find(|row| row["method"] == name).unwrap();
+    for cpu in ["band", "geometry-image", "geometry-image, L-BFGS"] {
+        let (cpu, gpu) = (row(cpu), row(&format!("{cpu}, GPU")));
+        assert_eq!(cpu["kind"], gpu["kind"]);
+        let [energies, wrong] =
+            ["energy_ratio", "wrong_labels_percent"].map(|key| [cpu, gpu].map(|row| row[key].as_f64().unwrap()));
+        assert!((energies[0] / energies[1] - 1.0).abs() < 1e-3, "{cpu} {gpu}");
+        assert!((wrong[0] - wrong[1]).abs() < 0.5, "{cpu} {gpu}");
+        assert!(gpu["memory_bytes"].as_u64() > cpu["memory_bytes"].as_u64(), "{cpu} {gpu}");
+    }
+    assert!(row("band, GPU")["wrong_labels_percent"].as_f64() < Some(0.1), "{report}");
+
+    // A torus is no disk on a device either.
+    let line =
+        "bench fig4 --facets 500 --points 40 --iterations 3 --baseline geometry-image --gpu-software --json out.json";
+    run(folder, line);
+    let report = json(folder, "out.json");
+    let rows = report["baselines"].as_array().unwrap();
+    assert_eq!(rows.iter().filter(|row| row["not_run"].is_string()).count(), 4, "{report}");
+}
+
+#[needs(gpu)]
+#[test]
 fn a_gpu_is_timed_by_its_clock_and_counted() {
     if crate::gpu::device().is_none() {
         return;

@@ -1,7 +1,7 @@
 //! The methods that Figure 4 of \[HYWZ17\] compares with, beside the exact diagram.
 //!
-//! Purpose: `--baseline`: jump flooding on voxels (Rong and Tan 2006; on a GPU too), on a geometry image (Rong et al. 2011),
-//! and clusters of the voxels of a narrow band (Leung et al. 2015); their times, memory, energies, errors and duals.
+//! Purpose: `--baseline`: jump flooding on voxels (Rong and Tan 2006), on a geometry image (Rong et al. 2011), and clusters of the
+//! voxels of a narrow band (Leung et al. 2015), on a GPU too; their times, memory, energies, errors and duals.
 //! Invariant: all begin at the same seeds and take steps by the library's own iteration, on the same threads; the exact
 //! diagram judges them. The library knows none of them. Must not know: what the exact diagram is made of.
 
@@ -10,6 +10,7 @@ mod compare;
 mod flood;
 mod image;
 mod session;
+mod stages;
 mod sums;
 mod voxels;
 
@@ -22,8 +23,8 @@ use serde_json::{Value, json};
 
 use self::band::Band;
 use self::compare::{Dual, Judge, Labels, Verdict};
-use self::flood::{Flood, OnDevice, OnHost};
-use self::image::Image;
+use self::flood::{Flood, OnDevice, OnHost, Samples};
+use self::image::{Image, Texels};
 use self::session::{Baseline, Clustering};
 use self::voxels::{Grid, Voxels};
 use super::args::Worker;
@@ -132,20 +133,21 @@ impl BaselineArgs {
         let ran = Ran { timed: exact, prepare_ms: 0.0, bytes: None, verdict, labels: None };
         let mut rows = vec![run.row(EXACT, Outcome::Ran(Box::new(ran)))];
         let surface = &load.surface;
+        let device = workers.iter().find_map(|worker| worker.gpu.as_ref()).map(|gpu| gpu.device());
+        let count = load.seeds.len();
         if self.wants(Method::Flood) {
             for (name, warm) in [("jfa", false), ("jfa, warm", true)] {
                 let made = |run: &Run<'_>| -> Result<_> {
                     let voxels = self.voxels(run, flood::BYTES, 1)?;
-                    Ok(Flood::new(voxels, surface, warm, OnHost::new(self.voxels)))
+                    Ok(Flood::new(voxels, surface, warm, OnHost::new(Samples::cube(self.voxels))))
                 };
                 rows.push(run.of(name, made, token)?);
             }
-            let gpu = workers.iter().find_map(|worker| worker.gpu.as_ref());
             for (name, warm) in [("jfa, GPU", false), ("jfa, warm, GPU", true)] {
-                let Some(gpu) = gpu else { break };
+                let Some(device) = device else { break };
                 let made = |run: &Run<'_>| -> Result<_> {
                     let voxels = self.voxels(run, 0, 1)?;
-                    let labels = OnDevice::new(gpu.device(), self.voxels, &voxels.codes, load.seeds.len());
+                    let labels = OnDevice::new(device, Samples::cube(self.voxels), Some(&voxels.codes), count);
                     let labels = labels.map_err(RvdError::from).context("--voxels: the labels on the GPU");
                     Ok(Flood::new(voxels, surface, warm, labels?))
                 };
@@ -153,22 +155,56 @@ impl BaselineArgs {
             }
         }
         if self.wants(Method::Band) {
-            rows.push(run.of(
-                "band",
-                |run| Ok(Band::new(self.voxels(run, 0, u64::from(2 * self.shell - 1))?, surface, self.shell)),
-                token,
-            )?);
+            let made = |run: &Run<'_>| -> Result<_> { Ok(Band::new(self.band(run)?, surface, band::OnHost)) };
+            rows.push(run.of("band", made, token)?);
+            if let Some(device) = device {
+                let made = |run: &Run<'_>| -> Result<_> {
+                    let voxels = self.band(run)?;
+                    let search = band::OnDevice::new(device, &voxels, count);
+                    let search = search.map_err(RvdError::from).context("--voxels: the search on the GPU");
+                    Ok(Band::new(voxels, surface, search?))
+                };
+                rows.push(run.of("band, GPU", made, token)?);
+            }
         }
         if self.wants(Method::Image) {
-            for (name, kind) in [("geometry-image", StepKind::Lloyd), ("geometry-image, L-BFGS", StepKind::Lbfgs)] {
-                let begin = Instant::now();
-                rows.push(match on_threads_of(run.by.as_ref(), || Image::new(&run.judge.mesh, self.texels, token))? {
-                    Ok(image) => run.timed(name, kind, image, begin, token)?,
-                    Err(reason) => run.row(name, Outcome::NotRun(reason.to_string())),
-                });
+            for row in [("geometry-image", StepKind::Lloyd), ("geometry-image, L-BFGS", StepKind::Lbfgs)] {
+                let labels = |samples: &Samples| Ok(OnHost::new(samples.clone()));
+                rows.push(self.image(&run, row, labels, token)?);
+            }
+            for row in [("geometry-image, GPU", StepKind::Lloyd), ("geometry-image, L-BFGS, GPU", StepKind::Lbfgs)] {
+                let Some(device) = device else { break };
+                let labels = |samples: &Samples| {
+                    let labels = OnDevice::new(device, samples.clone(), None, count);
+                    labels.map_err(RvdError::from).context("--texels: the labels on the GPU")
+                };
+                rows.push(self.image(&run, row, labels, token)?);
             }
         }
         Ok(rows)
+    }
+
+    /// Steps of a kind on the texels of the surface, if it has some.
+    fn image<L: flood::Labels + 'static>(
+        &self,
+        run: &Run<'_>,
+        (method, kind): (&'static str, StepKind),
+        labels: impl FnOnce(&Samples) -> Result<L>,
+        token: &Token,
+    ) -> Result<Row> {
+        let begin = Instant::now();
+        Ok(match on_threads_of(run.by.as_ref(), || Texels::new(&run.judge.mesh, self.texels, token))? {
+            Ok(texels) => {
+                let labels = labels(&texels.samples)?;
+                run.timed(method, kind, Image::new(texels, labels), begin, token)?
+            }
+            Err(reason) => run.row(method, Outcome::NotRun(reason.to_string())),
+        })
+    }
+
+    /// The voxels of the surface and the layers around them.
+    fn band(&self, run: &Run<'_>) -> Result<Voxels> {
+        Ok(self.voxels(run, 0, u64::from(2 * self.shell - 1))?.widened(self.shell - 1))
     }
 
     /// The surface's voxels, if there is memory for them with so many layers, and for `of_all` bytes a voxel of the grid.
@@ -244,13 +280,13 @@ impl Run<'_> {
 pub(super) fn head() -> String {
     let dual = |whose: &str| format!("{:>11}{:>7}{:>7}{:>6}", format!("{whose} Qmin"), "Qavg", "θmin", "bad");
     let figures = format!("{:>9}{:>9}{:>9}{:>8}{:>8}", "ms", "MB", "E/E_hex", "area %", "label %");
-    format!("{:<8}{:<24}{figures}{}{}", "points", "method", dual("own"), dual("exact"))
+    format!("{:<8}{:<28}{figures}{}{}", "points", "method", dual("own"), dual("exact"))
 }
 
 impl Row {
     /// A line under [`head`].
     pub(super) fn line(&self) -> String {
-        let begin = format!("{:<8}{:<24}", self.points, self.method);
+        let begin = format!("{:<8}{:<28}", self.points, self.method);
         let ran = match &self.outcome {
             Outcome::NotRun(reason) => return format!("{begin} not run: {reason}"),
             Outcome::Ran(ran) => ran,
@@ -341,19 +377,21 @@ mod tests {
         let flat = TriMesh::new(surface.positions().to_vec(), surface.welded().to_vec()).unwrap();
         let voxels = || Voxels::new(&surface, Grid::new(&surface, 32));
         let seeds = seeds_on(&surface, 150);
-        type Samples = Vec<(DVec3, f64, u32)>;
+        type Labelled = Vec<(DVec3, f64, u32)>;
         type Make = Box<dyn FnOnce(&Arc<dyn Backend>) -> Baseline>;
         let all = || -> Vec<Make> {
-            let image = Image::new(&flat, 64, &Token::default()).unwrap().ok().unwrap();
-            let (flood, band) =
-                (Flood::new(voxels(), &surface, true, OnHost::new(32)), Band::new(voxels(), &surface, 2));
+            let texels = Texels::new(&flat, 64, &Token::default()).unwrap().ok().unwrap();
+            let flooded = OnHost::new(texels.samples.clone());
+            let image = Image::new(texels, flooded);
+            let flood = Flood::new(voxels(), &surface, true, OnHost::new(Samples::cube(32)));
+            let band = Band::new(voxels().widened(1), &surface, band::OnHost);
             vec![
                 Box::new(move |by| Baseline::new(flood, by)),
                 Box::new(move |by| Baseline::new(band, by)),
                 Box::new(move |by| Baseline::new(image, by)),
             ]
         };
-        let run = |threads: usize| -> Vec<(CellSums, Samples)> {
+        let run = |threads: usize| -> Vec<(CellSums, Labelled)> {
             let by: Arc<dyn Backend> = Arc::new(Parallel::new(Some(threads)).unwrap());
             let of = |make: Make| {
                 let baseline = make(&by);
@@ -422,8 +460,10 @@ mod tests {
         assert!(needed > 8 << 30 && needed < 16 << 30, "{needed}");
         let error = check(needed, 1 << 30).unwrap_err();
         assert!(error.to_string().contains("--voxels"), "{error}");
-        let made =
-            |n: u32| Flood::new(Voxels::new(&surface, Grid::new(&surface, n)), &surface, false, OnHost::new(n)).bytes();
+        let made = |n: u32| {
+            let voxels = Voxels::new(&surface, Grid::new(&surface, n));
+            Flood::new(voxels, &surface, false, OnHost::new(Samples::cube(n))).bytes()
+        };
         assert!([16, 64].iter().all(|&n| made(n) <= Grid::new(&surface, n).plan(&surface, flood::BYTES)));
     }
 }

@@ -1,15 +1,17 @@
-//! Jump flooding on all voxels of a grid (Rong and Tan 2006).
+//! Jump flooding over a grid of samples: all voxels of a cube (Rong and Tan 2006), or the texels of an image.
 //!
-//! Purpose: every voxel takes the nearest of the seeds that it and its 26 neighbours know, at distances N/2, N/4 to 1. A warm
-//! start keeps the last labels; its first distance is the least power of two that no seed has moved beyond. That is enough
-//! near the surface; far from all seeds cells move farther than seeds do.
-//! Centroids are those of the surface in the surface's voxels, cut exactly: flooding says nothing of masses, and equal ones
-//! would count a slanted surface up to √3 times. Invariant: the labels depend on the seeds, and those of a warm start on the
-//! ones before; on no thread. On a device, single precision may round otherwise. Must not know: what moves seeds.
+//! Purpose: every sample takes the nearest of the seeds that it and its 26 neighbours (8 in an image) know, at distances N/2, N/4
+//! to 1. A warm start keeps the last labels; its first distance is the least power of two that no seed has moved beyond. That is
+//! enough near the surface; far from all seeds cells move farther than seeds do.
+//! [`Flood`] is the method on voxels. Its centroids are those of the surface in its voxels, cut exactly: flooding says nothing of
+//! masses, and equal ones would count a slanted surface up to √3 times. Invariant: the labels depend on the seeds, and those of
+//! a warm start on the ones before; on no thread. On a device, single precision may round otherwise. Must not know: what moves
+//! seeds.
 
 mod on_device;
 
 use std::collections::BTreeMap;
+use std::sync::Arc;
 use std::time::Instant;
 
 use glam::DVec3;
@@ -23,13 +25,68 @@ use geometry::rvd::{CellSums, PassStats, RvdError, Surface, elapsed_ms};
 use geometry::token::Token;
 pub(super) use on_device::OnDevice;
 
-/// Bytes of a voxel of the grid: two labels.
+/// Bytes of a sample: two labels.
 pub(super) const BYTES: u64 = 8;
 
-/// Labels of all voxels of a grid.
+/// A grid of samples, each at a place. Places are in the unit of the seeds.
+#[derive(Clone)]
+pub(super) struct Samples {
+    /// Samples of a row, rows of a layer, layers.
+    size: [u32; 3],
+    /// Where they are; each in the middle of its unit cube if not given.
+    places: Option<Arc<[[f32; 3]]>>,
+}
+
+impl Samples {
+    /// The centres of N³ voxels, units of a voxel.
+    pub(super) fn cube(n: u32) -> Self {
+        Self { size: [n; 3], places: None }
+    }
+
+    /// A square of K² samples.
+    pub(super) fn square(k: u32, places: Vec<[f32; 3]>) -> Self {
+        Self { size: [k, k, 1], places: Some(places.into()) }
+    }
+
+    pub(super) fn count(&self) -> u32 {
+        self.size.iter().product()
+    }
+
+    pub(super) fn place(&self, code: u32) -> [f32; 3] {
+        match &self.places {
+            Some(places) => places[code as usize],
+            None => {
+                let [x, y, _] = self.size;
+                middle([code % x, code / x % y, code / x / y].map(|at| at as usize))
+            }
+        }
+    }
+
+    /// The first distance of a flood that no labels are kept for.
+    pub(super) fn first_step(&self) -> u32 {
+        let [x, y, z] = self.size;
+        x.max(y).max(z).div_ceil(2).next_power_of_two()
+    }
+
+    /// Each sample that holds some seeds, with the nearest to it; `codes` are the samples that hold the seeds, one by one.
+    pub(super) fn plant(&self, seeds: &[[f32; 3]], codes: impl Iterator<Item = u32>) -> Vec<[u32; 2]> {
+        let mut planted = BTreeMap::new();
+        for (i, code) in (0..).zip(codes) {
+            let label = planted.entry(code).or_insert(i);
+            *label = nearer(seeds, self.place(code), *label, i);
+        }
+        planted.into_iter().map(|(code, seed)| [code, seed]).collect()
+    }
+}
+
+fn middle(at: [usize; 3]) -> [f32; 3] {
+    at.map(|x| x as f32 + 0.5)
+}
+
+/// Labels of all samples of a grid.
 pub(super) trait Labels: Send + Sync {
-    /// Floods from (voxel, seed) of each voxel that holds a seed, and from the labels that are there if they are `kept`. The
-    /// first distance is `step`; seeds are in units of a voxel.
+    /// Floods from (sample, seed) of each sample that holds a seed, and from the labels that are there if they are `kept`. The
+    /// first distance is `step`; seeds are in the unit of the samples' places.
     fn flood(
         &mut self,
         seeds: &[[f32; 3]],
@@ -39,13 +96,14 @@ pub(super) trait Labels: Send + Sync {
         token: &Token,
     ) -> Result<(), RvdError>;
 
-    /// The label of voxel `code`, which is the `k`th of the surface's.
+    /// The label of sample `code`, which is the `k`th of those that are asked for.
     fn label(&self, k: usize, code: u32) -> u32;
 
     /// Bytes that they take.
     fn bytes(&self) -> u64;
 }
 
+/// Jump flooding on voxels.
 pub(super) struct Flood<L> {
     voxels: Voxels,
     points: Points,
@@ -65,20 +123,16 @@ impl<L: Labels> Flood<L> {
     /// the first distance of the flood.
     fn plant(&mut self, seeds: &[DVec3]) -> (Vec<[u32; 2]>, bool, u32) {
         let grid = self.voxels.grid;
-        let places: Vec<[f32; 3]> = seeds.iter().map(|&p| grid.to_voxels(p).to_array().map(|x| x as f32)).collect();
+        let samples = Samples::cube(grid.n);
+        let places = grid.places(seeds);
         let moves = self.seeds.iter().zip(&places).map(|(a, b)| squared(a, b)).fold(0.0, f32::max);
         let kept = self.warm && self.seeds.len() == places.len() && moves.is_finite();
         self.seeds = places;
-        let mut planted = BTreeMap::new();
-        for (i, &seed) in (0..).zip(seeds) {
-            let code = grid.code_of(seed);
-            let label = planted.entry(code).or_insert(i);
-            *label = nearer(&self.seeds, centre(grid.n, code), *label, i);
-        }
-        let most = grid.n.div_ceil(2).next_power_of_two();
+        let planted = samples.plant(&self.seeds, seeds.iter().map(|&seed| grid.code_of(seed)));
+        let most = samples.first_step();
         let step =
             if kept { (moves.sqrt().ceil().min(most as f32) as u32).next_power_of_two().min(most) } else { most };
-        (planted.into_iter().map(|(code, seed)| [code, seed]).collect(), kept, step)
+        (planted, kept, step)
     }
 
     fn label_of(&self, k: usize) -> u32 {
@@ -88,38 +142,55 @@ impl<L: Labels> Flood<L> {
 
 /// Labels in the host's memory, on the threads of the present pool.
 pub(super) struct OnHost {
-    n: usize,
+    samples: Samples,
     labels: Vec<u32>,
     next: Vec<u32>,
 }
 
 impl OnHost {
-    pub(super) fn new(n: u32) -> Self {
-        let n = n as usize;
-        Self { n, labels: vec![NONE; n.pow(3)], next: vec![NONE; n.pow(3)] }
+    pub(super) fn new(samples: Samples) -> Self {
+        let none = vec![NONE; samples.count() as usize];
+        Self { samples, next: none.clone(), labels: none }
     }
 
     fn pass(&mut self, seeds: &[[f32; 3]], step: usize, token: &Token) {
-        let Self { n, labels, next } = self;
-        let n = *n;
-        let beside = |x: usize| [x.checked_sub(step), Some(x), Some(x + step).filter(|&x| x < n)].into_iter().flatten();
-        next.par_chunks_mut(n).enumerate().for_each_init(
-            || vec![0.0; n],
+        match self.samples.places.clone() {
+            Some(places) => self.pass_at(|code, _| places[code], seeds, step, token),
+            // Computed, since a pass mostly waits for memory.
+            None => self.pass_at(|_, at| middle(at), seeds, step, token),
+        }
+    }
+
+    /// A pass with the place of a sample by its number and its coordinates in the grid.
+    fn pass_at(
+        &mut self,
+        place: impl Fn(usize, [usize; 3]) -> [f32; 3] + Sync,
+        seeds: &[[f32; 3]],
+        step: usize,
+        token: &Token,
+    ) {
+        let Self { samples, labels, next } = self;
+        let [columns, rows, layers] = samples.size.map(|x| x as usize);
+        let beside = |x: usize, most: usize| {
+            [x.checked_sub(step), Some(x), Some(x + step).filter(|&x| x < most)].into_iter().flatten()
+        };
+        next.par_chunks_mut(columns).enumerate().for_each_init(
+            || vec![0.0; columns],
             |distances, (row, out)| {
                 if token.is_stopped() {
                     return;
                 }
-                let (y, z) = (row % n, row / n);
-                let own = &labels[row * n..][..n];
+                let (y, z) = (row % rows, row / rows);
+                let own = &labels[row * columns..][..columns];
                 out.copy_from_slice(own);
-                let at = |x: usize| [x as f32 + 0.5, y as f32 + 0.5, z as f32 + 0.5];
+                let at = |x: usize| place(row * columns + x, [x, y, z]);
                 for (x, (distance, &label)) in distances.iter_mut().zip(own).enumerate() {
                     *distance = seeds.get(label as usize).map_or(f32::INFINITY, |seed| squared(seed, &at(x)));
                 }
                 let mut hear = |first: usize, heard: &[u32]| {
                     let known = out[first..].iter_mut().zip(&mut distances[first..]);
                     for (x, ((best, distance), &label)) in known.zip(heard).enumerate() {
-                        // Most voxels hear of one seed alone.
+                        // Most samples hear of one seed alone.
                         if label == *best {
                             continue;
                         }
@@ -130,12 +201,12 @@ impl OnHost {
                         }
                     }
                 };
-                for (y, z) in beside(z).flat_map(|z| beside(y).map(move |y| (y, z))) {
-                    let heard = &labels[(y + n * z) * n..][..n];
+                for (y, z) in beside(z, layers).flat_map(|z| beside(y, rows).map(move |y| (y, z))) {
+                    let heard = &labels[(y + rows * z) * columns..][..columns];
                     hear(0, heard);
-                    if step < n {
+                    if step < columns {
                         hear(0, &heard[step..]);
-                        hear(step, &heard[..n - step]);
+                        hear(step, &heard[..columns - step]);
                     }
                 }
             },
@@ -158,7 +229,7 @@ impl Labels for OnHost {
         }
         for &[code, seed] in planted {
             let label = &mut self.labels[code as usize];
-            *label = nearer(seeds, centre(self.n as u32, code), *label, seed);
+            *label = nearer(seeds, self.samples.place(code), *label, seed);
         }
         let mut step = step as usize;
         while step > 0 {
@@ -178,49 +249,17 @@ impl Labels for OnHost {
     }
 }
 
-/// The nearest seed that a place has heard of; of two at one distance the one with the lower number.
-pub(super) struct Best<'a> {
-    seeds: &'a [[f32; 3]],
-    at: [f32; 3],
-    pub(super) label: u32,
-    squared: f32,
-}
-
-impl<'a> Best<'a> {
-    pub(super) fn new(seeds: &'a [[f32; 3]], at: [f32; 3], label: u32) -> Self {
-        let squared = seeds.get(label as usize).map_or(f32::INFINITY, |seed| squared(seed, &at));
-        Self { seeds, at, label, squared }
-    }
-
-    #[inline(always)]
-    pub(super) fn hear(&mut self, label: u32) {
-        // Most places hear of one seed alone.
-        if label == self.label {
-            return;
-        }
-        let Some(seed) = self.seeds.get(label as usize) else { return };
-        let squared = squared(seed, &self.at);
-        if squared < self.squared || (squared == self.squared && label < self.label) {
-            (self.label, self.squared) = (label, squared);
-        }
-    }
-}
-
+/// The nearer of two seeds, or of one and [`NONE`]; of two at one distance the one with the lower number.
 fn nearer(seeds: &[[f32; 3]], at: [f32; 3], a: u32, b: u32) -> u32 {
-    let mut best = Best::new(seeds, at, a);
-    best.hear(b);
-    best.label
+    let key = |label: u32| (seeds.get(label as usize).map_or(f32::INFINITY, |seed| squared(seed, &at)), label);
+    let (of_a, of_b) = (key(a), key(b));
+    if of_b < of_a { b } else { a }
 }
 
 #[inline(always)]
 fn squared(a: &[f32; 3], b: &[f32; 3]) -> f32 {
     let [x, y, z] = [a[0] - b[0], a[1] - b[1], a[2] - b[2]];
     x * x + y * y + z * z
-}
-
-/// Units of a voxel.
-fn centre(n: u32, code: u32) -> [f32; 3] {
-    [code % n, code / n % n, code / n / n].map(|x| x as f32 + 0.5)
 }
 
 impl<L: Labels> Clustering for Flood<L> {
@@ -270,6 +309,7 @@ mod tests {
     /// knows one.
     fn wrong(flood: &Flood<OnHost>, voxels: &[u32]) -> f64 {
         let n = flood.voxels.grid.n;
+        let samples = Samples::cube(n);
         let at = |seed: &[f32; 3]| seed.map(|x| x as u32);
         let holds = |(i, seed): &(u32, &[f32; 3])| {
             let [x, y, z] = at(seed);
@@ -278,7 +318,7 @@ mod tests {
         let known: Vec<&[f32; 3]> = (0..).zip(&flood.seeds).filter(holds).map(|(_, seed)| seed).collect();
         assert!(known.len() + flood.seeds.len() / 10 > flood.seeds.len(), "{} hold a voxel", known.len());
         let wrong = voxels.iter().filter(|&&code| {
-            let at = centre(n, code);
+            let at = samples.place(code);
             let least = known.iter().map(|seed| squared(seed, &at)).fold(f32::INFINITY, f32::min);
             squared(&flood.seeds[flood.labels.labels[code as usize] as usize], &at) > least * (1.0 + 1e-6)
         });
@@ -290,8 +330,8 @@ mod tests {
         for n in [24, 40] {
             let surface = Surface::new(&Shape::Torus.build(500), None).unwrap();
             let voxels = || Voxels::new(&surface, super::super::voxels::Grid::new(&surface, n));
-            let mut plain = Flood::new(voxels(), &surface, false, OnHost::new(n));
-            let mut warm = Flood::new(voxels(), &surface, true, OnHost::new(n));
+            let mut plain = Flood::new(voxels(), &surface, false, OnHost::new(Samples::cube(n)));
+            let mut warm = Flood::new(voxels(), &surface, true, OnHost::new(Samples::cube(n)));
             let mut seeds = seeds_on(&surface, 60);
             for round in 0..4 {
                 for flood in [&mut plain, &mut warm] {
@@ -313,7 +353,7 @@ mod tests {
     fn a_stop_leaves_nothing_behind() {
         let surface = Surface::new(&Shape::Torus.build(500), None).unwrap();
         let grid = super::super::voxels::Grid::new(&surface, 16);
-        let mut flood = Flood::new(Voxels::new(&surface, grid), &surface, true, OnHost::new(16));
+        let mut flood = Flood::new(Voxels::new(&surface, grid), &surface, true, OnHost::new(Samples::cube(16)));
         let seeds = seeds_on(&surface, 30);
         let token = Token::default();
         token.cancel();

@@ -1,18 +1,17 @@
 //! Jump flooding on a geometry image (Rong, Liu, Wang, Yin, Guo 2011).
 //!
 //! Purpose: a disk is laid out on a square and sampled there in K² texels; the flood goes over the texture, with distances in
-//! space. Invariant: only a disk has such an image; of another surface [`Image::new`] says what it is. A texel counts for the
-//! area of the surface on it. Must not know: what moves seeds.
+//! space. Invariant: only a disk has such an image; of another surface [`Texels::new`] says what it is. A texel counts for the
+//! area of the surface on it. Must not know: what moves seeds, where the flood runs.
 
 mod layout;
 
 use std::time::Instant;
 
 use glam::DVec3;
-use rayon::prelude::*;
 
-use super::flood::Best;
-use super::session::{Clustering, NONE};
+use super::flood::{Labels, Samples};
+use super::session::Clustering;
 use super::sums::{Part, Points};
 use super::voxels::Unique;
 use geometry::mesh::TriMesh;
@@ -24,20 +23,19 @@ use layout::NotADisk;
 /// Slack of the barycentric coordinates of a texel, so that none between two facets is left out.
 const SLACK: f64 = 1e-9;
 
-pub(super) struct Image {
+/// A disk laid out on K² texels.
+pub(super) struct Texels {
     k: u32,
     facets: Vec<[u32; 3]>,
     /// Place of each vertex in the unit square.
     layout: Vec<[f64; 2]>,
     closest: ClosestPoint,
-    texels: Vec<[f32; 3]>,
+    pub(super) samples: Samples,
     points: Points,
-    labels: Vec<u32>,
-    next: Vec<u32>,
 }
 
-impl Image {
-    /// The image of a surface in the unit frame, K² texels.
+impl Texels {
+    /// Those of a surface in the unit frame.
     pub(super) fn new(mesh: &TriMesh, k: u32, token: &Token) -> Result<Result<Self, NotADisk>, RvdError> {
         let layout = match layout::square(mesh, token)? {
             Ok(layout) => layout,
@@ -49,41 +47,38 @@ impl Image {
                 rasterise(corners.map(|v| layout[v as usize]), mesh.corners(f), k, &mut parts);
             }
         }
-        let texels = parts.iter().map(|part| part.centroid.to_array().map(|x| x as f32)).collect();
+        let places = parts.iter().map(|part| part.centroid.to_array().map(|x| x as f32)).collect();
         Ok(Ok(Self {
             k,
             facets: mesh.facets().to_vec(),
             layout,
             closest: ClosestPoint::unless(mesh, token)?,
-            texels,
+            samples: Samples::square(k, places),
             points: Points::new(mesh.area(), parts.iter().copied()),
-            labels: vec![NONE; parts.len()],
-            next: vec![NONE; parts.len()],
         }))
     }
 
-    fn texel_of(&self, at: &SurfacePoint) -> usize {
+    fn texel_of(&self, at: &SurfacePoint) -> u32 {
         let corners = self.facets[at.facet as usize].map(|v| self.layout[v as usize]);
         let place = |axis: usize| (0..3).map(|c| at.barycentric[c] * corners[c][axis]).sum::<f64>();
         let [x, y] = [0, 1].map(|axis| ((place(axis) * f64::from(self.k)) as u32).min(self.k - 1));
-        (x + self.k * y) as usize
+        x + self.k * y
+    }
+}
+
+/// Jump flooding on texels.
+pub(super) struct Image<L> {
+    texels: Texels,
+    labels: L,
+}
+
+impl<L: Labels> Image<L> {
+    pub(super) fn new(texels: Texels, labels: L) -> Self {
+        Self { texels, labels }
     }
 
-    fn pass(&mut self, step: usize, seeds: &[[f32; 3]]) {
-        let Self { k, texels, labels, next, .. } = self;
-        let k = *k as usize;
-        next.par_chunks_mut(k).enumerate().for_each(|(y, out)| {
-            let beside = |x: usize| [x.checked_sub(step), Some(x), Some(x + step).filter(|&x| x < k)];
-            for (x, out) in out.iter_mut().enumerate() {
-                let own = x + k * y;
-                let mut best = Best::new(seeds, texels[own], labels[own]);
-                for y in beside(y).into_iter().flatten() {
-                    beside(x).into_iter().flatten().for_each(|x| best.hear(labels[x + k * y]));
-                }
-                *out = best.label;
-            }
-        });
-        std::mem::swap(labels, next);
+    fn label_of(&self, texel: usize) -> u32 {
+        self.labels.label(texel, texel as u32)
     }
 }
 
@@ -113,48 +108,40 @@ fn rasterise(flat: [[f64; 2]; 3], corners: [DVec3; 3], k: u32, parts: &mut [Part
     }
 }
 
-impl Clustering for Image {
+impl<L: Labels> Clustering for Image<L> {
     fn assign(&mut self, seeds: &[DVec3], token: &Token) -> Result<PassStats, RvdError> {
         let begin = Instant::now();
+        let Self { texels, labels } = self;
         let places: Vec<[f32; 3]> = seeds.iter().map(|p| p.to_array().map(|x| x as f32)).collect();
-        self.labels.par_iter_mut().for_each(|label| *label = NONE);
-        let on_surface = self.closest.project_all(seeds, token)?;
-        for (i, at) in (0..).zip(&on_surface) {
-            let texel = self.texel_of(at);
-            let mut best = Best::new(&places, self.texels[texel], self.labels[texel]);
-            best.hear(i);
-            self.labels[texel] = best.label;
-        }
+        let on_surface = texels.closest.project_all(seeds, token)?;
+        let planted = texels.samples.plant(&places, on_surface.iter().map(|at| texels.texel_of(at)));
         let mut stats = PassStats { start_ms: elapsed_ms(begin), ..PassStats::default() };
         let begin = Instant::now();
-        let mut step = self.k.div_ceil(2).next_power_of_two() as usize;
-        while step > 0 {
-            token.check()?;
-            self.pass(step, &places);
-            step /= 2;
-        }
+        labels.flood(&places, &planted, false, texels.samples.first_step(), token)?;
         stats.clip_ms = elapsed_ms(begin);
         Ok(stats)
     }
 
     fn sums(&self, seeds: &[DVec3], out: &mut CellSums) {
-        self.points.add_up(|k| self.labels[k], seeds, out);
+        self.texels.points.add_up(|k| self.label_of(k), seeds, out);
     }
 
     fn label(&self, at: &SurfacePoint) -> u32 {
-        self.labels[self.texel_of(at)]
+        self.label_of(self.texels.texel_of(at) as usize)
     }
 
     fn samples(&self) -> Vec<(DVec3, f64, u32)> {
-        let place = |k: usize| DVec3::from_array(self.texels[k].map(f64::from));
-        (0..self.labels.len()).map(|k| (place(k), self.points.area(k), self.labels[k])).collect()
+        let Texels { samples, points, .. } = &self.texels;
+        let place = |k: usize| DVec3::from_array(samples.place(k as u32).map(f64::from));
+        (0..points.len()).map(|k| (place(k), points.area(k), self.label_of(k))).collect()
     }
 
     fn triangles(&self, seeds: &[DVec3]) -> Vec<[u32; 3]> {
-        let (k, mut found) = (self.k as usize, Unique::default());
+        let (k, mut found) = (self.texels.k as usize, Unique::default());
         for corner in (0..k * (k - 1)).filter(|corner| corner % k < k - 1) {
             // Counter-clockwise in the square, as facets are.
-            let mut labels = [corner, corner + 1, corner + k + 1, corner + k].map(|texel| self.labels[texel]).to_vec();
+            let texels = [corner, corner + 1, corner + k + 1, corner + k];
+            let mut labels = texels.map(|texel| self.label_of(texel)).to_vec();
             labels.dedup();
             if labels.len() > 1 && labels.first() == labels.last() {
                 labels.pop();
@@ -171,14 +158,16 @@ impl Clustering for Image {
     }
 
     fn bytes(&self) -> u64 {
-        let vertices = self.layout.len() * size_of::<[f64; 2]>() + self.facets.len() * size_of::<[u32; 3]>();
-        let texels = self.texels.len() * (size_of::<[f32; 3]>() + 2 * size_of::<u32>());
-        self.points.bytes() + (vertices + texels) as u64
+        let Texels { facets, layout, samples, points, .. } = &self.texels;
+        let vertices = layout.len() * size_of::<[f64; 2]>() + facets.len() * size_of::<[u32; 3]>();
+        let texels = samples.count() as usize * size_of::<[f32; 3]>();
+        points.bytes() + (vertices + texels) as u64 + self.labels.bytes()
     }
 }
 
 #[cfg(test)]
 mod tests {
+    use super::super::flood::OnHost;
     use super::super::tests::seeds_on;
     use super::*;
     use geometry::mesh::shapes::Shape;
@@ -193,7 +182,9 @@ mod tests {
     #[test]
     fn a_disk_has_an_image_and_others_say_why_not() {
         let (surface, mesh) = unit(&Shape::Hills.build(1000));
-        let mut image = Image::new(&mesh, 64, &Token::default()).unwrap().ok().unwrap();
+        let texels = Texels::new(&mesh, 64, &Token::default()).unwrap().ok().unwrap();
+        let labels = OnHost::new(texels.samples.clone());
+        let mut image = Image::new(texels, labels);
         let seeds = seeds_on(&surface, 40);
         image.assign(&seeds, &Token::default()).unwrap();
         let wrong = image.samples().into_iter().filter(|&(at, _, label)| {
@@ -206,11 +197,11 @@ mod tests {
         image.sums(&seeds, &mut sums);
         assert!((sums.mass.iter().sum::<f64>() / surface.area() - 1.0).abs() < 1e-6);
         // All texels are on the surface, and no two are far from each other.
-        let off = image.texels.iter().map(|p| image.closest.distance(DVec3::from_array(p.map(f64::from))));
+        let off = image.samples().into_iter().map(|(at, ..)| image.texels.closest.distance(at));
         assert!(off.fold(0.0, f64::max) < 1e-6);
         for shape in [Shape::Sphere, Shape::Torus, Shape::Sheets] {
             let (_, mesh) = unit(&shape.build(300));
-            let reason = Image::new(&mesh, 16, &Token::default()).unwrap().err().unwrap();
+            let reason = Texels::new(&mesh, 16, &Token::default()).unwrap().err().unwrap();
             assert!(reason.to_string().contains("no disk"), "{reason}");
         }
     }

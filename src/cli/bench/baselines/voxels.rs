@@ -52,6 +52,11 @@ impl Grid {
         (p - self.low) / self.size
     }
 
+    /// Seeds in the same units, in single precision.
+    pub(super) fn places(self, seeds: &[DVec3]) -> Vec<[f32; 3]> {
+        seeds.iter().map(|&p| self.to_voxels(p).to_array().map(|x| x as f32)).collect()
+    }
+
     pub(super) fn centre(self, code: u32) -> DVec3 {
         let at = self.at(code).map(|i| f64::from(i) + 0.5);
         self.low + self.size * DVec3::from_array(at)

@@ -1,8 +1,7 @@
-// The labels of the surface's voxels, side by side.
+// The labels of the samples that are asked for, side by side.
 
-struct Params { n: u32, step: u32, items: u32 }
+#import params
 
-@group(0) @binding(0) var<storage, read> params: Params;
 @group(0) @binding(1) var<storage, read> codes: array<u32>;
 @group(0) @binding(2) var<storage, read> labels: array<u32>;
 @group(0) @binding(3) var<storage, read_write> gathered: array<u32>;

@@ -1,149 +1,108 @@
 //! The labels of a flood on a GPU.
 //!
-//! Purpose: seeds go to the device, all passes of a flood are one submission, and the labels of the surface's voxels come
-//! back, to be summed on the host. Invariant: the rules of [`super`]; where two seeds are as near, the device may round
-//! otherwise. Must not know: what labels are for.
+//! Purpose: seeds go to the device, all passes of a flood are one submission, and the labels that are asked for come back, to be
+//! summed on the host. Invariant: the rules of [`super`], on voxels and on texels by the same shaders; where two seeds are as
+//! near, the device may round otherwise. Must not know: what labels are for.
 
 use std::sync::Arc;
 
-use super::{BYTES, Labels, NONE};
+use super::super::stages::{Buffers, Stage};
+use super::{BYTES, Labels, NONE, Samples};
 use geometry::rvd::RvdError;
 use geometry::token::Token;
-use gpu::buffers::{Allocation, Staging, write};
-use gpu::wgpu::{BindGroup, BindGroupDescriptor, BindGroupEntry, Buffer, BufferUsages, ComputePass, ComputePipeline};
-use gpu::wgpu::{ComputePipelineDescriptor, ShaderModuleDescriptor, ShaderSource};
+use gpu::buffers::{Staging, write};
+use gpu::shader::Sources;
+use gpu::wgpu::Buffer;
 use gpu::{Device, GpuError};
 
-/// Invocations of a workgroup, as in the shaders.
-const WORKGROUP: u32 = 64;
-/// Workgroups in one dimension that every device has.
-const MOST_GROUPS: u32 = 65_535;
-/// The lane under which the device's clock counts the passes.
-const LANE: usize = 2;
-
-/// A stage, for each of the two buffers that the labels may be in.
-struct Stage {
-    pipeline: ComputePipeline,
-    bound: [BindGroup; 2],
-}
-
-impl Stage {
-    fn run(&self, pass: &mut ComputePass<'_>, front: usize, items: u32) {
-        let groups = items.div_ceil(WORKGROUP).max(1);
-        let x = groups.min(MOST_GROUPS);
-        pass.set_pipeline(&self.pipeline);
-        pass.set_bind_group(0, &self.bound[front], &[]);
-        pass.dispatch_workgroups(x, groups.div_ceil(x), 1);
-    }
-}
+const SOURCES: Sources = &[
+    ("params", include_str!("params.wgsl")),
+    ("distance", include_str!("distance.wgsl")),
+    ("plant", include_str!("plant.wgsl")),
+    ("pass", include_str!("pass.wgsl")),
+    ("gather", include_str!("gather.wgsl")),
+];
 
 pub(in super::super) struct OnDevice {
-    device: Arc<Device>,
-    n: u32,
+    buffers: Buffers,
+    samples: Samples,
     /// Which of both buffers has the present labels.
     front: usize,
     both: [Buffer; 2],
     seeds: Buffer,
     planted: Buffer,
-    /// How many voxels hold seeds.
+    /// How many samples hold seeds.
     planting: Buffer,
-    gathered: Buffer,
     staging: Staging,
     plant: Stage,
-    /// Distances 1, 2, 4 and so on.
-    passes: Vec<Stage>,
-    gather: Stage,
-    /// Those of the surface's voxels.
+    /// For each distance (1, 2, 4 and so on) and each front.
+    pass: Stage,
+    /// Not if all labels are asked for.
+    gather: Option<(Stage, Buffer)>,
+    /// Those that are asked for.
     labels: Vec<u32>,
-    bytes: u64,
-    _allocation: Allocation,
 }
 
 impl OnDevice {
-    /// For a grid of N³ voxels, of which `codes` are the surface's, and `count` seeds at most.
-    pub(in super::super) fn new(device: &Arc<Device>, n: u32, codes: &[u32], count: usize) -> Result<Self, GpuError> {
-        let all = n.pow(3);
-        let (surface, of_seeds) = (4 * codes.len() as u64, count as u64);
-        let (needed_bytes, limit_bytes) = (4 * u64::from(all), device.limits().max_storage_buffer_binding_size);
-        if needed_bytes > limit_bytes {
-            return Err(GpuError::NeverFits { what: "labels".to_owned(), needed_bytes, limit_bytes });
-        }
-        let bytes = BYTES * u64::from(all) + 3 * surface + 24 * of_seeds;
-        let mut allocation = Allocation::new(device, bytes);
-        let usage = BufferUsages::STORAGE | BufferUsages::COPY_SRC | BufferUsages::COPY_DST;
-        let mut make = |label: &str, bytes: u64| allocation.make(device, label, bytes, usage);
-        let both = [make("labels", 4 * u64::from(all))?, make("next labels", 4 * u64::from(all))?];
-        let (seeds, planted) = (make("seeds", 16 * of_seeds)?, make("planted", 8 * of_seeds)?);
-        let (at, gathered) = (make("voxels", surface)?, make("gathered", surface)?);
-        write(device, &at, 0, codes)?;
-        let mut params = |step: u32, items: u32| -> Result<Buffer, GpuError> {
-            let buffer = make("parameters", 16)?;
-            write(device, &buffer, 0, &[n, step, items, 0])?;
-            Ok(buffer)
+    /// For `count` seeds at most. The labels of the samples `codes` are asked for, or all.
+    pub(in super::super) fn new(
+        device: &Arc<Device>,
+        samples: Samples,
+        codes: Option<&[u32]>,
+        count: usize,
+    ) -> Result<Self, GpuError> {
+        let (all, of_seeds) = (samples.count(), count as u64);
+        let asked = codes.map_or(all as usize, <[u32]>::len);
+        let of_places = samples.places.as_ref().map_or(0, |places| 12 * places.len() as u64);
+        let of_codes = codes.map_or(0, |codes| 8 * codes.len() as u64);
+        let bytes = BYTES * u64::from(all) + 4 * asked as u64 + of_codes + of_places + 24 * of_seeds;
+        let mut buffers = Buffers::new(device, bytes);
+        let each = 4 * u64::from(all);
+        let both = [buffers.make("labels", each)?, buffers.make("next labels", each)?];
+        let (seeds, planted) = (buffers.make("seeds", 16 * of_seeds)?, buffers.make("planted", 8 * of_seeds)?);
+        let places = match &samples.places {
+            Some(of) => {
+                let places = buffers.make("places", of_places)?;
+                write(device, &places, 0, of)?;
+                Some(places)
+            }
+            None => None,
         };
-        let (planting, gathering) = (params(0, 0)?, params(0, codes.len() as u32)?);
-        let plant =
-            stage(device, "plant", include_str!("plant.wgsl"), |front| [&planting, &seeds, &planted, &both[front]])?;
-        let gather =
-            stage(device, "gather", include_str!("gather.wgsl"), |front| [&gathering, &at, &both[front], &gathered])?;
-        let mut passes = Vec::new();
-        for k in 0..=n.div_ceil(2).next_power_of_two().ilog2() {
-            let params = params(1 << k, all)?;
-            passes.push(stage(device, "pass", include_str!("pass.wgsl"), |front| {
-                [&params, &seeds, &both[front], &both[1 - front]]
-            })?);
+        let (places, constants) = (places.as_ref(), [("PLACES", i64::from(places.is_some()))]);
+        let planting = buffers.words("parameters", &params(&samples, 0, 0))?;
+        let fronts = [0, 1];
+        let choices = fronts.map(|front| seen([&planting, &seeds, &planted, &both[front]], places));
+        let plant = buffers.stage(SOURCES, "plant", &constants, &choices)?;
+        let mut steps = Vec::new();
+        for k in 0..=samples.first_step().ilog2() {
+            steps.push(buffers.words("parameters", &params(&samples, 1 << k, all))?);
         }
-        let staging = Staging::new(device, &mut allocation, surface.max(16))?;
-        let (device, labels) = (Arc::clone(device), vec![NONE; codes.len()]);
-        let _allocation = allocation;
-        Ok(Self {
-            device,
-            n,
-            front: 0,
-            both,
-            seeds,
-            planted,
-            planting,
-            gathered,
-            staging,
-            plant,
-            passes,
-            gather,
-            labels,
-            bytes,
-            _allocation,
-        })
+        let of_step = |step| fronts.map(|front| seen([step, &seeds, &both[front], &both[1 - front]], places));
+        let choices: Vec<Vec<&Buffer>> = steps.iter().flat_map(of_step).collect();
+        let pass = buffers.stage(SOURCES, "pass", &constants, &choices)?;
+        let gather = match codes {
+            Some(codes) => {
+                let gathering = buffers.words("parameters", &params(&samples, 0, codes.len() as u32))?;
+                let (at, gathered) = (buffers.words("codes", codes)?, buffers.make("gathered", 4 * asked as u64)?);
+                let choices = fronts.map(|front| seen([&gathering, &at, &both[front], &gathered], None));
+                Some((buffers.stage(SOURCES, "gather", &[], &choices)?, gathered))
+            }
+            None => None,
+        };
+        let (staging, labels) = (buffers.staging(4 * asked as u64)?, vec![NONE; asked]);
+        Ok(Self { buffers, samples, front: 0, both, seeds, planted, planting, staging, plant, pass, gather, labels })
     }
 }
 
-/// Compiles a stage, which sees four buffers.
-fn stage<'a>(
-    device: &Device,
-    label: &str,
-    source: &str,
-    buffers: impl Fn(usize) -> [&'a Buffer; 4],
-) -> Result<Stage, GpuError> {
-    device.scoped(|| {
-        let source = ShaderSource::Wgsl(source.into());
-        let module = device.raw().create_shader_module(ShaderModuleDescriptor { label: Some(label), source });
-        let pipeline = device.raw().create_compute_pipeline(&ComputePipelineDescriptor {
-            label: Some(label),
-            layout: None,
-            module: &module,
-            entry_point: Some("main"),
-            compilation_options: Default::default(),
-            cache: None,
-        });
-        let layout = pipeline.get_bind_group_layout(0);
-        let bound = [0, 1].map(|front| {
-            let entry =
-                |(binding, buffer): (u32, &'a Buffer)| BindGroupEntry { binding, resource: buffer.as_entire_binding() };
-            let entries: Vec<_> = (0..).zip(buffers(front)).map(entry).collect();
-            let descriptor = BindGroupDescriptor { label: Some(label), layout: &layout, entries: &entries };
-            device.raw().create_bind_group(&descriptor)
-        });
-        Stage { pipeline, bound }
-    })
+/// As in the shaders.
+fn params(samples: &Samples, step: u32, items: u32) -> [u32; 8] {
+    let [x, y, z] = samples.size;
+    [x, y, z, step, items, 0, 0, 0]
+}
+
+/// What a stage sees.
+fn seen<'a>(four: [&'a Buffer; 4], places: Option<&'a Buffer>) -> Vec<&'a Buffer> {
+    four.into_iter().chain(places).collect()
 }
 
 impl Labels for OnDevice {
@@ -156,27 +115,33 @@ impl Labels for OnDevice {
         token: &Token,
     ) -> Result<(), RvdError> {
         token.check()?;
-        let device = &self.device;
+        let device = &self.buffers.device;
         let padded: Vec<[f32; 4]> = seeds.iter().map(|&[x, y, z]| [x, y, z, 0.0]).collect();
         let count = planted.len() as u32;
         write(device, &self.seeds, 0, &padded)?;
         write(device, &self.planted, 0, planted)?;
-        write(device, &self.planting, 0, &[self.n, 0, count, 0])?;
+        write(device, &self.planting, 0, &params(&self.samples, 0, count))?;
         let mut encoder = device.encoder();
         if !kept {
             encoder.clear_buffer(&self.both[self.front], 0, None);
         }
-        let mut pass = device.pass(&mut encoder, LANE);
+        let mut pass = self.buffers.pass(&mut encoder);
         self.plant.run(&mut pass, self.front, count);
-        for stage in self.passes[..=step.ilog2() as usize].iter().rev() {
-            stage.run(&mut pass, self.front, self.n.pow(3));
+        for k in (0..=step.ilog2() as usize).rev() {
+            self.pass.run(&mut pass, 2 * k + self.front, self.samples.count());
             self.front = 1 - self.front;
         }
-        self.gather.run(&mut pass, self.front, self.labels.len() as u32);
+        let from = match &self.gather {
+            Some((gather, gathered)) => {
+                gather.run(&mut pass, self.front, self.labels.len() as u32);
+                gathered
+            }
+            None => &self.both[self.front],
+        };
         drop(pass);
         let labels = &mut self.labels;
-        let all = 0..labels.len();
-        self.staging.read_with(device, encoder, &self.gathered, all, |found: &[u32]| {
+        let asked = 0..labels.len();
+        self.staging.read_with(device, encoder, from, asked, |found: &[u32]| {
             // On the device 0 is no seed.
             labels.iter_mut().zip(found).for_each(|(label, found)| *label = found.wrapping_sub(1));
         })?;
@@ -188,6 +153,6 @@ impl Labels for OnDevice {
     }
 
     fn bytes(&self) -> u64 {
-        self.bytes
+        self.buffers.bytes()
     }
 }

@@ -1,20 +1,12 @@
-// One pass of the flood: each voxel hears of the seeds of itself and its 26 neighbours at a distance.
+// One pass of the flood: each sample hears of the seeds of itself and its neighbours at a distance, 26 or, in one layer, 8.
 
-struct Params { n: u32, step: u32, items: u32 }
+#import distance
 
-@group(0) @binding(0) var<storage, read> params: Params;
-// Units of a voxel.
-@group(0) @binding(1) var<storage, read> seeds: array<vec4f>;
 // Seed + 1, or 0.
 @group(0) @binding(2) var<storage, read> labels: array<u32>;
 @group(0) @binding(3) var<storage, read_write> next: array<u32>;
 
-fn squared(label: u32, place: vec3f) -> f32 {
-    let d = seeds[label - 1u].xyz - place;
-    return dot(d, d);
-}
-
-// The first of the places a - step, a, a + step that is in the grid.
+// The first of a - step, a, a + step that is in the grid.
 fn first(a: i32, step: i32) -> i32 {
     return select(a - step, a, a < step);
 }
@@ -29,11 +21,11 @@ fn main(
     if own >= params.items {
         return;
     }
-    let n = i32(params.n);
+    let size = vec3i(params.size);
     let step = i32(params.step);
-    let at = vec3i(vec3u(own % params.n, own / params.n % params.n, own / params.n / params.n));
-    let last = min(at + step, vec3i(n - 1));
-    let place = vec3f(at) + 0.5;
+    let at = vec3i(at_of(own));
+    let last = min(at + step, size - 1);
+    let place = place_of(own);
     var best = labels[own];
     var nearest = 3.0e38;
     if best != 0u {
@@ -42,8 +34,8 @@ fn main(
     for (var z = first(at.z, step); z <= last.z; z += step) {
         for (var y = first(at.y, step); y <= last.y; y += step) {
             for (var x = first(at.x, step); x <= last.x; x += step) {
-                let label = labels[x + n * (y + n * z)];
-                // Most voxels hear of one seed alone.
+                let label = labels[x + size.x * (y + size.y * z)];
+                // Most samples hear of one seed alone.
                 if label == best || label == 0u {
                     continue;
                 }
