@@ -380,6 +380,14 @@ pub(super) const THIN_LONGEST: f64 = 1.4;
 pub(super) const MAX_CROSSING_ROUNDS: usize = 3;
 pub(super) const CROSSING_SHORTER: f64 = std::f64::consts::FRAC_1_SQRT_2;
 pub(super) const CROSSING_REACH: f64 = 1.0;
+/// Edges around a bore or a pin of a part that is divided, in its radii: about eight go around. Bends with a smaller radius than the
+/// second, in edges, are left to patches without vertices within; no edge is shorter than the third, in edges.
+pub(super) const BEND_EDGE: f64 = 0.8;
+pub(super) const LEAST_BEND: f64 = 0.25;
+pub(super) const SHORTEST_BEND_EDGE: f64 = 0.5;
+/// A bend turns back if the surface is this near to where the circle is opposite, in radii, and faces the other way, cosine.
+pub(super) const BEND_OFF: f64 = 0.3;
+pub(super) const BEND_FACING: f64 = 0.5;
 /// A part with creases is divided along them if cells in several pieces would give it so many vertices, times the number asked for. Fewer
 /// seeds cost less for what is left.
 pub(super) const DIVIDED_ABOVE: f64 = 1.1;

@@ -23,6 +23,7 @@
 //! Must not know: how a stage does its work, files, jobs, the network.
 
 mod adapt;
+mod bends;
 mod extract;
 mod join;
 mod kept;
@@ -49,7 +50,7 @@ use super::{
     Anisotropy, Limits, Observer, Placement, Refine, Remesh, RemeshError, RemeshOptions, Result, Seeds, Tolerance,
     constants, warnings,
 };
-use crate::cvt::density::{Count, DensitySource, Plan};
+use crate::cvt::density::{Count, DensityOptions, DensitySource, Plan};
 use crate::mesh::TriMesh;
 use crate::mesh::adjacency::Adjacency;
 use crate::mesh::attributes::Attributes;
@@ -60,7 +61,7 @@ use crate::mesh::input::{draw_in, outliers};
 use crate::mesh::measure::{Topology, topology_unless};
 use crate::rvd::{Backend, RvdError, elapsed_ms, on_threads_of};
 use crate::token::{Stopped, Token};
-use prepare::{Asked, Prepared, prepare};
+use prepare::{Asked, Prepared, prepare, with_source};
 use preprocess::{Separated, preprocess};
 
 /// Remeshes `given` on `backend`.
@@ -310,7 +311,16 @@ fn run_once(
     if let Some(divided) = &divided {
         let again = divided.asked(Asked { held: Held { crowded: true, ..held }, ..first });
         let mesh = divided.apart.as_ref().map_or(clean, |apart| &apart.mesh);
-        let of = prepare(mesh, divided.options.as_ref().unwrap_or(options), again, None, token);
+        let options = divided.options.as_ref().unwrap_or(options);
+        let mut of = prepare(mesh, options, again, None, token);
+        if let (Some(apart), Ok(Prepared { plan, .. })) = (&divided.apart, &of)
+            && matches!(options.density, DensityOptions { source: DensitySource::Uniform, ref zones, .. } if zones.is_empty())
+            && let Some(edge) = plan.figures.edge_median
+            && let Some(lengths) = bends::lengths(apart, edge, token)?
+        {
+            of = prepare(mesh, &with_source(options, DensitySource::Sizes(lengths)), again, None, token);
+            of.iter_mut().for_each(|of| of.plan.figures.source = options.density.source.name());
+        }
         if of.as_ref().is_ok_and(|of| !of.curves.seeds.is_empty()) {
             (prepared, separated, asked) = (of, divided, again);
         }

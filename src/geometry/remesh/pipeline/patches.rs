@@ -38,6 +38,8 @@ const PASSES: usize = 50;
 const ROUNDS: usize = 4;
 /// Facets that a flip makes face the patch within this, cosine.
 const FLIPPED: f64 = 0.3;
+/// Facets that turn by less than this are of one smooth surface, cosine: the other diagonal is as near to it.
+const SMOOTH: f64 = 0.9;
 
 /// What a patch is made of.
 #[derive(Default)]
@@ -105,8 +107,9 @@ pub(super) fn mend(
         let is_large = !is_narrow && patch.result.len() > MOST_FACETS;
         let is_whole = is_narrow || is_whole(built, patch, &wanted, (mesh, &class));
         let chains: Vec<&Chain> = of().collect();
+        let within = patch.within(built, &chains);
         if !is_whole
-            && let Some(new) = flat::triangulated(&patch.places(mesh), &chains, at, &patch.within(built, &chains))
+            && let Some(new) = flat::triangulated(&patch.places(mesh), &chains, at, &within)
         {
             gone.extend(&patch.result);
             made.push(new);
@@ -122,7 +125,7 @@ pub(super) fn mend(
         }
         let facets: Vec<[u32; 3]> =
             patch.facets.iter().map(|&f| mesh.facets()[f as usize].map(|v| class[v as usize])).collect();
-        if let Some(new) = simplified((mesh, &facets), &chains, at, token)? {
+        if let Some(new) = simplified((mesh, &facets), &chains, at, if is_narrow { 0 } else { within.len() }, token)? {
             gone.extend(&patch.result);
             made.push(new);
             left -= if is_large { patch.result.len() } else { 0 };
@@ -179,11 +182,13 @@ type Simplified = (Vec<(u32, DVec3)>, Vec<[u32; 3]>);
 /// The seed of a vertex that is of no curve.
 const NO_SEED: u32 = u32::MAX;
 
-/// `facets` without all vertices but the seeds of `chains`; `None` if the boundary would have others.
+/// `facets` without all vertices but the seeds of `chains`, and `within` new ones where edges are long; `None` if the boundary would have
+/// others.
 fn simplified(
     (mesh, facets): (&TriMesh, &[[u32; 3]]),
     chains: &[&Chain],
     at: impl Fn(u32) -> DVec3,
+    within: usize,
     token: &Token,
 ) -> Result<Option<Simplified>, Stopped> {
     let mut vertices: Vec<u32> = facets.iter().flatten().copied().collect();
@@ -243,17 +248,53 @@ fn simplified(
             break;
         }
         // Another diagonal may let a vertex of the boundary go.
-        flip(&mut patch, &facing);
+        flip(&mut patch, &facing, -1.0);
     }
     let (kept, _) = patch.compact();
     let seed = |v: &u32| seed_of.get(v).copied().unwrap_or(NO_SEED);
     if kept.iter().zip(0..).any(|(v, k)| seed(v) == NO_SEED && patch.is_on_boundary(k)) {
         return Ok(None);
     }
-    let facing: Vec<DVec3> = kept.iter().map(|&v| facing[v as usize]).collect();
-    flip(&mut patch, &facing);
-    let of: Vec<(u32, DVec3)> = kept.iter().zip(&patch.positions).map(|(v, &p)| (seed(v), p)).collect();
+    let mut facing: Vec<DVec3> = kept.iter().map(|&v| facing[v as usize]).collect();
+    flip(&mut patch, &facing, -1.0);
+    let inner = kept.iter().filter(|v| seed(v) == NO_SEED).count();
+    divide(&mut patch, &mut facing, (edge, within.saturating_sub(inner)), token)?;
+    let seeds = kept.iter().map(seed).chain(std::iter::repeat(NO_SEED));
+    let of: Vec<(u32, DVec3)> = seeds.zip(patch.positions.iter().copied()).collect();
     Ok(Some((of, patch.into_parts().1)))
+}
+
+/// Splits the longest edges within a patch, as long as they are longer than `edge`, until there are `wanted` vertices more.
+fn divide(
+    patch: &mut LocalMesh,
+    facing: &mut Vec<DVec3>,
+    (edge, mut wanted): (f64, usize),
+    token: &Token,
+) -> Result<(), Stopped> {
+    for _ in 0..PASSES {
+        token.check()?;
+        let mut seen = HashSet::new();
+        let inner = patch.facets().iter().flat_map(|&t| sides(t)).map(undirected).filter(|&side| !seen.insert(side));
+        let length = |[a, b]: [u32; 2]| patch.positions[a as usize].distance(patch.positions[b as usize]);
+        let mut longest: Vec<(f64, [u32; 2])> = inner.map(|side| (length(side), side)).filter(|own| own.0 > edge).collect();
+        longest.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
+        let mut touched: HashSet<u32> = HashSet::new();
+        for (_, ends) in longest {
+            if wanted == 0 || touched.contains(&ends[0]) || touched.contains(&ends[1]) {
+                continue;
+            }
+            let [p, q] = ends.map(|v| patch.positions[v as usize]);
+            patch.split(ends, 0.5 * (p + q));
+            facing.push((facing[ends[0] as usize] + facing[ends[1] as usize]).normalize_or_zero());
+            touched.extend(ends);
+            wanted -= 1;
+        }
+        if touched.is_empty() {
+            break;
+        }
+        flip(patch, facing, SMOOTH);
+    }
+    Ok(())
 }
 
 /// Collapses edges until no vertex but those that stay can be taken out. `facing` are the normals of the patch at its vertices.
@@ -304,8 +345,9 @@ fn take_out(
     Ok(())
 }
 
-/// Flips edges as long as the worse of two facets gets better. `facing` are the normals of the patch at its vertices.
-fn flip(patch: &mut LocalMesh, facing: &[DVec3]) {
+/// Flips edges as long as the worse of two facets gets better, those whose facets turn by more than a cosine left out. `facing` are the
+/// normals of the patch at its vertices.
+fn flip(patch: &mut LocalMesh, facing: &[DVec3], least: f64) {
     for _ in 0..PASSES {
         let mut flipped = false;
         for f in 0..patch.facets().len() as u32 {
@@ -313,7 +355,8 @@ fn flip(patch: &mut LocalMesh, facing: &[DVec3]) {
                 // The normal of a facet without an area says nothing.
                 let Some(flip) = patch.flip_any(f, side, [2, usize::MAX]) else { continue };
                 let direction: DVec3 = flip.corners.iter().flatten().map(|&v| facing[v as usize]).sum();
-                if !patch.faces(&flip, direction.normalize_or_zero(), FLIPPED) {
+                let [n, m] = flip.facets.map(|f| unit_normal(patch.corners(f)));
+                if n.dot(m) < least || !patch.faces(&flip, direction.normalize_or_zero(), FLIPPED) {
                     continue;
                 }
                 let worst = |corners: [[DVec3; 3]; 2]| score(corners[0]).min(score(corners[1]));
