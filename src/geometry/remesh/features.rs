@@ -143,7 +143,8 @@ impl KeptCurves {
             min_crease_length: if crowded { 0.0 } else { SHORTEST_CREASE * scale },
             turn_reach: BEND_REACH * scale,
             ridge_clearance: if weaker { SMOOTH_REACH * scale } else { 0.0 },
-            merge_length: JOINED_CORNERS * scale,
+            // Corners of curves that end there have to stay.
+            merge_length: if crowded { 0.0 } else { JOINED_CORNERS * scale },
             resolution,
         };
         let mut dropped: Vec<DroppedCurve> = Vec::new();

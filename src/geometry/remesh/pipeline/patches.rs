@@ -107,8 +107,8 @@ pub(super) fn mend(
         let is_large = !is_narrow && patch.result.len() > MOST_FACETS;
         let is_whole = is_narrow || is_whole(built, patch, &wanted, (mesh, &class));
         let chains: Vec<&Chain> = of().collect();
-        let within = patch.within(built, &chains);
-        if !is_whole
+        let within = if is_narrow { Vec::new() } else { patch.within(built, &chains) };
+        if (is_narrow || !is_whole)
             && let Some(new) = flat::triangulated(&patch.places(mesh), &chains, at, &within)
         {
             gone.extend(&patch.result);
@@ -125,7 +125,7 @@ pub(super) fn mend(
         }
         let facets: Vec<[u32; 3]> =
             patch.facets.iter().map(|&f| mesh.facets()[f as usize].map(|v| class[v as usize])).collect();
-        if let Some(new) = simplified((mesh, &facets), &chains, at, if is_narrow { 0 } else { within.len() }, token)? {
+        if let Some(new) = simplified((mesh, &facets), &chains, at, within.len(), token)? {
             gone.extend(&patch.result);
             made.push(new);
             left -= if is_large { patch.result.len() } else { 0 };
