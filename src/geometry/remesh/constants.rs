@@ -385,6 +385,10 @@ pub(super) const CROSSING_REACH: f64 = 1.0;
 pub(super) const BEND_EDGE: f64 = 0.8;
 pub(super) const LEAST_BEND: f64 = 0.25;
 pub(super) const SHORTEST_BEND_EDGE: f64 = 0.5;
+/// A wall is sought so far behind a bent skin, in edges: one of twice this thickness is found. Edges along it, in roots of radius times
+/// thickness: chords as long as 2 of these, on both skins, would meet in the middle.
+pub(super) const THIN_WALL: f64 = 0.25;
+pub(super) const BENT_WALL: f64 = 1.4;
 /// A bend turns back if the surface is this near to where the circle is opposite, in radii, and faces the other way, cosine.
 pub(super) const BEND_OFF: f64 = 0.3;
 pub(super) const BEND_FACING: f64 = 0.5;

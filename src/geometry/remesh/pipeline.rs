@@ -316,7 +316,7 @@ fn run_once(
         if let (Some(apart), Ok(Prepared { plan, .. })) = (&divided.apart, &of)
             && matches!(options.density, DensityOptions { source: DensitySource::Uniform, ref zones, .. } if zones.is_empty())
             && let Some(edge) = plan.figures.edge_median
-            && let Some(lengths) = bends::lengths(apart, edge, token)?
+            && let Some(lengths) = bends::lengths(apart, clean, edge, token)?
         {
             of = prepare(mesh, &with_source(options, DensitySource::Sizes(lengths)), again, None, token);
             of.iter_mut().for_each(|of| of.plan.figures.source = options.density.source.name());

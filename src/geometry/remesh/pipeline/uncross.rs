@@ -62,8 +62,9 @@ impl<'a> Job<'a, '_> {
             lengths = next.plan.lengths(self.separated, self.token)?;
             shorten_near(&mut lengths, self.separated, (&next.built.mesh, &crossing), self.token)?;
             if !is_whole || crossing.len() >= fewest || lost_curves(&next) > lost_curves(&best) {
+                // Edges may have to be shorter still.
                 best.figures.refine.evaluations += next.figures.passes();
-                break;
+                continue;
             }
             fewest = crossing.len();
             next.plan.figures.source = best.plan.figures.source;
