@@ -286,13 +286,13 @@ pub(super) const LARGEST_ROUNDS: usize = 4;
 /// Rounds in which vertices are moved to as far from the input on either side, and the share of the way in each.
 pub(super) const BALANCING_ROUNDS: usize = 8;
 pub(super) const BALANCING_SHARE: f64 = 0.5;
-/// Steps in which vertices slide along the surface, and after how many of them edges are flipped.
-pub(super) const SLIDING_STEPS: usize = 30;
-pub(super) const SLIDING_STEPS_PER_FLIP: usize = 5;
+/// Steps in which vertices slide along the surface, and after how many of them edges are flipped. 30 steps gain nothing more.
+pub(super) const SLIDING_STEPS: usize = 20;
+pub(super) const SLIDING_STEPS_PER_FLIP: usize = 7;
 /// The power of squared distances by which facets draw their corners. Tried: 4 to 40. With 8 the largest distance is 4 % more.
 pub(super) const SLIDING_POWER: i32 = 24;
 /// The share of the way that a vertex goes in a step, and of its last step that it makes again. With shares of 0.05 and more, vertices swing.
-pub(super) const SLIDING_SHARE: f64 = 0.02;
+pub(super) const SLIDING_SHARE: f64 = 0.03;
 pub(super) const SLIDING_MOMENTUM: f64 = 0.6;
 /// Rounds of flips, each with a fit after it.
 pub(super) const SLENDER_ROUNDS: usize = 3;
