@@ -62,7 +62,8 @@ pub(super) fn slide(
         last = moves;
     }
     *mesh = nearest.1;
-    let on_input = |v: u32| if may_move[v as usize] { on_input(mesh, reference, v) } else { mesh.positions[v as usize] };
+    let on_input =
+        |v: u32| if may_move[v as usize] { on_input(mesh, reference, v) } else { mesh.positions[v as usize] };
     mesh.positions = vertices.into_par_iter().map(on_input).collect();
 }
 
@@ -94,8 +95,7 @@ impl Pulls {
                 (0..3).map(|i| weights[i] * corners[i]).sum::<DVec3>().distance_squared(samples[k].position)
             }
         };
-        let squared: Vec<f64> =
-            (0..samples.len()).into_par_iter().with_min_len(ITEMS_PER_TASK).map(squared).collect();
+        let squared: Vec<f64> = (0..samples.len()).into_par_iter().with_min_len(ITEMS_PER_TASK).map(squared).collect();
         let largest = squared.iter().copied().fold(f64::MIN_POSITIVE, f64::max);
         let mut of_facet = vec![Pull::default(); mesh.facets().len()];
         for (k, sample) in samples.iter().enumerate().filter(|(k, _)| found.facet[*k] != NONE) {
