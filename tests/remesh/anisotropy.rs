@@ -131,7 +131,7 @@ fn the_largest_distance_is_near_the_least_there_is() {
         .sum();
     let bound = roots / (27f64.sqrt() * 2000.0);
     let diagonal = 2.0 * AXES.length();
-    for (placement, most) in [(Placement::Fitted, 0.8), (Placement::Surface, 2.0)] {
+    for (placement, most) in [(Placement::Fitted, 0.8), (Placement::Surface, 1.3)] {
         let options = options(2000, Anisotropy::Auto, DensitySource::ErrorMax).with_placement(placement);
         let report = run(&mesh, &options).report;
         let largest = report.result.quality.unwrap().hausdorff_percent / 100.0 * diagonal;

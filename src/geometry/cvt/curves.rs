@@ -226,17 +226,19 @@ impl CurveSeeds {
         middle
     }
 
-    /// Splits segments whose chord leaves the curve by over a seventh of an edge, at the farthest point that may be.
-    pub fn split_by_deviation(&mut self, token: &Token) -> Result<(), Stopped> {
+    /// Splits segments whose chord leaves the curve by over a seventh of an edge, at the farthest point that may be. No edge counts as
+    /// longer than `longest`.
+    pub fn split_by_deviation(&mut self, longest: f64, token: &Token) -> Result<(), Stopped> {
         let mut next = 0;
         while let Some(&segment) = self.segments.get(next) {
             token.check_at(self.segments.len() + next)?;
             let [a, b] = segment.ends.map(|e| self.seeds[e as usize]);
+            let edge = segment.edge.min(longest);
             let direction = (b - a).normalize_or_zero();
             let off = |p: DVec3| (p - a - direction * direction.dot(p - a)).length();
-            let long = |p: DVec3| p.distance(a).min(p.distance(b)) > MIN_PART * segment.edge;
+            let long = |p: DVec3| p.distance(a).min(p.distance(b)) > MIN_PART * edge;
             let far = (0..INNER_POINTS)
-                .filter(|&k| long(segment.between[k]) && off(segment.between[k]) > MAX_DEVIATION * segment.edge)
+                .filter(|&k| long(segment.between[k]) && off(segment.between[k]) > MAX_DEVIATION * edge)
                 .max_by(|&j, &k| off(segment.between[j]).total_cmp(&off(segment.between[k])));
             match far {
                 Some(at) => _ = self.split(next as u32, at),

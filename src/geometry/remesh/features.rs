@@ -211,7 +211,7 @@ impl KeptCurves {
                 placed = CurveSeeds::place(surface, (&features, &[]), edge, most, token)?;
             }
             if let Some(mut seeds) = placed {
-                seeds.split_by_deviation(token)?;
+                seeds.split_by_deviation(f64::INFINITY, token)?;
                 let may_split = |c: &Curve| c.kind == CurveKind::Boundary || c.is_rim;
                 seeds.split_between_others(|c| may_split(&features.curves[c as usize]), token)?;
                 let share = |seams: &Arc<Seams>| seams.share(&mut seeds, &features, surface.positions());
@@ -370,7 +370,8 @@ impl KeptCurves {
         let edge = edge_length(surface, (features, stretch), root_mass, points, token)?;
         let most = (LARGEST_SHARE * points as f64) as usize;
         if let Some(mut seeds) = CurveSeeds::place(surface, (features, stretch), edge, most, token)? {
-            seeds.split_by_deviation(token)?;
+            let even = edge_length(surface, (&Features::default(), &[]), surface.area(), points, token)?;
+            seeds.split_by_deviation(LIFTED_CHORD_EDGE * even, token)?;
             let share = |seams: &Arc<Seams>| seams.share(&mut seeds, features, surface.positions());
             let (joints, copies) = self.seams.as_ref().map(share).unwrap_or_default();
             if seeds.len() <= most {

@@ -4,7 +4,8 @@
 //! [`fit`] moves the vertices so that the mean square distance from the input to the facets is least, tangent plane by
 //! tangent plane ([`normal_equations`]): along the normals where the surface is smooth, and towards a ridge where samples of
 //! its two sides ask for it. Where facets may be slender, edges are flipped between such moves ([`flips`]), and largest distances
-//! are balanced ([`balance`]). [`backtrack`] shortens moves until no facet turns over or becomes a sliver beside what it was.
+//! are balanced ([`balance`]). Where vertices are to stay on the surface, they slide along it instead ([`slide`]). [`backtrack`] shortens
+//! moves until no facet turns over or becomes a sliver beside what it was.
 //! Invariant: fixed vertices stay. The answer of the backtracking is that of checking all facets each time, though a facet is
 //! checked again only if a corner's move was shortened. The same bits whatever the number of threads.
 //! Must not know: seeds, diagrams, files.
@@ -12,12 +13,13 @@
 mod balance;
 mod flips;
 mod normal_equations;
+mod slide;
 
 use glam::DVec3;
 use rayon::prelude::*;
 
 use super::constants::*;
-use super::distance::InputSamples;
+use super::distance::{InputSamples, Reference, SurfaceSample};
 use super::features::envelope::CurveSample;
 use super::manifold::LocalMesh;
 use super::triangle::{Norm, Shapes, Wanted, unit_normal};
@@ -35,6 +37,14 @@ pub(super) struct Target {
     pub(super) curves: Vec<CurveSample>,
     /// Vertices that stay.
     pub(super) fixed: Vec<bool>,
+}
+
+impl Target {
+    /// The sample of a vertex's own cell that is nearest to a place.
+    fn own_sample(&self, v: u32, p: DVec3) -> Option<&SurfaceSample> {
+        let to = |s: &SurfaceSample| s.position.distance_squared(p);
+        self.input.samples.of(v).iter().min_by(|a, b| to(a).total_cmp(&to(b)))
+    }
 }
 
 /// Moves the vertices; flips edges where facets are to be nearest. Ends early where `token` is stopped.
@@ -57,11 +67,19 @@ pub(super) fn fit(mesh: &mut LocalMesh, target: &mut Target, shapes: Shapes, tok
     }
 }
 
-/// Flips edges, and moves no vertex.
-pub(super) fn flip(mesh: &mut LocalMesh, target: &mut Target, shapes: Shapes, token: &Token) {
+/// Flips edges. Where the largest distances count, vertices that are not fixed slide along the surface.
+pub(super) fn flip(
+    mesh: &mut LocalMesh,
+    target: &mut Target,
+    reference: &Reference<'_>,
+    shapes: Shapes,
+    token: &Token,
+) {
     flips::unfold(mesh, target, token);
-    if let Shapes::Nearest(norm) = shapes {
-        flips::flip(mesh, target, (shapes.wanted(), norm), token);
+    let Shapes::Nearest(norm) = shapes else { return };
+    flips::flip(mesh, target, (shapes.wanted(), norm), token);
+    if norm == Norm::Largest {
+        slide::slide(mesh, target, reference, shapes.wanted(), token);
     }
 }
 

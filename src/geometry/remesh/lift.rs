@@ -45,6 +45,8 @@ pub(super) struct Lifting<'a> {
     pub(super) lengths: Option<&'a [f64]>,
     /// Whether weights are those of the surface itself, and not of the lifted one.
     pub(super) in_space: bool,
+    /// The most that the length of the lift changes per distance.
+    pub(super) steepest: f64,
 }
 
 impl Lift {
@@ -54,7 +56,7 @@ impl Lift {
         weights: Option<&[f64]>,
         surface: &Surface,
         kept: &KeptCurves,
-        Lifting { anisotropy, diagonal, edge, lengths, in_space }: Lifting<'_>,
+        Lifting { anisotropy, diagonal, edge, lengths, in_space, steepest }: Lifting<'_>,
         token: &Token,
     ) -> Result<Self> {
         let creases: HashSet<[u32; 2]> = kept.curve_edges(|kind| kind == CurveKind::Crease).map(undirected).collect();
@@ -84,7 +86,7 @@ impl Lift {
         let graded = |lengths: Vec<f64>| -> Result<Vec<f64>> {
             let net = Net::new(mesh, token)?;
             let mut field = SizeField::new(&net, lengths)?;
-            field.grade(&net, STEEPEST_LIFT, token)?;
+            field.grade(&net, steepest, token)?;
             Ok(field.into_sizes())
         };
         let around = Around::of(&split, surface);

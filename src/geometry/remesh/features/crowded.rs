@@ -70,7 +70,7 @@ impl Of<'_> {
     fn place(&self, edge: f64, of_patches: f64) -> Result<Option<Crowded>, Stopped> {
         let &Self { surface, mesh, features, seams, most, token, .. } = self;
         let Some(mut seeds) = CurveSeeds::place(surface, (features, &[]), edge, most, token)? else { return Ok(None) };
-        seeds.split_by_deviation(token)?;
+        seeds.split_by_deviation(f64::INFINITY, token)?;
         let patches = Patches::of(features, (mesh, surface), of_patches);
         seeds.split_between_others(|curve| patches.beside_wide[curve as usize], token)?;
         let share = |seams: &Arc<Seams>| seams.share(&mut seeds, features, surface.positions());

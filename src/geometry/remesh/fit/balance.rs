@@ -40,8 +40,7 @@ pub(super) fn balance(mesh: &mut LocalMesh, target: &Target, wanted: Wanted, tok
 /// How far a vertex is from the tangent plane of the nearest sample of its own.
 fn own(mesh: &LocalMesh, target: &Target, v: u32) -> [f64; 2] {
     let p = mesh.positions[v as usize];
-    let samples = target.input.samples.of(v).iter();
-    let nearest = samples.min_by(|a, b| a.position.distance_squared(p).total_cmp(&b.position.distance_squared(p)));
+    let nearest = target.own_sample(v, p);
     [nearest.map_or(0.0, |s| s.normal.dot(p - s.position)); 2]
 }
 

@@ -110,7 +110,12 @@ impl<'a> Extraction<'a> {
         let (positions, mut facets) = (repaired.positions, repaired.facets);
         let mut curve_edges = self.curves.edges_in(&facets, &vertex_seed);
         let missing = self.curves.missing(&curve_edges, &vertex_seed, |kind| kind == CurveKind::Boundary);
-        let is_free = |v: u32| vertex_seed[v as usize] as usize >= self.curves.seeds.len();
+        // On a lifted surface the cell of a crease's seed may reach the boundary too.
+        let on_boundaries = if self.shapes == Shapes::Round { Vec::new() } else { self.curves.on_boundaries() };
+        let is_free = |v: u32| {
+            let seed = vertex_seed[v as usize] as usize;
+            seed >= self.curves.seeds.len() || on_boundaries.get(seed).is_some_and(|on| !on)
+        };
         if boundary_ears::fill(&positions, &mut facets, &missing, is_free) > 0 {
             curve_edges = self.curves.edges_in(&facets, &vertex_seed);
         }
@@ -174,14 +179,19 @@ impl<'a> Extraction<'a> {
         dual.components.iter().map(place).collect()
     }
 
-    /// Flips edges of a draft whose vertices stay. `component` is by vertex.
+    /// Flips edges of a draft whose vertices stay on the input, or at their centroids. `component` is by vertex.
     fn flip(&self, draft: &mut Draft<'a>, component: &[u32], dual: &dual::Dual) {
         let (vertex, unit, kept) = (vertex_of(component, dual), self.unit(draft), kept_edges(draft));
         let mut mesh = LocalMesh::new(unit, std::mem::take(&mut draft.facets), kept);
-        let (input, _) = self.input(&vertex, dual, draft.positions.len());
-        let mut target = Target { input, curves: Vec::new(), fixed: Vec::new() };
-        fit::flip(&mut mesh, &mut target, self.shapes, self.token);
-        draft.facets = mesh.into_parts().1;
+        let (input, reference) = self.input(&vertex, dual, draft.positions.len());
+        let stays = |&s: &u32| self.placement != Placement::Surface || self.curves.has_seed(s);
+        let fixed = draft.vertex_seed.iter().map(stays).collect();
+        let mut target = Target { input, curves: Vec::new(), fixed };
+        fit::flip(&mut mesh, &mut target, &reference, self.shapes, self.token);
+        let (frame, (positions, facets)) = (self.surface.frame(), mesh.into_parts());
+        draft.facets = facets;
+        let places = draft.positions.iter_mut().zip(positions);
+        places.filter(|(p, u)| frame.to_unit(**p) != *u).for_each(|(p, u)| *p = frame.to_world(u));
         draft.curve_edges = self.curves.edges_in(&draft.facets, &draft.vertex_seed);
     }
 

@@ -12,10 +12,11 @@ use crate::cvt::lifts::CurveLifts;
 use crate::mesh::TriMesh;
 use crate::mesh::apart::Apart;
 use crate::mesh::closest_point::ClosestPoint;
+use crate::remesh::constants::{STEEPEST_LIFT, STEEPEST_SLIDING_LIFT};
 use crate::remesh::features::{Held, KeptCurves};
 use crate::remesh::lift::{Lift, Lifting};
 use crate::remesh::triangle::{Norm, Shapes};
-use crate::remesh::{Anisotropy, RemeshOptions, Result};
+use crate::remesh::{Anisotropy, Placement, RemeshOptions, Result};
 use crate::rvd::{Lifted, RvdError, Space, Surface};
 use crate::token::Token;
 
@@ -106,7 +107,9 @@ pub(super) fn prepare<'a>(
         anisotropy => {
             let edge = (2.0 / 3f64.sqrt() * separated.area() / plan.points.max(1) as f64).sqrt();
             let Asked { diagonal, by_error, .. } = asked;
-            let lifting = Lifting { anisotropy, diagonal, edge, lengths, in_space: by_error };
+            let slides = asked.shapes == Shapes::Nearest(Norm::Largest) && options.placement == Placement::Surface;
+            let steepest = if slides { STEEPEST_SLIDING_LIFT } else { STEEPEST_LIFT };
+            let lifting = Lifting { anisotropy, diagonal, edge, lengths, in_space: by_error, steepest };
             let lift = Lift::new(&plan.mesh, plan.weights.as_deref(), &surface, &curves, lifting, token)?;
             curves.place_lifted(&surface, &lift.along_curves, lift.surface.root_mass(), plan.points, token)?;
             Some(lift)
