@@ -125,13 +125,42 @@ fn patches_are_joined_all_around_their_holes() {
     }
 }
 
+/// A plate between two bores has seeds of its own, and walls narrower than an edge; a needle may be a cone of ten creases; a skin is
+/// bent with a smaller radius than an edge. Distances are percent of the diagonal.
+#[test]
+fn walls_bores_and_bends_are_whole_with_few_points() {
+    let cases = [
+        (PartKind::Drilled, 0.01, 1, 2.2),
+        (PartKind::Drilled, 0.03, 1, 1.8),
+        (PartKind::Drilled, 0.1, 1, 1.2),
+        (PartKind::Steps, 0.1, 1, 0.5),
+        (PartKind::Gear, 0.1, 1, 1.0),
+        (PartKind::Bracket, 0.01, 1, 1.0),
+        (PartKind::Wedge, 0.01, 1, 0.5),
+        (PartKind::Wedge, 0.01, 40, 0.8),
+    ];
+    for (kind, feature, seed, farthest) in cases {
+        let mesh = part(kind, feature, seed);
+        let done = run(&mesh, 500, 2);
+        let (result, features) = (&done.report.result, &done.report.features);
+        let name = format!("{kind}, {feature}, {seed}");
+        assert_eq!((features.dropped_curves, features.missing_segments), (0, 0), "{name}");
+        assert_eq!(result.crossings.as_ref().map_or(0, |found| found.count), 0, "{name}");
+        assert_eq!(topology(&done.mesh).euler, topology(&mesh).euler, "{name}");
+        assert!((490..=510).contains(&result.vertices), "{name}: {}", result.vertices);
+        let quality = result.quality.as_ref().unwrap();
+        assert!(quality.hausdorff_percent < farthest, "{name}: {quality:?}");
+    }
+}
+
 /// Where creases are strict, a result has all of their edges, or there is none.
 #[test]
 fn strict_parts_are_whole_or_refused() {
     let mut refused = 0;
-    for kind in [PartKind::Drilled, PartKind::Thread, PartKind::Cup, PartKind::Frame] {
+    let kinds = [PartKind::Drilled, PartKind::Thread, PartKind::Cup, PartKind::Frame];
+    for (kind, points) in kinds.into_iter().flat_map(|kind| [(kind, 500), (kind, 60)]) {
         let mesh = part(kind, 0.01, 1);
-        let options = RemeshOptions::new(Seeds::Sample { points: 500, seed: 0 }).with_strict_creases(true);
+        let options = RemeshOptions::new(Seeds::Sample { points, seed: 0 }).with_strict_creases(true);
         match remesh(&mesh, &options, &Parallel::new(Some(2)).unwrap(), &mut (), &Token::default()) {
             Ok(done) => {
                 let features = &done.report.features;
@@ -148,7 +177,7 @@ fn strict_parts_are_whole_or_refused() {
             Err(error) => panic!("{kind}: {error}"),
         }
     }
-    assert!((1..4).contains(&refused), "{refused}");
+    assert!((1..8).contains(&refused), "{refused}");
 }
 
 /// The facets of a coarse torus make angles like creases, with flat diagonals between. None of them is a feature.

@@ -21,12 +21,7 @@ use crate::token::{Stopped, Token};
 
 /// Lengths for the vertices of `apart`'s surface, which is `clean` with its sheets apart. `edge` is the length where nothing is bent so;
 /// `None` if nothing is.
-pub(super) fn lengths(
-    apart: &Apart,
-    clean: &TriMesh,
-    edge: f64,
-    token: &Token,
-) -> Result<Option<Vec<f64>>, Stopped> {
+pub(super) fn lengths(apart: &Apart, clean: &TriMesh, edge: f64, token: &Token) -> Result<Option<Vec<f64>>, Stopped> {
     let mesh = &apart.mesh;
     let mut first: HashMap<[u32; 2], u32> = HashMap::new();
     let mut bends: Vec<([u32; 2], Bend)> = Vec::new();

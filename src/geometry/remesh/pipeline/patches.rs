@@ -276,7 +276,8 @@ fn divide(
         let mut seen = HashSet::new();
         let inner = patch.facets().iter().flat_map(|&t| sides(t)).map(undirected).filter(|&side| !seen.insert(side));
         let length = |[a, b]: [u32; 2]| patch.positions[a as usize].distance(patch.positions[b as usize]);
-        let mut longest: Vec<(f64, [u32; 2])> = inner.map(|side| (length(side), side)).filter(|own| own.0 > edge).collect();
+        let mut longest: Vec<(f64, [u32; 2])> =
+            inner.map(|side| (length(side), side)).filter(|own| own.0 > edge).collect();
         longest.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
         let mut touched: HashSet<u32> = HashSet::new();
         for (_, ends) in longest {
