@@ -158,7 +158,7 @@ fn walls_bores_and_bends_are_whole_with_few_points() {
 fn strict_parts_are_whole_or_refused() {
     let mut refused = 0;
     let kinds = [PartKind::Drilled, PartKind::Thread, PartKind::Cup, PartKind::Frame];
-    for (kind, points) in kinds.into_iter().flat_map(|kind| [(kind, 500), (kind, 60)]) {
+    for (kind, points) in kinds.into_iter().flat_map(|kind| [(kind, 500), (kind, 200)]) {
         let mesh = part(kind, 0.01, 1);
         let options = RemeshOptions::new(Seeds::Sample { points, seed: 0 }).with_strict_creases(true);
         match remesh(&mesh, &options, &Parallel::new(Some(2)).unwrap(), &mut (), &Token::default()) {

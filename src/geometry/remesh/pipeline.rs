@@ -58,7 +58,7 @@ use crate::mesh::closest_point::{ClosestPoint, SurfacePoint};
 use crate::mesh::crossings::crossings;
 use crate::mesh::features::edge_shares;
 use crate::mesh::input::{draw_in, outliers};
-use crate::mesh::measure::{Topology, topology_unless};
+use crate::mesh::measure::{Quality, Topology, topology_unless};
 use crate::rvd::{Backend, RvdError, elapsed_ms, on_threads_of};
 use crate::token::{Stopped, Token};
 use prepare::{Asked, Prepared, prepare, with_source};
@@ -405,10 +405,11 @@ fn run_once(
     let mut none_crosses = false;
     if may_shorten {
         let crossing;
-        (attempt, crossing) = match job.uncross(attempt, (clean, apart.as_ref()), (meet, divisible), options)? {
-            Some(found) => found,
-            None => return Ok(Outcome::Again(Way::Divided)),
-        };
+        (attempt, crossing) =
+            match job.uncross(attempt, (clean, apart.as_ref()), (meet, divisible, is_divided), options)? {
+                Some(found) => found,
+                None => return Ok(Outcome::Again(Way::Divided)),
+            };
         none_crosses = crossing == 0 && preprocessed.pairs.is_none();
     }
     if options.keep_thin && options.placement == Placement::Fitted && !matches!(options.seeds, Seeds::Given(_)) {
@@ -470,6 +471,12 @@ fn run_once(
     job.enter("measure");
     let known = measured::Known { topology: of_result, none_crosses };
     let mut measured = measured::measure(clean, input, options, attempt, known, job)?;
+    // Too few points for the curves: without most of them, what is between has more.
+    let edge = (4.0 / 3f64.sqrt() * measured.mesh.area() / measured.mesh.facets().len().max(1) as f64).sqrt();
+    let far = |quality: &Quality| quality.hausdorff_percent > 100.0 * edge / diagonal;
+    if is_divided && !options.strict_creases && measured.report.result.quality.as_ref().is_some_and(far) {
+        return Ok(Outcome::Again(Way::Undivided));
+    }
     let Carried { attributes, provenance, regions } = carried;
     (measured.report.result.regions, measured.report.result.periodic) = (regions, periodic);
     Ok(Outcome::Done(Box::new(Remesh { attributes, provenance, ..measured }), divisible))

@@ -24,12 +24,12 @@ use crate::token::{Stopped, Token};
 
 impl<'a> Job<'a, '_> {
     /// A result in place of `best` with fewer crossing facets, if there is one, and how many it has. Sheets of `clean` may be apart, and
-    /// `meet` along curves. `None` if some cross and the surface is `divisible`: divided, it has room for its cells.
+    /// `meet` along curves, as where it `is_divided`. `None` if some cross and the surface is `divisible`: divided, it has room for its cells.
     pub(super) fn uncross(
         &mut self,
         mut best: Attempt<'a>,
         (clean, apart): (&TriMesh, Option<&Apart>),
-        (meet, divisible): (bool, bool),
+        (meet, divisible, is_divided): (bool, bool, bool),
         options: &RemeshOptions,
     ) -> Result<Option<(Attempt<'a>, usize)>> {
         let token = self.token;
@@ -62,9 +62,12 @@ impl<'a> Job<'a, '_> {
             lengths = next.plan.lengths(self.separated, self.token)?;
             shorten_near(&mut lengths, self.separated, (&next.built.mesh, &crossing), self.token)?;
             if !is_whole || crossing.len() >= fewest || lost_curves(&next) > lost_curves(&best) {
-                // Edges may have to be shorter still.
                 best.figures.refine.evaluations += next.figures.passes();
-                continue;
+                // Of a bent wall, edges may have to be shorter still.
+                if is_divided && is_whole {
+                    continue;
+                }
+                break;
             }
             fewest = crossing.len();
             next.plan.figures.source = best.plan.figures.source;
