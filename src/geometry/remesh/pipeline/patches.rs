@@ -108,7 +108,9 @@ pub(super) fn mend(
         let is_whole = is_narrow || is_whole(built, patch, &wanted, (mesh, &class));
         let chains: Vec<&Chain> = of().collect();
         let within = if is_narrow { Vec::new() } else { patch.within(built, &chains) };
-        if (is_narrow || !is_whole)
+        // Where sheets only touch, as in a scan, curves may be noise.
+        if !narrow.is_empty()
+            && (is_narrow || !is_whole)
             && let Some(new) = flat::triangulated(&patch.places(mesh), &chains, at, &within)
         {
             gone.extend(&patch.result);
