@@ -85,6 +85,16 @@ pub(super) fn triangulated(
         }
     }
     let own: Vec<[u32; 3]> = outline.inside(&plane).into_iter().map(|face| face.corners).collect();
+    // Curves that do not close leave no inside.
+    let mut is_open: HashSet<[u32; 2]> = HashSet::new();
+    for side in own.iter().flat_map(|&t| sides(t)).map(undirected) {
+        if !is_open.remove(&side) {
+            is_open.insert(side);
+        }
+    }
+    if is_open != outline.rim {
+        return None;
+    }
     (!own.is_empty()).then_some((vertices, own))
 }
 
@@ -174,6 +184,7 @@ impl Outline {
         let is_hull = |[a, b]: &[u32; 2]| !of_side.contains_key(&[*b, *a]);
         let mut front: Vec<(usize, bool)> =
             of_side.iter().filter(|own| is_hull(own.0)).map(|(&side, &f)| (f, turns(side))).collect();
+        front.sort_unstable();
         while let Some((f, found)) = front.pop() {
             if is_inside[f].is_some() {
                 continue;
