@@ -5,6 +5,7 @@
 //! Invariant: the result has the edges of the curves and no others as its boundary, and no facet is turned over in the plane.
 //! Must not know: why a patch needs it, how its neighbours are made.
 
+use std::collections::hash_map::Entry;
 use std::collections::{HashMap, HashSet};
 
 use glam::{DVec2, DVec3};
@@ -125,10 +126,10 @@ impl Outline {
         let mut seeds = Vec::new();
         let mut vertex = HashMap::new();
         for &seed in chains.iter().flat_map(|chain| &chain.seeds) {
-            if !vertex.contains_key(&seed) {
+            if let Entry::Vacant(entry) = vertex.entry(seed) {
                 let p = at(seed);
                 let own = plane.insert(Point2::new(p.x, p.y)).ok().filter(|own| own.index() == seeds.len())?;
-                vertex.insert(seed, own);
+                entry.insert(own);
                 seeds.push(seed);
             }
         }
