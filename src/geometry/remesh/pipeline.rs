@@ -444,7 +444,10 @@ fn run_once(
                 let result = &attempt.built.mesh;
                 let own = (0..result.positions().len() as u32).collect();
                 let found = topology_unless(result, &Adjacency::with(result, own, token)?, token)?;
-                if is_divided && found.boundary_loops != joined.boundary_loops {
+                // Patches on both sides of a hole may have the same edge across it.
+                let is_broken = found.boundary_loops != joined.boundary_loops
+                    || found.non_manifold_edges + found.non_manifold_vertices > 0;
+                if is_divided && is_broken {
                     return Ok(Outcome::Again(Way::Undivided));
                 }
                 of_result = Some(found);
