@@ -19,6 +19,9 @@ use crate::remesh::constants::*;
 use crate::remesh::triangle::unit_normal;
 use crate::token::{Stopped, Token};
 
+/// Facets that turn by less are in one plane, radians.
+const LEAST_ANGLE: f64 = 1e-3;
+
 /// Lengths for the vertices of `apart`'s surface, which is `clean` with its sheets apart. `edge` is the length where nothing is bent so;
 /// `None` if nothing is.
 pub(super) fn lengths(apart: &Apart, clean: &TriMesh, edge: f64, token: &Token) -> Result<Option<Vec<f64>>, Stopped> {
@@ -66,9 +69,6 @@ pub(super) fn lengths(apart: &Apart, clean: &TriMesh, edge: f64, token: &Token) 
     let of = |v: u32| of_vertex.get(&apart.before(v)).copied().unwrap_or(edge);
     Ok((!of_vertex.is_empty()).then(|| (0..mesh.positions().len() as u32).map(of).collect()))
 }
-
-/// Facets that turn by less are in one plane, radians.
-const LEAST_ANGLE: f64 = 1e-3;
 
 /// The circle through two facets.
 struct Bend {
