@@ -222,6 +222,15 @@ pub(crate) fn missed_places(mesh: &LocalMesh, input: &InputSamples, tolerance: O
     select(mesh, &input.vertices, &deviations(mesh, &input.vertices, token), tolerance)
 }
 
+/// The vertices of the input by falling estimate of their distance: (estimate, place). The distance is at most that.
+pub(crate) fn farthest_places(mesh: &LocalMesh, input: &InputSamples, token: &Token) -> Vec<(f64, DVec3)> {
+    let deviations = deviations(mesh, &input.vertices, token);
+    let mut all: Vec<_> = input.vertices.all().iter().zip(&deviations).map(|(&p, d)| (d.distance, p)).collect();
+    // Stable: of places that are as far, the first stays the first.
+    all.par_sort_by(|a, b| b.0.total_cmp(&a.0));
+    all
+}
+
 fn select(mesh: &LocalMesh, vertices: &Csr<DVec3>, deviations: &[Deviation], tolerance: Option<f64>) -> Places {
     let is_far = |d: &Deviation| tolerance.map_or(d.relative > MISSED_SHARES[1], |t| d.distance > t);
     let far = vertices.all().iter().zip(deviations).filter(|(_, d)| is_far(d));

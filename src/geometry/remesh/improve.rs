@@ -10,6 +10,7 @@
 //! the result is that of making one after the other. The same bits whatever the number of threads.
 //! Must not know: seeds, diagrams, files.
 
+pub(super) mod exchange;
 mod objective;
 mod patch;
 pub(super) mod places;

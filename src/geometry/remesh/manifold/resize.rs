@@ -6,7 +6,7 @@
 //! Must not know: why the number changes.
 
 use super::LocalMesh;
-use crate::mesh::edges::undirected;
+use crate::mesh::edges::{sides, undirected};
 use crate::remesh::triangle::unit_normal;
 use glam::DVec3;
 
@@ -93,13 +93,16 @@ impl LocalMesh {
         self.ring(from).iter().filter(stays).map(|&f| (f, self.with(f, from, to))).collect()
     }
 
-    pub(crate) fn collapse(&mut self, from: u32, to: u32) {
+    /// Returns the facets that are no more.
+    pub(crate) fn collapse(&mut self, from: u32, to: u32) -> Vec<u32> {
+        let mut gone = Vec::new();
         let curves: Vec<u32> = self.neighbours(from).into_iter().filter(|&u| self.is_curve([from, u])).collect();
         for f in self.ring(from).to_vec() {
             let t = self.facets[f as usize];
             if t.contains(&to) {
                 self.rings.replace(f, t, []);
                 self.facets[f as usize] = GONE;
+                gone.push(f);
             } else {
                 self.replace(f, self.with(f, from, to));
                 self.normals[f as usize] = unit_normal(self.corners(f));
@@ -110,6 +113,28 @@ impl LocalMesh {
             if u != to {
                 self.curves.insert(undirected([to, u]));
             }
+        }
+        gone
+    }
+
+    /// The edges around some facets, in their direction. `None` if these are no disk with all corners on its rim.
+    pub(crate) fn fan(&self, cavity: &[u32]) -> Option<Vec<[u32; 2]>> {
+        let all: Vec<[u32; 2]> = cavity.iter().flat_map(|&f| sides(self.facets[f as usize])).collect();
+        let rim: Vec<[u32; 2]> = all.iter().copied().filter(|&[a, b]| !all.contains(&[b, a])).collect();
+        let mut corners: Vec<u32> = rim.iter().map(|side| side[0]).collect();
+        corners.sort_unstable();
+        corners.dedup();
+        (rim.len() == cavity.len() + 2 && corners.len() == rim.len()).then_some(rim)
+    }
+
+    /// Puts a vertex without facets at `p`, in place of facets that have a [`Self::fan`]. `gone` are two that were taken out.
+    pub(crate) fn insert(&mut self, v: u32, p: DVec3, cavity: &[u32], gone: &[u32]) {
+        self.positions[v as usize] = p;
+        let facets = cavity.iter().chain(gone).copied().zip(self.fan(cavity).unwrap_or_default()).collect::<Vec<_>>();
+        for (f, [a, b]) in facets {
+            let old = std::mem::replace(&mut self.facets[f as usize], [a, b, v]);
+            self.rings.replace(f, old.into_iter().filter(|_| old != GONE), [a, b, v]);
+            self.normals[f as usize] = unit_normal(self.corners(f));
         }
     }
 
@@ -170,6 +195,24 @@ mod tests {
             assert_eq!(mesh.curves, before.curves);
             assert!((area(&mesh) - 9.0).abs() < 1e-12);
         }
+    }
+
+    #[test]
+    fn a_vertex_is_taken_out_and_put_in_elsewhere() {
+        // Facets 0 to 17 are the halves of squares; 8 and 9 are those of the middle one.
+        for cavity in [vec![8], vec![8, 9]] {
+            let mut mesh = grid(4, &[]);
+            let p = mesh.corners(8).iter().sum::<DVec3>() / 3.0;
+            assert_eq!(mesh.fan(&cavity).map(|rim| rim.len()), Some(cavity.len() + 2));
+            let gone = mesh.collapse(18, 17);
+            mesh.insert(18, p, &cavity, &gone);
+            assert!((area(&mesh) - 16.0).abs() < 1e-12, "{cavity:?}");
+            assert_eq!((mesh.ring(18).len(), mesh.positions[18]), (cavity.len() + 2, p));
+            assert_eq!(mesh.compact().0.len(), 25);
+        }
+        let mesh = grid(4, &[]);
+        assert_eq!(mesh.fan(&[0, 30]), None, "they have no edge in common");
+        assert_eq!(mesh.fan(mesh.ring(6)), None, "a vertex within");
     }
 
     #[test]

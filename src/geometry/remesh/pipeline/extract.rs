@@ -22,6 +22,7 @@ use crate::remesh::features::KeptCurves;
 use crate::remesh::features::envelope::CurveEnvelope;
 use crate::remesh::fit::{self, Target};
 use crate::remesh::improve::MeshEditor;
+use crate::remesh::improve::exchange::exchange;
 use crate::remesh::improve::places::{improve, recover_edge};
 use crate::remesh::improve::shapes::{Mobility, MotionBounds, improve_shapes, restore, tighten};
 use crate::remesh::manifold::{LocalMesh, boundary_ears, notches, repair, rims};
@@ -345,12 +346,20 @@ impl<'a> Extraction<'a> {
         let mobility = mobility(&mesh.positions, &draft.curve_edges, &target.fixed);
         let improved = improve(&mut MeshEditor::new(mesh, &mobility, self.shapes, reference, self.token), distances);
         let before = draft.missed.places.len();
-        if improved == 0 && before == 0 {
-            return 0;
+        let mut missed = before;
+        if improved > 0 || before > 0 {
+            self.find_curves(draft, mesh);
+            // Improvement takes nothing farther away, but a place's nearest facet may have left the one-ring that is searched.
+            missed = missed_places(mesh, &target.input, self.tolerance, self.token).len().min(before);
         }
-        self.find_curves(draft, mesh);
-        // Improvement takes nothing farther away, but a place's nearest facet may have left the one-ring that is searched.
-        missed_places(mesh, &target.input, self.tolerance, self.token).len().min(before)
+        if matches!(self.shapes, Shapes::Nearest(_)) && !self.adds {
+            let free: Vec<bool> = mobility.iter().map(|of| *of == Mobility::Free).collect();
+            for (v, place) in exchange(mesh, (&target.input, reference), &free, self.shapes.wanted(), self.token) {
+                draft.positions[v as usize] = self.surface.frame().to_world(place);
+            }
+            self.find_curves(draft, mesh);
+        }
+        missed
     }
 
     /// Finds the edges of curves again, in the order of the facets. They stay from now on.
