@@ -8,7 +8,7 @@ use tessera::mesh::closest_point::distance_to_segment;
 use tessera::mesh::measure::topology;
 use tessera::mesh::shapes::Shape;
 use tessera::mesh::shapes::parts::{PartKind, part};
-use tessera::remesh::{Remesh, RemeshError, RemeshOptions, Seeds, remesh};
+use tessera::remesh::{Anisotropy, Remesh, RemeshError, RemeshOptions, Seeds, remesh};
 use tessera::rvd::Parallel;
 use tessera::token::Token;
 
@@ -203,4 +203,16 @@ fn needles_keep_their_length() {
         let quality = done.report.result.quality.as_ref().unwrap();
         assert!(quality.hausdorff_percent < 1.0, "{feature}: {quality:?}");
     }
+}
+
+/// With an anisotropy parts are not divided, and the rims of small holes are shorter than eight edges.
+#[test]
+fn creases_too_short_to_be_kept_are_named() {
+    let seeds = Seeds::Sample { points: 300, seed: 0 };
+    let options = RemeshOptions { anisotropy: Anisotropy::Auto, ..RemeshOptions::new(seeds) };
+    let mesh = part(PartKind::Drilled, 0.05, 1);
+    let report = remesh(&mesh, &options, &Parallel::new(Some(2)).unwrap(), &mut (), &Token::default()).unwrap().report;
+    let warning = report.warnings.iter().find(|warning| warning.code == "short_creases");
+    let short = report.features.short_crease_edges;
+    assert!(short > 0 && warning.is_some_and(|warning| warning.count == Some(short)), "{short} {:?}", report.warnings);
 }

@@ -620,6 +620,7 @@ impl KeptCurves {
             dropped_length,
             dropped,
             short_crease_edges: self.features.left_out,
+            is_designed: false,
         }
     }
 }

@@ -284,6 +284,8 @@ fn run_once(
         prepared = prepare(mesh, undivided.options.as_ref().unwrap_or(options), asked, None, token);
     }
     let topology = preprocessed.figures.topology;
+    let seeks_creases = matches!(&prepared, Ok(prepared) if prepared.curves.seeks_creases());
+    let is_designed = seeks_creases && is_designed(clean, options, token)?;
     let may_divide = options.keep_boundaries
         && isotropic
         && !in_metric
@@ -294,8 +296,7 @@ fn run_once(
         && options.periodic.is_empty()
         && held.rims.is_empty()
         && held.vertices.is_empty()
-        && matches!(&prepared, Ok(prepared) if prepared.curves.seeks_creases())
-        && is_designed(clean, options, token)?;
+        && is_designed;
     let creases = match &prepared {
         Ok(prepared) if may_divide && (way == Way::Divided || way == Way::Free && prepared.curves.is_crowded) => {
             let Prepared { curves, plan, surface, .. } = prepared;
@@ -482,6 +483,7 @@ fn run_once(
     }
     let Carried { attributes, provenance, regions } = carried;
     (measured.report.result.regions, measured.report.result.periodic) = (regions, periodic);
+    measured.report.features.is_designed = is_designed;
     Ok(Outcome::Done(Box::new(Remesh { attributes, provenance, ..measured }), divisible))
 }
 

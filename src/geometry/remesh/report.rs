@@ -240,6 +240,9 @@ pub struct FeatureFigures {
     pub dropped: Vec<DroppedCurve>,
     /// Edges bent enough for a crease in stretches too short for one.
     pub short_crease_edges: usize,
+    /// Whether these are no noise: the surface has flat or ruled faces between sharp edges.
+    #[serde(skip)]
+    pub(crate) is_designed: bool,
 }
 
 impl FeatureFigures {

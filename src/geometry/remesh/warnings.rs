@@ -116,6 +116,9 @@ fn of_count(report: &Report, all: &mut Vec<Warning>) {
     }
     let broken = "edges of creases or boundaries are missing in the result; more points may keep them";
     counted(all, "missing_curve_edges", features.missing_segments, broken);
+    let short = "sharp edges of the input are in creases shorter than eight edges of the result, which were not kept; more points keep them";
+    let edges = if features.is_designed { features.short_crease_edges } else { 0 };
+    counted(all, "short_creases", edges, short);
 }
 
 /// What stayed though it need not.
