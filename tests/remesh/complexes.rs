@@ -449,6 +449,18 @@ fn glued_solids_are_the_same_complex_or_apart() {
     }
 }
 
+/// With its own random seed this one lacks an edge in one of the sheets.
+#[test]
+fn a_joint_that_lacks_an_edge_gets_other_seeds() {
+    let mut random = Random::new(3);
+    for _ in 0..14 {
+        glued(&mut random, 2, &[Glue::Vertex, Glue::Edge, Glue::Face]);
+        glued(&mut random, 2, &[Glue::Vertex, Glue::Edge]);
+    }
+    let (mesh, regions, _) = glued(&mut random, 2, &[Glue::Vertex, Glue::Edge, Glue::Face]);
+    assert_is_the_same_complex("2 solids 14", &mesh, &regions, 0.0);
+}
+
 #[test]
 fn foams_and_strata_are_the_same_complex() {
     let mut random = Random::new(5);

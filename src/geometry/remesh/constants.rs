@@ -225,6 +225,10 @@ pub(super) const CROWDED_ENOUGH: f64 = 0.98;
 pub(super) const LEAST_FLAT: f64 = 0.1;
 /// And so much of it is sharp: round faces made of few facets have flat diagonals as well.
 pub(super) const LEAST_SHARP: f64 = 0.01;
+/// Other random seeds that are tried where a designed part has few defects: that takes as long again, but few parts have any.
+pub(super) const OTHER_SEEDS: u64 = 3;
+/// Few defects, share of the facets: with more, points are too few, and other seeds do not help.
+pub(super) const FEW_DEFECTS: f64 = 0.02;
 /// A divided surface whose result has more crossing facets than this share was not to be divided.
 pub(super) const MOST_CROSSING: f64 = 0.02;
 /// A patch whose mean width is less has no seeds within, edges.

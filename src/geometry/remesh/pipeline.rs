@@ -198,8 +198,41 @@ fn remesh_parts(
     })
 }
 
-/// On the present threads.
+/// On the present threads. Where few facets of a designed part cross, or a joint of its sheets lacks an edge, other random seeds are tried.
 fn run_stages(
+    part: (&TriMesh, Held<'_>),
+    options: &RemeshOptions,
+    backend: &dyn Backend,
+    observer: &mut dyn Observer,
+    token: &Token,
+) -> Result<Remesh, RemeshError> {
+    let mut best = run_ways(part, options, backend, observer, token)?;
+    for k in 1..=constants::OTHER_SEEDS {
+        let defects = best.report.defects(options.keep_non_manifold);
+        let (&Seeds::Sample { seed, .. } | &Seeds::Implied { seed }) = &options.seeds else { break };
+        let share = defects as f64 / best.mesh.facets().len() as f64;
+        if defects == 0 || share > constants::FEW_DEFECTS || !best.report.features.is_designed {
+            break;
+        }
+        let mut other = options.clone();
+        if let Seeds::Sample { seed: own, .. } | Seeds::Implied { seed: own } = &mut other.seeds {
+            *own = seed.wrapping_add(k);
+        }
+        match run_ways(part, &other, backend, observer, token) {
+            Ok(done)
+                if done.report.defects(options.keep_non_manifold) < defects
+                    && done.report.topology_changes.len() <= best.report.topology_changes.len() =>
+            {
+                best = done;
+            }
+            _ => token.check()?,
+        }
+    }
+    Ok(best)
+}
+
+/// Undivided, or divided along the creases.
+fn run_ways(
     part: (&TriMesh, Held<'_>),
     options: &RemeshOptions,
     backend: &dyn Backend,

@@ -27,7 +27,7 @@ pub struct Report {
     pub adapter: Option<String>,
     /// Threads of the CPU pool.
     pub threads: usize,
-    /// Random seed, if the seeds were drawn.
+    /// Random seed, if the seeds were drawn: that of the options, or one up to three above it where the result had defects.
     pub seed: Option<u64>,
     /// Whether a convergence test stopped the iterations.
     pub converged: bool,
@@ -67,6 +67,12 @@ impl Report {
     pub(crate) fn lacks_curves(&self) -> bool {
         let crosses = self.result.crossings.as_ref().is_some_and(|crossings| crossings.count > 0);
         !self.features.are_whole() || self.features.creases > 0 && crosses
+    }
+
+    /// Facets that cross, and edges of joints that are missing where sheets are joined.
+    pub(crate) fn defects(&self, joined: bool) -> usize {
+        let missing = if joined { self.features.missing_segments } else { 0 };
+        self.result.crossings.as_ref().map_or(0, |crossings| crossings.count) + missing
     }
 
     /// Whether the result is no farther from the input than another one, has no more crossing facets, and a topology as near.
