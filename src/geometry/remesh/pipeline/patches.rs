@@ -40,6 +40,8 @@ const ROUNDS: usize = 4;
 const FLIPPED: f64 = 0.3;
 /// Facets that turn by less than this are of one smooth surface, cosine: the other diagonal is as near to it.
 const SMOOTH: f64 = 0.9;
+/// Edges this near to the patch are in it, share of the edges of its curves: of those the better facets decide.
+const IN_PATCH: f64 = 0.02;
 
 /// What a patch is made of.
 #[derive(Default)]
@@ -242,15 +244,17 @@ fn simplified(
     }
     let lengths = || chains.iter().flat_map(|chain| chain.edges()).map(|ends| at(ends[0]).distance(at(ends[1])));
     let edge = lengths().sum::<f64>() / lengths().count().max(1) as f64;
+    let Ok(whole) = TriMesh::new(patch.positions.clone(), patch.facets().to_vec()) else { return Ok(None) };
+    let surface = Original { closest: ClosestPoint::unless(&whole, token)?, reach: IN_PATCH * edge };
     let facing: Vec<DVec3> = (0..patch.positions.len() as u32).map(|v| patch.vertex_normal(v)).collect();
     let is_left = |patch: &LocalMesh, v: u32| !seed_of.contains_key(&v) && !patch.ring(v).is_empty();
     for _ in 0..ROUNDS {
-        take_out(&mut patch, (&facing, FARTHEST * edge), |v| seed_of.contains_key(&v), token)?;
+        take_out(&mut patch, &surface, (&facing, FARTHEST * edge), |v| seed_of.contains_key(&v), token)?;
         if !(0..patch.positions.len() as u32).any(|v| is_left(&patch, v) && patch.is_on_boundary(v)) {
             break;
         }
         // Another diagonal may let a vertex of the boundary go.
-        flip(&mut patch, &facing, -1.0);
+        flip(&mut patch, &surface, &facing, -1.0);
     }
     let (kept, _) = patch.compact();
     let seed = |v: &u32| seed_of.get(v).copied().unwrap_or(NO_SEED);
@@ -258,9 +262,9 @@ fn simplified(
         return Ok(None);
     }
     let mut facing: Vec<DVec3> = kept.iter().map(|&v| facing[v as usize]).collect();
-    flip(&mut patch, &facing, -1.0);
+    flip(&mut patch, &surface, &facing, -1.0);
     let inner = kept.iter().filter(|v| seed(v) == NO_SEED).count();
-    divide(&mut patch, &mut facing, (edge, within.saturating_sub(inner)), token)?;
+    divide(&mut patch, &surface, &mut facing, (edge, within.saturating_sub(inner)), token)?;
     let seeds = kept.iter().map(seed).chain(std::iter::repeat(NO_SEED));
     let of: Vec<(u32, DVec3)> = seeds.zip(patch.positions.iter().copied()).collect();
     Ok(Some((of, patch.into_parts().1)))
@@ -269,6 +273,7 @@ fn simplified(
 /// Splits the longest edges within a patch, as long as they are longer than `edge`, until there are `wanted` vertices more.
 fn divide(
     patch: &mut LocalMesh,
+    surface: &Original,
     facing: &mut Vec<DVec3>,
     (edge, mut wanted): (f64, usize),
     token: &Token,
@@ -295,7 +300,7 @@ fn divide(
         if touched.is_empty() {
             break;
         }
-        flip(patch, facing, SMOOTH);
+        flip(patch, surface, facing, SMOOTH);
     }
     Ok(())
 }
@@ -303,6 +308,7 @@ fn divide(
 /// Collapses edges until no vertex but those that stay can be taken out. `facing` are the normals of the patch at its vertices.
 fn take_out(
     patch: &mut LocalMesh,
+    surface: &Original,
     (facing, farthest): (&[DVec3], f64),
     stays: impl Fn(u32) -> bool,
     token: &Token,
@@ -315,7 +321,8 @@ fn take_out(
                 if patch.ring(v).is_empty() {
                     continue;
                 }
-                let mut best: Option<(f64, u32)> = None;
+                // How far its new edges are off, the worst score, and where it goes.
+                let mut best: Option<(f64, f64, u32)> = None;
                 for to in patch.neighbours(v).into_iter().filter(|&to| to != v && patch.may_collapse(v, to)) {
                     let after = patch.collapse_corners(v, to);
                     let turn = after.iter().map(|&(_, t)| {
@@ -331,11 +338,16 @@ fn take_out(
                         continue;
                     }
                     let worst = after.iter().map(|&(_, t)| score(patch.places(t))).fold(1.0, f64::min);
-                    if worst >= least_score && best.is_none_or(|(known, _)| worst > known) {
-                        best = Some((worst, to));
+                    if worst < least_score {
+                        continue;
+                    }
+                    let new = patch.neighbours(v).into_iter().filter(|&u| u != v && u != to);
+                    let off = new.map(|u| surface.off(patch, [to, u])).fold(0.0, f64::max);
+                    if best.is_none_or(|known| off < known.0 || off == known.0 && worst > known.1) {
+                        best = Some((off, worst, to));
                     }
                 }
-                if let Some((_, to)) = best {
+                if let Some((_, _, to)) = best {
                     patch.collapse(v, to);
                     taken += 1;
                 }
@@ -348,9 +360,23 @@ fn take_out(
     Ok(())
 }
 
-/// Flips edges as long as the worse of two facets gets better, those whose facets turn by more than a cosine left out. `facing` are the
-/// normals of the patch at its vertices.
-fn flip(patch: &mut LocalMesh, facing: &[DVec3], least: f64) {
+/// The patch as it is in the input.
+struct Original {
+    closest: ClosestPoint,
+    reach: f64,
+}
+
+impl Original {
+    /// How far the middle of an edge is from the patch; 0 if it is in it.
+    fn off(&self, patch: &LocalMesh, ends: [u32; 2]) -> f64 {
+        let [p, q] = ends.map(|v| patch.positions[v as usize]);
+        (self.closest.distance(p.midpoint(q)) - self.reach).max(0.0)
+    }
+}
+
+/// Flips edges as long as they come nearer to the patch, or as near and the worse of two facets gets better. Those whose facets turn by
+/// more than a cosine are left out. `facing` are the normals of the patch at its vertices.
+fn flip(patch: &mut LocalMesh, surface: &Original, facing: &[DVec3], least: f64) {
     for _ in 0..PASSES {
         let mut flipped = false;
         for f in 0..patch.facets().len() as u32 {
@@ -364,7 +390,11 @@ fn flip(patch: &mut LocalMesh, facing: &[DVec3], least: f64) {
                 }
                 let worst = |corners: [[DVec3; 3]; 2]| score(corners[0]).min(score(corners[1]));
                 let before = worst(flip.facets.map(|f| patch.corners(f)));
-                if worst(flip.corners.map(|t| patch.places(t))) > before + 1e-9 {
+                let is_better = worst(flip.corners.map(|t| patch.places(t))) > before + 1e-9;
+                let t = patch.facets()[f as usize];
+                let off = [[t[side], t[(side + 1) % 3]], [flip.corners[0][1], flip.corners[0][2]]]
+                    .map(|ends| surface.off(patch, ends));
+                if off[1] < off[0] || off[1] == off[0] && is_better {
                     patch.apply(&flip);
                     flipped = true;
                 }
