@@ -211,7 +211,9 @@ fn run_stages(
         let defects = best.report.defects(options.keep_non_manifold);
         let (&Seeds::Sample { seed, .. } | &Seeds::Implied { seed }) = &options.seeds else { break };
         let share = defects as f64 / best.mesh.facets().len() as f64;
-        if defects == 0 || share > constants::FEW_DEFECTS || !best.report.features.is_designed {
+        // Where holes closed, points are too few, and other seeds do not help. A joint that lacks an edge is a hole itself.
+        let is_whole = options.keep_non_manifold || best.report.topology_changes.is_empty();
+        if defects == 0 || share > constants::FEW_DEFECTS || !is_whole || !best.report.features.is_designed {
             break;
         }
         let mut other = options.clone();

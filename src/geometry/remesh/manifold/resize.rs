@@ -199,7 +199,7 @@ mod tests {
 
     #[test]
     fn a_vertex_is_taken_out_and_put_in_elsewhere() {
-        // Facets 0 to 17 are the halves of squares; 8 and 9 are those of the middle one.
+        // Facets 8 and 9 are the halves of one square.
         for cavity in [vec![8], vec![8, 9]] {
             let mut mesh = grid(4, &[]);
             let p = mesh.corners(8).iter().sum::<DVec3>() / 3.0;
