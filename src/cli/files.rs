@@ -19,6 +19,7 @@ use super::exit::{BadInput, NoFolder, NoInput, NotWritten, Usage};
 use geometry::mesh::attributes::Attributes;
 use geometry::mesh::io::lists::{FileVertices, NO_NUMBERS};
 use geometry::mesh::io::{DataError, FileError, Format, RegionChoice};
+use geometry::mesh::parts::Part;
 use geometry::mesh::tensor::Tensor;
 use geometry::mesh::{TriMesh, io};
 use geometry::remesh::Warning;
@@ -342,6 +343,16 @@ pub(crate) fn read_edges(path: &Path, input: &Surface, mesh: &TriMesh) -> Result
     list(path, input, mesh, |vertices, text| vertices.edges(text, mesh.facets().len(), &Token::default()))
 }
 
+/// Gives vertices of the file `input` that parts name the numbers of `mesh`, which was read from it.
+pub(crate) fn renumber(parts: &mut [Part], input: &Surface, mesh: &TriMesh) -> Result<()> {
+    let names = parts.iter().any(|part| matches!(part, Part::Vertices(_)));
+    if !names || !FileVertices::needs_bytes(input.format(INPUT_FORMAT)?) {
+        return Ok(());
+    }
+    check_numbered(input, "--keep vertices:")?;
+    Ok(numbering(input, mesh)?.renumber(parts).map_err(|error| BadInput(format!("--keep: {error}")))?)
+}
+
 fn list<T>(
     path: &Path,
     input: &Surface,
@@ -362,6 +373,8 @@ fn numbering(input: &Surface, mesh: &TriMesh) -> Result<FileVertices> {
 
 #[cfg(test)]
 mod tests {
+    use std::collections::HashSet;
+
     use glam::DVec3;
 
     use super::*;
@@ -439,6 +452,11 @@ mod tests {
             let edges = read_edges(&path, &Surface::new(&input, None), &mesh).unwrap();
             let ends: Vec<[DVec3; 2]> = edges.iter().map(|e| e.map(at)).collect();
             assert_eq!(ends, [[DVec3::ZERO, DVec3::X], [DVec3::Y, DVec3::ZERO]], "{name}");
+            let mut parts = ["vertices:2,4".parse().unwrap()];
+            renumber(&mut parts, &Surface::new(&input, None), &mesh).unwrap();
+            let [Part::Vertices(kept)] = &parts else { panic!("{parts:?}") };
+            let kept: HashSet<String> = kept.iter().map(|v| at(v).to_string()).collect();
+            assert_eq!(kept, [DVec3::X, DVec3::Y].map(|p| p.to_string()).into(), "{name}");
             for bad in ["1 2\n1\n", "1 2\n1 2 3\n", "1 2\n-1 2\n", "1 2\n1 5\n", "1 2\n1 x\n"] {
                 let path = folder.path().join("bad.txt");
                 std::fs::write(&path, bad).unwrap();

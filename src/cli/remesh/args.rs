@@ -405,6 +405,7 @@ impl RemeshArgs {
         let metric = self.size.metric.as_ref().map(|path| files::read_metric(path, input, mesh)).transpose()?;
         let arrays = ByVertex { edge_lengths: lengths, metric, ..ByVertex::default() };
         options::fill(&mut options, Vec::new(), arrays);
+        files::renumber(&mut options.keep, input, mesh)?;
         options.creases = creases;
         for path in self.shape.crease_files() {
             let edges = files::read_edges(path, input, mesh)?;

@@ -18,6 +18,7 @@ use geometry::mesh::attributes::{AttributeError, Attributes};
 use geometry::mesh::io::lists::{FileVertices, most_edges, points};
 use geometry::mesh::io::{self, DataError, Loaded};
 use geometry::mesh::numbers::Order;
+use geometry::mesh::parts::Part;
 use geometry::mesh::tensor::Tensor;
 use geometry::mesh::{MeshError, TriMesh};
 use geometry::remesh::{RemeshOptions, Seeds};
@@ -244,7 +245,8 @@ impl Reader<'_> {
         Ok(Some(collected?))
     }
 
-    fn surface(&self, task: &Task) -> Result<Surface, WorkError> {
+    /// `names_vertices`: whether options name vertices of the file.
+    fn surface(&self, task: &Task, names_vertices: bool) -> Result<Surface, WorkError> {
         self.token.enter("read");
         let surface = match &task.mesh {
             MeshSource::File { blob, format, attributes } => {
@@ -261,7 +263,8 @@ impl Reader<'_> {
                 };
                 // Lists that are text go by the numbers of the file's vertices.
                 let lists = [task.arrays.edge_lengths, task.arrays.metric, task.arrays.creases];
-                let vertices = match lists.iter().flatten().any(|list| list.form == ArrayForm::Text) {
+                let has_lists = lists.iter().flatten().any(|list| list.form == ArrayForm::Text);
+                let vertices = match has_lists || names_vertices && FileVertices::needs_bytes(format) {
                     true => FileVertices::of(format, &bytes, &mesh).map_err(wrong)?,
                     false => FileVertices::of_arrays(&mesh),
                 };
@@ -291,7 +294,7 @@ impl Reader<'_> {
 
     /// Reads everything that a diagram or a session needs.
     pub(crate) fn input(&self, task: &Task, options: &mut dyn Start) -> Result<Input, WorkError> {
-        let Surface { mesh, vertices, .. } = self.surface(task)?;
+        let Surface { mesh, vertices, .. } = self.surface(task, false)?;
         options.start().0.resolve(&mesh);
         self.fill(options, task, &vertices)?;
         let (seeds, density) = options.start();
@@ -304,7 +307,10 @@ impl Reader<'_> {
         task: &Task,
         mut options: RemeshOptions,
     ) -> Result<(TriMesh, RemeshOptions, Vec<AttributeError>), WorkError> {
-        let Surface { mesh, attributes, creases, required, mut left_aside, vertices } = self.surface(task)?;
+        let names_vertices = options.keep.iter().any(|part| matches!(part, Part::Vertices(_)));
+        let Surface { mesh, attributes, creases, required, mut left_aside, vertices } =
+            self.surface(task, names_vertices)?;
+        vertices.renumber(&mut options.keep).map_err(|error| bad("spec.remesh.keep", error))?;
         options.seeds.resolve(&mesh);
         self.fill(&mut options, task, &vertices)?;
         let (steps, most) = (options.lloyd + options.newton, self.bounds.max_iterations);

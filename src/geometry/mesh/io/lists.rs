@@ -1,7 +1,7 @@
 //! Lists beside a surface, as text: points, an edge length or a metric tensor for each vertex, edges that are creases.
 //!
 //! Purpose: reads one element a line; empty lines and lines that begin with `#` are left out. Numbers of the file's vertices
-//! become those of the surface. Invariant: vertices keep their numbers, except in OBJ (numbered by first use in a face,
+//! become those of the surface, in parts that options name too. Invariant: vertices keep their numbers, except in OBJ (numbered by first use in a face,
 //! unused ones left out), STL (no vertices) and glTF (a vertex several times). A list takes no more memory than the surface
 //! has vertices or edges for, however long the text. Must not know: the use of the lists.
 
@@ -11,6 +11,7 @@ use glam::DVec3;
 
 use super::{DataError, Format, VertexNumbers, syntax, unpack, unpacked_limit, without_mark};
 use crate::mesh::TriMesh;
+use crate::mesh::parts::Part;
 use crate::mesh::tensor::Tensor;
 use crate::token::Token;
 
@@ -150,12 +151,7 @@ impl FileVertices {
     /// Reads two of the file's vertices a line, numbered from 0; returns those of the surface, which has this number of facets.
     /// Reading ends early once the token is stopped. The first edge beyond [`most_edges`] is an error.
     pub fn edges(&self, text: &str, facets: usize, token: &Token) -> Result<Vec<[u32; 2]>, DataError> {
-        // Where the file's vertices are in the surface.
-        let place: Option<Vec<u32>> = self.order.as_ref().map(|order| {
-            let mut place = vec![u32::MAX; self.count];
-            order.iter().zip(0..).for_each(|(&v, k)| place[v as usize] = k);
-            place
-        });
+        let place = self.places();
         let mut edges = Vec::new();
         for (number, line) in lines(text, token) {
             let at = |text: String| syntax(number, text);
@@ -176,6 +172,34 @@ impl FileVertices {
             edges.push([vertex(a)?, vertex(b)?]);
         }
         Ok(edges)
+    }
+
+    /// Gives vertices that parts name by the file's numbers those of the surface. A vertex that the file lacks, or that no facet has, is an
+    /// error.
+    pub fn renumber(&self, parts: &mut [Part]) -> Result<(), DataError> {
+        let Some(place) = self.places() else { return Ok(()) };
+        for part in parts {
+            if let Part::Vertices(vertices) = part {
+                let of = |v: u32| match place.get(v as usize) {
+                    Some(&place) if place != u32::MAX => Ok(place),
+                    Some(_) => Err(DataError::List(format!("vertices: no facet has vertex {v}"))),
+                    None => Err(DataError::List(format!(
+                        "vertices: there is no vertex {v}; the surface has {}",
+                        self.count
+                    ))),
+                };
+                *vertices = vertices.iter().map(of).collect::<Result<_, _>>()?;
+            }
+        }
+        Ok(())
+    }
+
+    /// Where the file's vertices are in the surface; `None` if the numbers are the same.
+    fn places(&self) -> Option<Vec<u32>> {
+        let order = self.order.as_ref()?;
+        let mut places = vec![u32::MAX; self.count];
+        order.iter().zip(0..).for_each(|(&v, k)| places[v as usize] = k);
+        Some(places)
     }
 }
 
@@ -209,6 +233,20 @@ mod tests {
         assert!(matches!(vertices.edges(&line, 2, &token), Err(DataError::Syntax { line: 1, .. })));
         // A number as long as the text is none.
         assert!(matches!(vertices.lengths(&long("1"), &token), Err(DataError::Syntax { line: 1, .. })));
+    }
+
+    #[test]
+    fn parts_name_vertices_of_the_file() {
+        let vertices = FileVertices { count: 5, order: Some(vec![3, 0, 4]) };
+        let renumbered = |text: &str| {
+            let mut parts = ["facets:0-2".parse().unwrap(), text.parse().unwrap()];
+            vertices.renumber(&mut parts).map(|()| parts.map(|part: Part| part.to_string()))
+        };
+        assert_eq!(renumbered("vertices:0,4").unwrap(), ["facets:0-2", "vertices:1-2"]);
+        assert_eq!(renumbered("vertices:3").unwrap(), ["facets:0-2", "vertices:0"]);
+        for (text, says) in [("vertices:1", "no facet has vertex 1"), ("vertices:0,7", "there is no vertex 7")] {
+            assert!(renumbered(text).unwrap_err().to_string().contains(says));
+        }
     }
 
     #[test]

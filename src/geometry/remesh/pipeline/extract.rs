@@ -159,13 +159,18 @@ impl<'a> Extraction<'a> {
     }
 
     /// Where the dual's vertices go, caller's coordinates. A cell in one piece has its vertex at its seed, which is on the
-    /// surface, or at its centroid; a component of a split cell has it at the closest point to its own centroid.
+    /// surface, or at its centroid; a component of a split cell has it at the closest point to its own centroid, but for the largest of
+    /// a curve's seed.
     fn vertex_positions(&self, dual: &dual::Dual, seeds: &[DVec3]) -> Vec<DVec3> {
         let frame = self.surface.frame();
         let closest = dual.components.iter().any(|c| !c.whole).then(|| ClosestPoint::new(self.divided));
-        // The largest part of a cell has its vertex on the curve where others meet it.
+        // The largest part of a cell has its vertex on the curve; a fit takes it on from there.
         let mut largest: HashMap<u32, f64> = HashMap::new();
-        for c in dual.components.iter().filter(|c| !c.whole && self.curves.stays(c.seed)) {
+        let on_curve = |seed: u32| match self.placement {
+            Placement::Fitted => self.curves.has_seed(seed),
+            _ => self.curves.stays(seed),
+        };
+        for c in dual.components.iter().filter(|c| !c.whole && on_curve(c.seed)) {
             let area = largest.entry(c.seed).or_default();
             *area = area.max(c.area);
         }
