@@ -1,9 +1,10 @@
 //! Lists beside a surface, as text: points, an edge length or a metric tensor for each vertex, edges that are creases.
 //!
 //! Purpose: reads one element a line; empty lines and lines that begin with `#` are left out. Numbers of the file's vertices
-//! become those of the surface, in parts that options name too. Invariant: vertices keep their numbers, except in OBJ (numbered by first use in a face,
-//! unused ones left out), STL (no vertices) and glTF (a vertex several times). A list takes no more memory than the surface
-//! has vertices or edges for, however long the text. Must not know: the use of the lists.
+//! become those of the surface, in parts that options name too.
+//! Invariant: vertices keep their numbers, except in OBJ (numbered by first use in a face, unused ones left out), STL (no vertices) and
+//! glTF (a vertex several times). A list takes no more memory than the surface has vertices or edges for, however long the text.
+//! Must not know: the use of the lists.
 
 use std::str::FromStr;
 
