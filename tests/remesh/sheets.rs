@@ -1,6 +1,8 @@
 //! Promise: sheets that touch are remeshed as if they were apart, none joined to another or torn; boundaries with other vertices on
 //! either side are joined; a gap is named, and closed by a distance that is given.
 
+use std::f64::consts::TAU;
+
 use geometry::mesh::crossings::crossings;
 use glam::{DMat3, DVec3, dvec3};
 use tessera::mesh::attributes::{Attributes, Scalar};
@@ -227,5 +229,149 @@ fn a_gap_is_named_and_closed_by_its_distance() {
         let of = topology(&closed.mesh);
         assert_eq!((of.components, of.euler, of.boundary_edges), (1, 2, 0), "{weld:?}");
         assert_eq!(closed.report.input.gap_edges, 0);
+    }
+}
+
+/// Plates whose sides have other vertices, a gap apart: the distance that the warning names joins them as it says.
+#[test]
+fn the_distance_of_welding_that_is_named_joins() {
+    let mut random = Random::new(3);
+    let mut closed = 0;
+    for k in 0..12 {
+        let counts = [0; 6].map(|_| 1 + random.below(9) as u32);
+        let gap = 10f64.powf(-5.5 + 2.0 * random.unit());
+        let mesh = plates(counts, gap);
+        let open = run(&mesh, &points(700));
+        let input = &open.report.input;
+        let named = open.report.warnings.iter().find(|warning| warning.code == "gap_edges").unwrap();
+        let name = format!("{k}: {counts:?} {gap:.2e}: {}", named.message);
+        assert!(input.gap_weld > 0.0, "{name}");
+        // As a reader of the text gives it.
+        let (_, rest) = named.message.split_once("`weld` of ").unwrap();
+        let weld: f64 = rest.split(' ').next().unwrap().parse().unwrap();
+        let done = run(&mesh, &points(700).with_weld(Tolerance::Length(weld)));
+        assert_eq!(done.report.input.gap_edges, input.gap_edges_left, "{name}");
+        if input.gap_edges_left == 0 {
+            let of = topology(&done.mesh);
+            assert_eq!((of.components, of.euler, of.boundary_edges), (1, 2, 0), "{name}");
+            closed += 1;
+        }
+    }
+    assert!(closed >= 10, "{closed} of 12");
+}
+
+/// `pages` around a circle, each of which ends where the one `turns` further began.
+fn twisted_book(pages: usize, turns: usize, n: usize) -> TriMesh {
+    let rows = n / 6;
+    let number = |k: usize, page: usize, row: usize| {
+        let (k, page) = if k == n { (0, (page + turns) % pages) } else { (k, page) };
+        (if row == 0 { k } else { n + (k * pages + page) * rows + row - 1 }) as u32
+    };
+    let mut positions = vec![DVec3::ZERO; n + n * pages * rows];
+    let mut facets = Vec::new();
+    for (k, page) in (0..n).flat_map(|k| (0..pages).map(move |page| (k, page))) {
+        let share = k as f64 / n as f64;
+        let around = TAU * share;
+        let tilt = TAU * (page as f64 + turns as f64 * share) / pages as f64;
+        let out = dvec3(around.cos(), around.sin(), 0.0);
+        for row in 0..=rows {
+            let r = 0.5 * row as f64 / rows as f64;
+            positions[number(k, page, row) as usize] = out + r * (tilt.cos() * out + tilt.sin() * DVec3::Z);
+            if row < rows {
+                let at = |k, row| number(k, page, row);
+                facets.push([at(k, row), at(k, row + 1), at(k + 1, row + 1)]);
+                facets.push([at(k, row), at(k + 1, row + 1), at(k + 1, row)]);
+            }
+        }
+    }
+    TriMesh::new(positions, facets).unwrap()
+}
+
+/// Pages that go on in each other around their spine: one sheet that meets itself along a closed curve.
+#[test]
+fn a_sheet_that_meets_itself_along_a_closed_curve_is_kept() {
+    for (pages, turns) in [(3, 1), (3, 2), (4, 1), (4, 2), (5, 2), (3, 0)] {
+        let mesh = twisted_book(pages, turns, 60);
+        let options = points(300 * pages).with_keep_non_manifold(true);
+        let done = run(&mesh, &options);
+        let name = format!("{pages} pages, {turns} turns");
+        let (given, of) = (topology(&mesh), done.report.result.topology);
+        assert_eq!((of.components, of.euler), (given.components, given.euler), "{name}");
+        assert!(of.non_manifold_edges > 20, "{name}: {of:?}");
+        assert_eq!(done.report.result.crossings.as_ref().map_or(0, |crossings| crossings.count), 0, "{name}");
+        let area = done.mesh.area() / mesh.area();
+        assert!((area - 1.0).abs() < 0.01, "{name}: {area}");
+    }
+}
+
+/// Where smooth sheets touch, each has a vertex, cut or kept.
+#[test]
+fn sheets_that_touch_in_a_vertex_have_it() {
+    let sphere = Shape::Sphere.build(600);
+    let top = sphere.positions().iter().copied().enumerate().max_by(|a, b| a.1.z.total_cmp(&b.1.z)).unwrap().0;
+    let at = sphere.positions()[top];
+    let other =
+        TriMesh::new(sphere.positions().iter().map(|p| 2.0 * at - *p).collect(), sphere.facets().to_vec()).unwrap();
+    let flipped = other.facets().iter().map(|&[a, b, c]| [a, c, b]).collect();
+    let other = TriMesh::new(other.positions().to_vec(), flipped).unwrap();
+    let mesh = together(&[sphere, other], true);
+    for keep in [false, true] {
+        let done = run(&mesh, &points(500).with_keep_non_manifold(keep));
+        let there = done.mesh.positions().iter().filter(|p| **p == at).count();
+        assert_eq!(there, if keep { 1 } else { 2 }, "{keep}");
+        let of = done.report.result.topology;
+        assert_eq!(of.euler, if keep { 3 } else { 4 }, "{keep}");
+    }
+}
+
+/// The walls between cells of a grid that have other labels, 0 outside; `n` cells along each side, walls of `s` x `s` squares.
+fn labelled_cells(random: &mut Random, n: usize, s: u32) -> TriMesh {
+    let label: Vec<usize> = (0..n * n * n).map(|_| random.below(4)).collect();
+    let of = |cell: [i64; 3]| {
+        let inside = cell.iter().all(|&k| (0..n as i64).contains(&k));
+        if inside { cell.iter().fold(0, |at, &k| at * n + k as usize) } else { usize::MAX }
+    };
+    let of = |cell| label.get(of(cell)).copied().unwrap_or(0);
+    let mut walls = Vec::new();
+    let n = n as i64;
+    for (axis, k) in (0..3).flat_map(|axis| (0..(n + 1).pow(3)).map(move |k| (axis, k))) {
+        let cell = [k % (n + 1) - 1, k / (n + 1) % (n + 1) - 1, k / (n + 1) / (n + 1) - 1];
+        let mut next = cell;
+        next[axis] += 1;
+        if of(cell) == of(next) {
+            continue;
+        }
+        let mut at = DVec3::from_array(cell.map(|k| k as f64));
+        at[axis] += 1.0;
+        let [mut u, mut v] = [DVec3::AXES[(axis + 1) % 3], DVec3::AXES[(axis + 2) % 3]];
+        if of(cell) == 0 {
+            (u, v) = (v, u);
+        }
+        let place = |k: u32| at + (u * f64::from(k % (s + 1)) + v * f64::from(k / (s + 1))) / f64::from(s);
+        let number = |x: u32, y: u32| y * (s + 1) + x;
+        let quads = (0..s * s).map(|k| (k % s, k / s));
+        let facets = quads.flat_map(|(x, y)| {
+            let [a, b, c, d] = [number(x, y), number(x + 1, y), number(x + 1, y + 1), number(x, y + 1)];
+            [[a, b, c], [a, c, d]]
+        });
+        walls.push(TriMesh::new((0..(s + 1) * (s + 1)).map(place).collect(), facets.collect()).unwrap());
+    }
+    together(&walls, true)
+}
+
+/// Cells with labels and few points: every wall is there, with all of its edges.
+#[test]
+fn cells_with_labels_are_whole_with_few_points() {
+    let mut random = Random::new(11);
+    for k in 0..6 {
+        let mesh = labelled_cells(&mut random, 2, 6);
+        for (count, keep) in [(100, true), (150, true), (250, true), (150, false), (600, false)] {
+            let done = run(&mesh, &points(count).with_keep_non_manifold(keep));
+            let name = format!("{k}, {count} points, keep {keep}");
+            let [given, of] = [&mesh, &done.mesh].map(topology);
+            assert_eq!((of.euler, of.components, of.boundary_edges), (given.euler, given.components, 0), "{name}");
+            assert!((done.mesh.area() / mesh.area() - 1.0).abs() < 1e-3, "{name}");
+            assert_eq!(done.report.features.dropped_curves, 0, "{name}");
+        }
     }
 }

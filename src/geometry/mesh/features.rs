@@ -120,8 +120,8 @@ pub enum FeatureError {
 }
 
 type Edge = [u32; 2];
-/// An edge and its dihedral angle, degrees.
-type SharpEdge = (Edge, f64);
+/// An edge, its dihedral angle in degrees, and whether it has a plane face on both sides.
+type SharpEdge = (Edge, f64, bool);
 
 /// Lengths, multiplied by [`FeatureOptions::resolution`].
 #[derive(Clone, Copy)]
@@ -165,7 +165,7 @@ impl Features {
         let (sharp, boundary) = classify(mesh, &angles, &adjacency, options.crease_angle_deg, token)?;
         token.check()?;
         let mut graph = Graph::default();
-        let required = |kind| EdgeInfo { kind, required: true, angle: 180.0 };
+        let required = |kind| EdgeInfo { kind, required: true, angle: 180.0, between_planes: false };
         for (k, &e) in boundary.iter().enumerate() {
             token.check_at(k)?;
             graph.insert(e, required(CurveKind::Boundary));
@@ -187,9 +187,9 @@ impl Features {
                 _ => return Err(FeatureError::NoSuchEdge { crease, a, b }),
             }
         }
-        for (k, &(e, angle)) in sharp.iter().enumerate() {
+        for (k, &(e, angle, between_planes)) in sharp.iter().enumerate() {
             token.check_at(k)?;
-            graph.insert(e, EdgeInfo { kind: CurveKind::Crease, required: false, angle });
+            graph.insert(e, EdgeInfo { kind: CurveKind::Crease, required: false, angle, between_planes });
         }
         let left_out = graph.prune(metric, options.min_crease_length, token)?;
         if options.ridge_clearance > 0.0 && options.crease_angle_deg > 0.0 {
@@ -324,7 +324,9 @@ fn classify(
         match (adjacency.kind(half), adjacency.opposite(half)) {
             (EdgeKind::Boundary, _) => boundary.push(e),
             (_, Some(other)) if angle > 0.0 && half < other => {
-                sharp.extend(angles.at(half).filter(|&bend| bend > angle).map(|bend| (e, bend)));
+                let bend = angles.at(half).filter(|&bend| bend > angle);
+                let between = || [half, other].into_iter().all(|half| angles.is_plane_beside(half, angle));
+                sharp.extend(bend.map(|bend| (e, bend, between())));
             }
             _ => {}
         }

@@ -46,8 +46,14 @@ pub struct InputFigures {
     pub gap_edges: usize,
     /// The largest such distance of an end, caller's units.
     pub gap_distance: f64,
+    /// The distance for `weld` that joins most of these edges, caller's units; 0 if none was found that joins any.
+    pub gap_weld: f64,
+    /// Those that this distance leaves open.
+    pub gap_edges_left: usize,
     /// Parts that are connected through edges. Where sheets touch there are more of them than components.
     pub sheets: usize,
+    /// Points that keep sheets apart that touch, where there are fewer; 0 where there are enough.
+    pub points_for_sheets: usize,
     /// Duplicate facets that were removed: they lay on others, corner on corner, and the surface is connected without them.
     pub coincident_facets: usize,
     /// Vertices 1000 times as far out as half of all: wrong coordinates, most often. Their spikes take most points.
@@ -86,7 +92,10 @@ impl InputFigures {
             divided_edges: 0,
             gap_edges: 0,
             gap_distance: 0.0,
+            gap_weld: 0.0,
+            gap_edges_left: 0,
             sheets: topology.components,
+            points_for_sheets: 0,
             coincident_facets: 0,
             outlier_vertices,
             area: mesh.area(),

@@ -368,6 +368,12 @@ pub(super) const ONE_REGION_SHARE: f64 = 0.9;
 
 /// Boundaries that are nearer to each other than this are a gap, share of the diagonal.
 pub(super) const MOST_GAP_DIAGONAL: f64 = 1e-3;
+/// Distances that are tried for the one that closes all gaps: the first is the widest gap, each other is as many times the last. A
+/// vertex moves to another, so that a distance along an edge counts too.
+pub(super) const WELD_GROWTH: f64 = 1.4;
+pub(super) const WELD_STEPS: usize = 8;
+/// Distances in a row that close no more edges, which end the tries.
+pub(super) const WELD_STEPS_IN_VAIN: usize = 2;
 /// Distance between sheets, edge lengths; [`SEPARATION_DIAGONAL`] is added to it.
 pub(super) const SEPARATION_EDGES: f64 = 2.0;
 /// Distance between sheets, share of the diagonal.

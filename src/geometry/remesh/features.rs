@@ -461,6 +461,12 @@ impl KeptCurves {
         &self.narrow
     }
 
+    /// The vertices that corners are for without any curve, each with its seed.
+    pub(crate) fn points(&self) -> impl Iterator<Item = (u32, u32)> {
+        let seed = |v: &u32| Some((*v, self.features.corners.binary_search(v).ok()? as u32));
+        self.features.points.iter().filter_map(seed)
+    }
+
     /// The vertex of a corner.
     pub(crate) fn corner(&self, seed: u32) -> Option<u32> {
         self.features.corners.get(seed as usize).copied()

@@ -24,6 +24,7 @@
 
 mod adapt;
 mod bends;
+mod connect;
 mod extract;
 mod join;
 mod kept;
@@ -39,6 +40,7 @@ mod tips;
 mod tolerance;
 mod uncross;
 
+use std::collections::HashMap;
 use std::time::Instant;
 
 use glam::DVec3;
@@ -143,7 +145,7 @@ pub fn remesh(
             None => RemeshError::CreasesBroken { curves: features.broken_curves, edges: features.missing_segments },
         });
     }
-    done.report.warnings = warnings::of(&done.report, options.attributes.as_ref());
+    done.report.warnings = warnings::of(&done.report, options);
     if options.source_map
         && let Some(attributes) = &mut done.attributes
     {
@@ -318,16 +320,13 @@ fn run_once(
         let mesh = undivided.apart.as_ref().map_or(clean, |apart| &apart.mesh);
         prepared = prepare(mesh, undivided.options.as_ref().unwrap_or(options), asked, None, token);
     }
-    let topology = preprocessed.figures.topology;
     let seeks_creases = matches!(&prepared, Ok(prepared) if prepared.curves.seeks_creases());
     let is_designed = seeks_creases && is_designed(clean, options, token)?;
     let may_divide = options.keep_boundaries
         && isotropic
         && !in_metric
         && options.refine.is_none()
-        && topology.non_manifold_edges + topology.non_manifold_vertices == 0
         && !held.closes
-        && !options.keep_non_manifold
         && options.periodic.is_empty()
         && held.rims.is_empty()
         && held.vertices.is_empty()
@@ -335,14 +334,18 @@ fn run_once(
     let creases = match &prepared {
         Ok(prepared) if may_divide && (way == Way::Divided || way == Way::Free && prepared.curves.is_crowded) => {
             let Prepared { curves, plan, surface, .. } = prepared;
-            let separated = undivided.apart.as_ref().map_or(clean, |apart| &apart.mesh);
-            curves.every_edge((&plan.mesh, surface), separated.positions().len(), token)?
+            let apart = undivided.apart.as_ref();
+            let separated = apart.map_or(clean, |apart| &apart.mesh);
+            let edges = curves.every_edge((&plan.mesh, surface), separated.positions().len(), token)?;
+            let before = |v| apart.map_or(v, |apart| apart.before(v));
+            edges.into_iter().map(|edge| edge.map(before)).collect()
         }
         _ => Vec::new(),
     };
     let divided = match creases.is_empty() {
         true => None,
-        false => Some(preprocessed.separate(given, (options, held), &creases, token)?).filter(|of| of.joined.is_some()),
+        false => Some(preprocessed.separate(given, (options, held), &creases, token)?)
+            .filter(|of| of.joined.is_some() || options.keep_non_manifold && of.apart.is_some()),
     };
     if let Some(divided) = &divided {
         let again = divided.asked(Asked { held: Held { crowded: true, ..held }, ..first });
@@ -366,7 +369,8 @@ fn run_once(
         return Ok(Outcome::Again(Way::Undivided));
     }
     let Separated { apart, options: adapted, topology, joined, seams, figures, .. } = separated;
-    let (topology, joined, meet) = (*topology, *joined, seams.is_some() && options.periodic.is_empty());
+    let (topology, joined, meet) =
+        (*topology, *joined, seams.as_ref().is_some_and(|seams| seams.meet()) && options.periodic.is_empty());
     token.check()?;
     let options = adapted.as_ref().unwrap_or(options);
     let separated = apart.as_ref().map_or(clean, |apart| &apart.mesh);
@@ -452,6 +456,14 @@ fn run_once(
         let broken = |e| RvdError::Internal(format!("facets in the places of one: {e}"));
         none_crosses &= !tips::put_back(&mut attempt.built, &attempt.plan.mesh, token)?.map_err(broken)?;
     }
+    let broken = |e| RvdError::Internal(format!("a vertex moved to a point: {e}"));
+    let settled = match &asked.held.seams {
+        Some(_) if !in_metric => {
+            tips::settle_points(&mut attempt.built, &attempt.curves, &attempt.plan.mesh, token)?.map_err(broken)?
+        }
+        _ => HashMap::new(),
+    };
+    none_crosses &= settled.is_empty();
     let mut of_result = None;
     let result = &mut attempt.built.mesh;
     let curve_edges = &attempt.built.curve_edges[..];
@@ -470,11 +482,20 @@ fn run_once(
             // It answers for the sheets apart, not for the input.
             attempt.closest = None;
             if options.keep_non_manifold {
-                join::join(&mut attempt.built, &attempt.curves, &mut transferred).map_err(broken)?;
+                join::join(&mut attempt.built, &attempt.curves, &settled, &mut transferred).map_err(broken)?;
                 job.topology = input.topology;
                 of_result = None;
+                if is_divided {
+                    let result = &attempt.built.mesh;
+                    let found = topology_unless(result, &Adjacency::unless(result, token)?, token)?;
+                    let key = |of: &Topology| (of.euler, of.components, of.boundary_loops);
+                    if key(&found) != key(&job.topology) {
+                        return Ok(Outcome::Again(Way::Undivided));
+                    }
+                    of_result = Some(found);
+                }
             } else if let Some(joined) = joined {
-                join::join(&mut attempt.built, &attempt.curves, &mut transferred).map_err(broken)?;
+                join::join(&mut attempt.built, &attempt.curves, &settled, &mut transferred).map_err(broken)?;
                 job.topology = joined;
                 // What has one vertex is joined, and not what touches.
                 let result = &attempt.built.mesh;

@@ -5,6 +5,7 @@
 //! sentence, made here, with names of options in backticks; every interface shows the same list. Must not know: how the figures
 //! came about, where warnings are shown.
 
+use super::RemeshOptions;
 use super::report::{CountReason, LostReason, RefineEnd, RegionFigures, Report, Warning};
 use crate::mesh::attributes::{Attributes, Colours};
 use crate::mesh::duplicates::InputKind;
@@ -14,11 +15,11 @@ const ASYMMETRIC_PERCENT: f64 = 0.01;
 /// The most regions that are named.
 const MOST_NAMED: usize = 10;
 
-/// The warnings of a remesh of an input with `attributes`, those of the input first.
-pub(super) fn of(report: &Report, attributes: Option<&Attributes>) -> Vec<Warning> {
+/// The warnings of a remesh with `options`, those of the input first.
+pub(super) fn of(report: &Report, options: &RemeshOptions) -> Vec<Warning> {
     let mut all = Vec::new();
-    of_input(report, &mut all);
-    let colours = attributes.and_then(Attributes::colours).map_or(0, Colours::outside);
+    of_input(report, options.keep_non_manifold, &mut all);
+    let colours = options.attributes.as_ref().and_then(Attributes::colours).map_or(0, Colours::outside);
     let outside = "numbers of colours are neither from 0 to 1 nor, with all others, from 0 to 255; they stay as they are, and \
                    formats with bytes cut them";
     counted(&mut all, "colours_out_of_range", colours, outside);
@@ -41,19 +42,20 @@ fn counted(all: &mut Vec<Warning>, code: &'static str, count: usize, text: &str)
     }
 }
 
-fn of_input(report: &Report, all: &mut Vec<Warning>) {
+fn of_input(report: &Report, keeps_non_manifold: bool, all: &mut Vec<Warning>) {
     let input = &report.input;
     let stitched = "vertices of the input's boundaries were nearly in the same place as others and moved there";
     counted(all, "stitched_vertices", input.stitched_vertices, stitched);
     let divided = "boundary edges of the input had vertices of others on them and were divided there";
     counted(all, "divided_edges", input.divided_edges, divided);
     if input.gap_edges > 0 {
-        let gap = input.gap_distance;
-        let text = format!(
-            "{} boundary edges of the input have others up to {gap:.3e} away; `weld` of {:.2e} joins them",
-            input.gap_edges,
-            1.01 * gap
-        );
+        let (gap, weld) = (input.gap_distance, input.gap_weld);
+        let joins = match (weld > 0.0, input.gap_edges_left) {
+            (false, _) => "no distance for `weld` joins them without facets that vanish".to_owned(),
+            (true, 0) => format!("`weld` of {weld:.2e} joins them"),
+            (true, left) => format!("`weld` of {weld:.2e} joins all but {left}"),
+        };
+        let text = format!("{} boundary edges of the input have others up to {gap:.3e} away; {joins}", input.gap_edges);
         all.push(Warning::new("gap_edges", Some(input.gap_edges), text));
     }
     let outliers = "vertices of the input are far from all others, and most points go to the spikes there; check their \
@@ -72,9 +74,20 @@ fn of_input(report: &Report, all: &mut Vec<Warning>) {
     }
     let backs = "facets of the input lie on others, back to back, and enclose nothing; remesh one side of them";
     counted(all, "back_to_back_facets", input.back_to_back_facets, backs);
-    if report.result.topology.non_manifold_edges == 0 {
+    let few = input.points_for_sheets;
+    if few > 0 {
+        let text = format!(
+            "the input's parts touch, and points are too few to keep them apart, so that some may be joined or lost; from {few} points on \
+             each has its own"
+        );
+        all.push(Warning::new("few_points_for_sheets", Some(few), text));
+    } else if report.result.topology.non_manifold_edges == 0 && !keeps_non_manifold {
         let edges =
             "edges of the input have more than two facets; the result is cut there; `non_manifold` keep joins it";
+        counted(all, "non_manifold_edges", input.topology.non_manifold_edges, edges);
+    } else if report.result.topology.non_manifold_edges == 0 {
+        let edges =
+            "edges of the input have more than two facets, and none of the result has; more points may keep them";
         counted(all, "non_manifold_edges", input.topology.non_manifold_edges, edges);
     }
 }

@@ -12,7 +12,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use glam::DVec3;
 use rayon::prelude::*;
 
-use super::{CurveKind, Edge, Metric};
+use super::{CurveKind, Edge, FLAT_DEG, Metric};
 use crate::mesh::TriMesh;
 use crate::mesh::adjacency::{Adjacency, EdgeKind};
 use crate::mesh::edges::undirected;
@@ -21,7 +21,7 @@ use crate::token::{Stopped, Token};
 
 /// A network is a tangle if its curves are on average shorter than this share of the shortest crease.
 const TANGLED_SHARE: f64 = 0.5;
-/// The same if most of the network is sharp: sharp edges are intended, and short only compared with the remesh.
+/// The same if most of the network is sharp, or between plane faces: such edges are intended, and short only compared with the remesh.
 const TANGLED_SHARP_SHARE: f64 = 0.15;
 /// Smaller angles, degrees, are creases only if the caller asks for them. Of a tangle with them, they alone go.
 const MODERATE_ANGLE: f64 = 30.0;
@@ -42,6 +42,8 @@ pub(super) struct EdgeInfo {
     pub(super) required: bool,
     /// Dihedral angle, degrees.
     pub(super) angle: f64,
+    /// Whether it has a plane face on both sides.
+    pub(super) between_planes: bool,
 }
 
 impl Graph {
@@ -162,9 +164,10 @@ impl Graph {
             }
             let length = |e: &Edge| metric.edge(e[0], e[1]);
             let total: f64 = edges.iter().map(length).sum();
-            let sharp: f64 = edges.iter().filter(|e| self.edges[*e].angle >= SHARP_ANGLE).map(length).sum();
+            let is_intended = |e: &&Edge| self.edges[*e].angle >= SHARP_ANGLE || self.edges[*e].between_planes;
+            let intended: f64 = edges.iter().filter(is_intended).map(length).sum();
             let chains = (ends / 2).max(1) as f64;
-            let least = if sharp >= 0.5 * total { TANGLED_SHARP_SHARE } else { TANGLED_SHARE };
+            let least = if intended >= 0.5 * total { TANGLED_SHARP_SHARE } else { TANGLED_SHARE };
             let tangled = total < least * min_length * chains;
             let weakest = edges.iter().map(|e| self.edges[e].angle).fold(f64::INFINITY, f64::min);
             let short = total < 2.0 * min_length;
@@ -230,6 +233,14 @@ impl<'a> DihedralAngles<'a> {
     /// The dihedral angle at a half-edge, degrees; `None` if it has not two facets with an area.
     pub(super) fn at(&self, half: usize) -> Option<f64> {
         Some(self.degrees[half.min(self.adjacency.opposite(half)?)]).filter(|angle| !angle.is_nan())
+    }
+
+    /// Whether the facet of a half-edge is in a plane with another: each of its other sides is flat, or a crease, and not both are creases.
+    pub(super) fn is_plane_beside(&self, half: usize, crease: f64) -> bool {
+        let beside = [1, 2].map(|k| self.at(half / 3 * 3 + (half + k) % 3));
+        let is_flat = |angle: &Option<f64>| angle.is_some_and(|angle| angle <= FLAT_DEG);
+        let ends = |angle: &Option<f64>| is_flat(angle) || angle.is_none_or(|angle| angle > crease);
+        beside.iter().all(ends) && beside.iter().any(is_flat)
     }
 
     fn measure(&self, half: usize) -> Option<f64> {
@@ -311,7 +322,7 @@ impl<'a> DihedralAngles<'a> {
         let mut ridges = Graph::default();
         for (e, angle) in self.ridges(crease, clearance, token)? {
             if !graph.edges.contains_key(&e) {
-                ridges.insert(e, EdgeInfo { kind: CurveKind::Crease, required: false, angle });
+                ridges.insert(e, EdgeInfo { kind: CurveKind::Crease, required: false, angle, between_planes: false });
             }
         }
         let nodes: BTreeSet<u32> =

@@ -2,9 +2,11 @@
 //!
 //! Purpose: [`Sheets::in_pieces`] divides a sheet that has several fans of facets at one vertex, as of a solid that touches itself along
 //! an edge, so that no piece has. Pieces end at creases, which a remesh keeps anyway, and where a patch between creases touches itself,
-//! half way.
+//! half way. A closed curve along which a patch comes back to itself is divided into stretches. A sheet for which that fails is divided at
+//! all edges of more than two facets.
 //! Invariant: depends on the mesh, the angle of creases and the least area alone. A sheet stays whole if a facet is of two fans at one
-//! place, if a piece would have less than the least area, and if a smooth patch touches itself in less than an edge: that is noise. Must not know: why pieces are wanted.
+//! place. Where a smooth patch touches itself in less than an edge, that is noise, and no place to divide it for. Must not know: why
+//! pieces are wanted.
 
 use std::cmp::Reverse;
 use std::collections::{BTreeMap, BTreeSet, BinaryHeap};
@@ -13,7 +15,7 @@ use glam::DVec3;
 
 use super::{Link, Sheets, links, signed_volume, whole_facets};
 use crate::mesh::adjacency::weld_unless;
-use crate::mesh::edges::{DisjointSets, EdgeGroups};
+use crate::mesh::edges::{DisjointSets, EdgeGroups, Half};
 use crate::mesh::{TriMesh, normal};
 use crate::token::{Stopped, Token};
 
@@ -22,6 +24,9 @@ const MOST_ROUNDS: usize = 4;
 
 /// Cells that the least area has room for.
 const LEAST_CELLS: f64 = 4.0;
+
+/// Stretches of a curve that is divided.
+const BANDS: usize = 3;
 
 /// What decides about pieces.
 #[derive(Clone, Copy, Debug)]
@@ -45,31 +50,46 @@ impl Sheets {
         let class = weld_unless(mesh, token)?;
         let groups = EdgeGroups::unless(class.len(), whole_facets(mesh, &class), token)?;
         let whole = Whole { mesh, class: &class, groups: &groups, outward: signed_volume(mesh) >= 0.0, options, token };
-        // Sheets that stay whole.
-        let mut left: BTreeSet<u32> = BTreeSet::new();
+        // Sheets that stay whole, and those that are divided at all edges of more than two facets, for want of a better way.
+        let (mut left, mut ended): (BTreeSet<u32>, BTreeSet<u32>) = Default::default();
+        // Places in which sheets touch themselves in too little to be divided for.
+        let mut noise: BTreeSet<[u32; 2]> = BTreeSet::new();
         let of_facet = loop {
             let mut of_facet: Vec<usize> = self.of_facet.iter().map(|&sheet| sheet as usize).collect();
-            let mut failed: BTreeSet<u32> = BTreeSet::new();
+            if !ended.is_empty() {
+                let mut ends = whole.ends();
+                let count = of_facet.len();
+                let of = of_facet.iter_mut().enumerate().filter(|(_, sheet)| ended.contains(&(**sheet as u32)));
+                // Behind all other numbers.
+                of.for_each(|(f, sheet)| *sheet = 2 * count + ends.root(f));
+            }
+            let mut failed = Failed::default();
             for round in 0..=MOST_ROUNDS {
                 let mut contacts = whole.contacts(&of_facet)?;
-                contacts.retain(|contact| !left.contains(&self.of_facet[contact.facet]));
+                contacts.retain(|c| !(left.contains(&self.of_facet[c.facet]) || noise.contains(&c.place)));
                 if contacts.is_empty() {
                     break;
                 }
-                let all = || contacts.iter().map(|contact| self.of_facet[contact.facet]).collect();
                 failed = if round == MOST_ROUNDS {
-                    all()
+                    let sheets = contacts.iter().map(|contact| self.of_facet[contact.facet]).collect();
+                    Failed { sheets, noise: BTreeSet::new() }
                 } else {
-                    whole.divide(&mut of_facet, &contacts, (&self.of_facet, round == 0))?
+                    let round = Round { given: &self.of_facet, ended: &ended, first: round == 0 };
+                    whole.divide(&mut of_facet, &contacts, round)?
                 };
-                if !failed.is_empty() {
+                if !(failed.sheets.is_empty() && failed.noise.is_empty()) {
                     break;
                 }
             }
-            if failed.is_empty() {
+            if failed.sheets.is_empty() && failed.noise.is_empty() {
                 break of_facet;
             }
-            left.append(&mut failed);
+            noise.append(&mut failed.noise);
+            for sheet in failed.sheets {
+                if !ended.insert(sheet) {
+                    left.insert(sheet);
+                }
+            }
         };
         // Facets that name a point twice are of a piece that they touch.
         let mut at: BTreeMap<(u32, u32), usize> = BTreeMap::new();
@@ -92,13 +112,31 @@ impl Sheets {
             return Ok(None);
         }
         let mut joined = Vec::new();
-        whole.edges(|ends, links| {
+        whole.edges(|ends, _, links| {
             let parted = links.iter().filter(|[a, b]| pieces.of_facet[*a as usize] != pieces.of_facet[*b as usize]);
             joined.extend(parted.map(|&link| (ends, link)));
         });
         (pieces.joined, pieces.whole) = (joined, self.whole);
         Ok(Some(pieces))
     }
+}
+
+/// A division of sheets.
+struct Round<'a> {
+    /// The sheet of each facet at the beginning.
+    given: &'a [u32],
+    /// Those that were divided at all edges of more than two facets: their pieces have the vertices of these edges, and may be small.
+    ended: &'a BTreeSet<u32>,
+    first: bool,
+}
+
+/// Why a division is of no use.
+#[derive(Default)]
+struct Failed {
+    /// Sheets that cannot be divided like that.
+    sheets: BTreeSet<u32>,
+    /// Places in which smooth patches touch themselves in less than an edge.
+    noise: BTreeSet<[u32; 2]>,
 }
 
 /// A facet at a place where its sheet touches itself.
@@ -129,14 +167,25 @@ struct Whole<'a> {
 }
 
 impl Whole<'_> {
-    /// Calls `visit` with the ends of each edge, the lower first, and the pairs of facets through which a sheet goes on there.
-    fn edges(&self, mut visit: impl FnMut([u32; 2], &[Link])) {
+    /// Calls `visit` with the ends of each edge, the lower first, its sides, and the pairs of facets through which a sheet goes on there.
+    fn edges(&self, mut visit: impl FnMut([u32; 2], &[Half], &[Link])) {
         self.groups.for_each(|low, halves| {
             let t = self.mesh.facets()[halves[0].facet as usize];
             let [a, b] = [t[halves[0].side], t[(halves[0].side + 1) % 3]].map(|v| self.class[v as usize]);
             let of = (self.options.go_on, self.outward);
-            visit([low, if a == low { b } else { a }], &links((self.mesh, self.class), low, halves, of));
+            visit([low, if a == low { b } else { a }], halves, &links((self.mesh, self.class), low, halves, of));
         });
+    }
+
+    /// What is connected through edges of two facets.
+    fn ends(&self) -> DisjointSets {
+        let mut sets = DisjointSets::new(self.mesh.facets().len());
+        self.groups.for_each(|_, halves| {
+            if let [a, b] = halves {
+                sets.join(a.facet as usize, b.facet as usize);
+            }
+        });
+        sets
     }
 
     /// Where sheets have several fans of facets, in order.
@@ -148,10 +197,25 @@ impl Whole<'_> {
         };
         let mut fans = DisjointSets::new(3 * of_facet.len());
         let mut contacts: Vec<Contact> = Vec::new();
-        self.edges(|place, links| {
+        self.edges(|place, halves, links| {
             let within = || links.iter().filter(|[a, b]| of_facet[*a as usize] == of_facet[*b as usize]);
             for [a, b] in within() {
                 place.iter().for_each(|&v| fans.join(corner(*a, v), corner(*b, v)));
+            }
+            // Where all sheets end, two sides of one are as an edge of a manifold; more, or two that face opposite sides, are not.
+            if links.is_empty() && halves.len() > 2 {
+                let sheet = |half: &Half| of_facet[half.facet as usize];
+                let forward = |half: &Half| {
+                    let first = mesh.facets()[half.facet as usize][half.side];
+                    class[first as usize] == place[0]
+                };
+                let touches = |half: &Half| {
+                    let own: Vec<&Half> = halves.iter().filter(|other| sheet(other) == sheet(half)).collect();
+                    own.len() > 2 || own.len() == 2 && forward(own[0]) == forward(own[1])
+                };
+                for (fan, half) in halves.iter().enumerate().filter(|(_, half)| touches(half)) {
+                    contacts.push(Contact { place, sheet: sheet(half), fan, facet: half.facet as usize });
+                }
             }
             // Where several pairs have the edge, each is a fan of its own.
             if links.len() > 1 && links.windows(2).all(|pair| pair[0][1] != pair[1][0]) {
@@ -182,13 +246,13 @@ impl Whole<'_> {
     }
 
     /// Divides the sheets of the contacts. Returns the sheets of `given` that cannot be divided, then `of_facet` is of no use. Smooth
-    /// patches that touch themselves in short edges, or in vertices alone, may be noise: `first` leaves their sheets whole.
+    /// patches that touch themselves in short edges, or in vertices alone, may be noise: the `first` round finds those places.
     fn divide(
         &self,
         of_facet: &mut [usize],
         contacts: &[Contact],
-        (given, first): (&[u32], bool),
-    ) -> Result<BTreeSet<u32>, Stopped> {
+        Round { given, ended, first }: Round<'_>,
+    ) -> Result<Failed, Stopped> {
         let divided: BTreeSet<usize> = contacts.iter().map(|contact| contact.sheet).collect();
         let across = self.across(|link| {
             let [a, b] = link.map(|f| of_facet[f as usize]);
@@ -203,7 +267,7 @@ impl Whole<'_> {
         if first {
             let noise = self.noise(&mut patches, contacts);
             if !noise.is_empty() {
-                return Ok(noise.into_iter().map(|f| given[f]).collect());
+                return Ok(Failed { noise, ..Failed::default() });
             }
         }
         if !touching.is_empty() {
@@ -217,16 +281,17 @@ impl Whole<'_> {
         for (f, _) in whole_facets(self.mesh, self.class).filter(|(f, _)| divided.contains(&of_facet[*f])) {
             *area.entry(patches.root(f)).or_default() += 0.5 * normal(self.mesh.corners(f)).length();
         }
-        failed.extend(area.into_iter().filter(|(_, area)| *area <= self.options.least).map(|(f, _)| given[f]));
+        let small = area.into_iter().filter(|(_, area)| *area <= self.options.least).map(|(f, _)| given[f]);
+        failed.extend(small.filter(|sheet| !ended.contains(sheet)));
         // Numbers of sheets are below the number of facets.
         let count = of_facet.len();
         let facets = of_facet.iter_mut().enumerate().filter(|(_, sheet)| divided.contains(sheet));
         facets.for_each(|(f, sheet)| *sheet = count + patches.root(f));
-        Ok(failed)
+        Ok(Failed { sheets: failed, noise: BTreeSet::new() })
     }
 
-    /// Facets at places where a patch touches itself in less than an edge.
-    fn noise(&self, patches: &mut DisjointSets, contacts: &[Contact]) -> Vec<usize> {
+    /// Places where a patch touches itself in less than an edge.
+    fn noise(&self, patches: &mut DisjointSets, contacts: &[Contact]) -> BTreeSet<[u32; 2]> {
         let groups = || contacts.chunk_by(at_one_place);
         let mut chains = DisjointSets::new(self.class.len());
         let edges = || groups().map(|group| group[0].place).filter(|[a, b]| a != b);
@@ -238,11 +303,11 @@ impl Whole<'_> {
         }
         // The side of one of the cells that a piece has at least.
         let edge = (self.options.least / LEAST_CELLS).sqrt();
-        let mut found = Vec::new();
+        let mut found = BTreeSet::new();
         for group in groups() {
             let chain = chains.root(group[0].place[0] as usize);
             if !twice(patches, group).is_empty() && length.get(&chain).is_none_or(|length| *length < edge) {
-                found.push(group[0].facet);
+                found.insert(group[0].place);
             }
         }
         found
@@ -253,7 +318,7 @@ impl Whole<'_> {
         let Self { mesh, class, .. } = *self;
         let unit = |f: u32| normal(mesh.corners(f as usize)).normalize_or_zero();
         let mut found = Vec::new();
-        self.edges(|ends, links| {
+        self.edges(|ends, _, links| {
             // Facets that face opposite sides run along the edge the same way.
             let runs = |f: u32| {
                 let t = mesh.facets()[f as usize].map(|v| class[v as usize]);
@@ -271,7 +336,7 @@ impl Whole<'_> {
     }
 
     /// For each facet of the `touching` patches the fan that it is nearest to, through facets of its patch. Fans with a common facet
-    /// count as one.
+    /// count as one, unless that makes two of one place one.
     fn parts(
         &self,
         (patches, touching): (&mut DisjointSets, &BTreeSet<usize>),
@@ -279,18 +344,34 @@ impl Whole<'_> {
         across: &[Across],
     ) -> Result<Vec<usize>, Stopped> {
         let count = self.mesh.facets().len();
-        let mut fans = DisjointSets::new(count);
-        let mut queue: BinaryHeap<Reverse<(u64, usize, usize)>> = BinaryHeap::new();
-        for group in contacts.chunk_by(at_one_place) {
+        let of_patches = contacts.iter().filter(|contact| touching.contains(&patches.root(contact.facet)));
+        let of_patches: Vec<Contact> = of_patches.copied().collect();
+        let node = |contact: &Contact| BANDS * contact.facet;
+        let mut fans = DisjointSets::new(BANDS * count);
+        for group in of_patches.chunk_by(at_one_place) {
             let mut first: BTreeMap<(usize, usize), usize> = BTreeMap::new();
-            for &Contact { fan, facet, .. } in group {
-                let patch = patches.root(facet);
-                if touching.contains(&patch) {
-                    fans.join(*first.entry((patch, fan)).or_insert(facet), facet);
-                    queue.push(Reverse((0, facet, facet)));
-                }
+            for contact in group {
+                let key = (patches.root(contact.facet), contact.fan);
+                fans.join(*first.entry(key).or_insert(node(contact)), node(contact));
             }
         }
+        let is_whole = of_patches.chunk_by(at_one_place).all(|group| {
+            let mut met: BTreeMap<usize, usize> = BTreeMap::new();
+            group.iter().all(|contact| *met.entry(fans.root(node(contact))).or_insert(contact.fan) == contact.fan)
+        });
+        let band;
+        let in_bands;
+        let node: &dyn Fn(&Contact) -> usize = if is_whole {
+            &node
+        } else {
+            // A curve that comes back to a fan from another side is divided into stretches.
+            band = bands(&of_patches);
+            in_bands = |contact: &Contact| BANDS * contact.facet + band.get(&contact.place[0]).copied().unwrap_or(0);
+            fans = self.parted_fans(&of_patches, &in_bands);
+            &in_bands
+        };
+        let mut queue: BinaryHeap<Reverse<(u64, usize, usize)>> = BinaryHeap::new();
+        of_patches.iter().for_each(|contact| queue.push(Reverse((0, contact.facet, node(contact)))));
         let mut beside: BTreeMap<usize, Vec<usize>> = BTreeMap::new();
         for Across { link, .. } in across.iter().filter(|across| !across.is_crease) {
             let [a, b] = link.map(|f| f as usize);
@@ -316,6 +397,29 @@ impl Whole<'_> {
         Ok(part)
     }
 
+    /// Sets of facets at the places of contact, by the numbers that `node` has for them: neighbours of a fan are in one, unless it then has
+    /// two fans at one place.
+    fn parted_fans(&self, contacts: &[Contact], node: &dyn Fn(&Contact) -> usize) -> DisjointSets {
+        let mut nodes: BTreeMap<usize, BTreeSet<usize>> = BTreeMap::new();
+        contacts.iter().for_each(|contact| _ = nodes.entry(contact.facet).or_default().insert(node(contact)));
+        let mut sets = PartedSets::new(DisjointSets::new(BANDS * self.mesh.facets().len()));
+        let pairs = |group: &[Contact]| {
+            let all = group.to_vec();
+            (0..all.len()).flat_map(move |k| all[k + 1..].iter().map(|other| (all[k], *other)).collect::<Vec<_>>())
+        };
+        for (a, b) in contacts.chunk_by(at_one_place).flat_map(pairs).filter(|(a, b)| a.fan != b.fan) {
+            nodes[&a.facet].iter().for_each(|&a| nodes[&b.facet].iter().for_each(|&b| sets.part(a, b)));
+        }
+        let corners = |f: usize| self.mesh.facets()[f].map(|v| self.class[v as usize]);
+        let meet = |a: usize, b: usize| corners(a).iter().filter(|v| corners(b).contains(v)).count() > 1;
+        for (a, b) in contacts.chunk_by(at_one_place).flat_map(pairs) {
+            if a.fan == b.fan && meet(a.facet, b.facet) {
+                sets.join(node(&a), node(&b));
+            }
+        }
+        sets.sets
+    }
+
     /// Joins patches until any further one would have a piece touch itself. Returns the sheets that have a patch which does.
     fn merge(
         &self,
@@ -325,23 +429,22 @@ impl Whole<'_> {
         given: &[u32],
     ) -> Result<BTreeSet<u32>, Stopped> {
         let mut failed = BTreeSet::new();
-        let mut conflicts: BTreeMap<usize, BTreeSet<usize>> = BTreeMap::new();
+        let mut parted = PartedSets::new(std::mem::replace(patches, DisjointSets::new(0)));
         for group in contacts.chunk_by(at_one_place) {
-            let mut of_fans: Vec<(usize, usize)> = group.iter().map(|c| (c.fan, patches.root(c.facet))).collect();
+            let mut of_fans: Vec<(usize, usize)> = group.iter().map(|c| (c.fan, parted.sets.root(c.facet))).collect();
             of_fans.dedup();
             for (k, &(fan, patch)) in of_fans.iter().enumerate() {
                 for &(_, other) in of_fans[k + 1..].iter().filter(|other| other.0 != fan) {
                     if patch == other {
                         failed.insert(given[patch]);
                     }
-                    conflicts.entry(patch).or_default().insert(other);
-                    conflicts.entry(other).or_default().insert(patch);
+                    parted.part(patch, other);
                 }
             }
         }
         let mut borders: BTreeMap<[usize; 2], (f64, f64)> = BTreeMap::new();
         for Across { link, is_crease, length } in across {
-            let [p, q] = link.map(|f| patches.root(f as usize));
+            let [p, q] = link.map(|f| parted.sets.root(f as usize));
             if p != q {
                 let (smooth, creased) = borders.entry([p.min(q), p.max(q)]).or_default();
                 *(if *is_crease { creased } else { smooth }) += length;
@@ -350,24 +453,80 @@ impl Whole<'_> {
         // The longest borders are taken away first, those that are no creases before all others.
         let mut borders: Vec<([usize; 2], (f64, f64))> = borders.into_iter().collect();
         borders.sort_by(|(a, (p, q)), (b, (r, s))| r.total_cmp(p).then(s.total_cmp(q)).then(a.cmp(b)));
-        for (border, _) in borders {
+        for ([p, q], _) in borders {
             self.token.check()?;
-            let [p, q] = border.map(|patch| patches.root(patch));
-            if p == q || conflicts.get(&p).is_some_and(|of| of.contains(&q)) {
-                continue;
-            }
-            patches.join(p, q);
-            let [kept, gone] = [p.min(q), p.max(q)];
-            for other in conflicts.remove(&gone).unwrap_or_default() {
-                if let Some(of) = conflicts.get_mut(&other) {
-                    of.remove(&gone);
-                    of.insert(kept);
-                }
-                conflicts.entry(kept).or_default().insert(other);
-            }
+            parted.join(p, q);
         }
+        *patches = parted.sets;
         Ok(failed)
     }
+}
+
+/// Sets that are joined unless two of them are to stay apart.
+struct PartedSets {
+    sets: DisjointSets,
+    /// By the least of each set, those of the sets that it stays apart from.
+    apart: BTreeMap<usize, BTreeSet<usize>>,
+}
+
+impl PartedSets {
+    fn new(sets: DisjointSets) -> Self {
+        Self { sets, apart: BTreeMap::new() }
+    }
+
+    fn part(&mut self, a: usize, b: usize) {
+        let [a, b] = [a, b].map(|k| self.sets.root(k));
+        self.apart.entry(a).or_default().insert(b);
+        self.apart.entry(b).or_default().insert(a);
+    }
+
+    fn join(&mut self, a: usize, b: usize) {
+        let [a, b] = [a, b].map(|k| self.sets.root(k));
+        if a == b || self.apart.get(&a).is_some_and(|of| of.contains(&b)) {
+            return;
+        }
+        self.sets.join(a, b);
+        let [kept, gone] = [a.min(b), a.max(b)];
+        for other in self.apart.remove(&gone).unwrap_or_default() {
+            if let Some(of) = self.apart.get_mut(&other) {
+                of.remove(&gone);
+                of.insert(kept);
+            }
+            self.apart.entry(kept).or_default().insert(other);
+        }
+    }
+}
+
+/// For each vertex at which a sheet touches itself the stretch that it is in: by its distance along facets from the lowest that is
+/// connected to it, the nearest third, the middle one, or the farthest.
+fn bands(contacts: &[Contact]) -> BTreeMap<u32, usize> {
+    let mut of_facet: BTreeMap<usize, BTreeSet<u32>> = BTreeMap::new();
+    contacts.iter().for_each(|contact| of_facet.entry(contact.facet).or_default().extend(contact.place));
+    let mut beside: BTreeMap<u32, BTreeSet<u32>> = BTreeMap::new();
+    for places in of_facet.values() {
+        places.iter().for_each(|v| beside.entry(*v).or_default().extend(places));
+    }
+    let mut band = BTreeMap::new();
+    for &start in beside.keys() {
+        if band.contains_key(&start) {
+            continue;
+        }
+        let mut steps: BTreeMap<u32, usize> = BTreeMap::from([(start, 0)]);
+        let mut queue = vec![start];
+        let mut next = 0;
+        while let Some(&v) = queue.get(next) {
+            next += 1;
+            for &u in &beside[&v] {
+                if !steps.contains_key(&u) {
+                    steps.insert(u, steps[&v] + 1);
+                    queue.push(u);
+                }
+            }
+        }
+        let most = steps.values().max().copied().unwrap_or(0);
+        band.extend(steps.into_iter().map(|(v, step)| (v, BANDS * step / (most + 1))));
+    }
+    band
 }
 
 /// The patches that have several fans at one place.

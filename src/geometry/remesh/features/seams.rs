@@ -21,10 +21,7 @@ use periods::{Periods, Signs};
 #[derive(Clone, Debug)]
 pub(crate) enum Joints {
     /// All in one place.
-    All {
-        /// Places that several sheets have without an edge in common, by the lowest vertices there: each sheet gets a corner.
-        touching: HashSet<u32>,
-    },
+    All,
     /// Those of the pieces of one sheet.
     Pieces {
         /// For each vertex of the sheets apart the lowest one that it is joined to.
@@ -53,6 +50,8 @@ pub(crate) struct Seams {
     edges: HashSet<[u32; 2]>,
     /// Vertices of such edges.
     vertices: HashSet<u32>,
+    /// Places that several sheets have without an edge in common, by the lowest vertices there: each sheet gets a corner.
+    touching: HashSet<u32>,
     joints: Joints,
     /// Edges that motions take to others.
     periods: Option<Periods>,
@@ -75,7 +74,18 @@ struct Key {
 impl Seams {
     pub(crate) fn new(class: Vec<u32>, edges: &[[u32; 2]], joints: Joints) -> Self {
         let vertices = edges.iter().flatten().copied().collect();
-        Self { class, edges: edges.iter().copied().map(undirected).collect(), vertices, joints, periods: None }
+        let edges = edges.iter().copied().map(undirected).collect();
+        Self { class, edges, vertices, touching: HashSet::new(), joints, periods: None }
+    }
+
+    /// The same with places in which sheets touch, by the lowest vertices there.
+    pub(crate) fn with_touching(self, touching: HashSet<u32>) -> Self {
+        Self { touching, ..self }
+    }
+
+    /// Whether results of the sheets have vertices in common.
+    pub(crate) fn meet(&self) -> bool {
+        !self.edges.is_empty() || matches!(self.joints, Joints::All)
     }
 
     /// The same with edges that motions take to others, by the classes of the vertices.
@@ -114,10 +124,9 @@ impl Seams {
         self.in_places(&features.corners.iter().filter_map(met).collect())
     }
 
-    /// All vertices at which sheets touch, and are to be joined; ascending.
+    /// All vertices at which sheets touch, ascending.
     pub(crate) fn points(&self) -> Vec<u32> {
-        let Joints::All { touching } = &self.joints else { return Vec::new() };
-        self.in_places(touching)
+        if self.touching.is_empty() { Vec::new() } else { self.in_places(&self.touching) }
     }
 
     /// All vertices in places of these classes, or where motions take them.
@@ -160,7 +169,7 @@ impl Seams {
         let mut met = HashSet::new();
         for (joint, &v) in joints.iter_mut().zip(&features.corners) {
             let (joined, touches) = match &self.joints {
-                Joints::All { touching } => (self.class(v), self.class(v).is_some_and(|v| touching.contains(&v))),
+                Joints::All => (self.class(v), self.class(v).is_some_and(|v| self.touching.contains(&v))),
                 Joints::Pieces { vertices, .. } => (vertices.get(v as usize).copied(), false),
             };
             if joint.is_none() && !touches {

@@ -12,15 +12,20 @@ use crate::mesh::{MeshError, TriMesh};
 use crate::remesh::features::KeptCurves;
 use crate::remesh::features::seams::Joint;
 
-/// Joins the sheets of a result in their places.
-pub(super) fn join(built: &mut Built, curves: &KeptCurves, carried: &mut Carried) -> Result<(), MeshError> {
+/// Joins the sheets of a result in their places. Some vertices have become those of other seeds, which are in `settled`.
+pub(super) fn join(
+    built: &mut Built,
+    curves: &KeptCurves,
+    settled: &HashMap<u32, u32>,
+    carried: &mut Carried,
+) -> Result<(), MeshError> {
     let positions = built.mesh.positions();
     let mut first: HashMap<(Joint, [u64; 3]), u32> = HashMap::new();
     let mut kept: Vec<u32> = Vec::with_capacity(positions.len());
     let mut number: Vec<u32> = Vec::with_capacity(positions.len());
     for (v, (p, &seed)) in (0..).zip(positions.iter().zip(&built.vertex_seed)) {
         let next = kept.len() as u32;
-        let own = match curves.joint(seed) {
+        let own = match curves.joint(settled.get(&v).copied().unwrap_or(seed)) {
             Some(joint) => *first.entry((joint, p.to_array().map(f64::to_bits))).or_insert(next),
             None => next,
         };

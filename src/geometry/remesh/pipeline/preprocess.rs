@@ -1,7 +1,6 @@
 //! The input, made fit for a remesh: connected where it meets, one side out, its sheets apart.
 //!
-//! Purpose: [`preprocess`] stitches boundary vertices that nearly coincide, divides boundary edges at vertices on them, leaves out
-//! duplicate facets, then makes orientations consistent; each step exposes the defects of the next. [`Preprocessed::separate`]
+//! Purpose: [`preprocess`] connects boundaries that meet ([`Connected`]), leaves out duplicate facets, then makes orientations consistent; each step exposes the defects of the next. [`Preprocessed::separate`]
 //! moves sheets apart. [`Separated`] brings what the caller says of vertices and edges to the changed surface.
 //! Invariant: depends on the surface and the options alone. Vertices keep their numbers; copies come behind them. Every change is
 //! counted. Must not know: densities, seeds, backends.
@@ -9,6 +8,7 @@
 use std::collections::{BTreeSet, HashMap, HashSet};
 use std::sync::Arc;
 
+use super::connect::{self, Connected};
 use super::match_reach;
 use super::prepare::Asked;
 use crate::cvt::density::{DensityOptions, DensitySource};
@@ -17,8 +17,8 @@ use crate::mesh::apart::Apart;
 use crate::mesh::attributes::Attributes;
 use crate::mesh::duplicates::{self, InputKind};
 use crate::mesh::edges::{DisjointSets, sides, undirected};
-use crate::mesh::hanging::{self, Divided, DividedEdges};
-use crate::mesh::input::{Reach, make_consistent, stitch_boundaries};
+use crate::mesh::hanging::{Divided, DividedEdges};
+use crate::mesh::input::make_consistent;
 use crate::mesh::measure::{Topology, topology_unless};
 use crate::mesh::motion::Motion;
 use crate::mesh::pairs::{self, Pairs};
@@ -27,7 +27,7 @@ use crate::mesh::regions::Regions;
 use crate::mesh::sheets::pieces::PieceOptions;
 use crate::mesh::sheets::{Link, Sheets};
 use crate::mesh::{MeshError, TriMesh};
-use crate::remesh::constants::{MOST_GAP_DIAGONAL, POINTS_PER_COMPONENT, SEPARATION_DIAGONAL, SEPARATION_EDGES};
+use crate::remesh::constants::{POINTS_PER_COMPONENT, SEPARATION_DIAGONAL, SEPARATION_EDGES};
 use crate::remesh::features::Held;
 use crate::remesh::features::seams::periods::Periods;
 use crate::remesh::features::seams::{Joints, Seams};
@@ -51,25 +51,8 @@ pub(super) struct Preprocessed {
 
 /// The figures of the input, and the changed surface. `weld`: how far boundaries may be apart that are joined, caller's units.
 pub(super) fn preprocess(given: &TriMesh, weld: Option<f64>, token: &Token) -> Result<Preprocessed, Stopped> {
-    let mut adjacency = Adjacency::unless(given, token)?;
-    let mut changed: Option<TriMesh> = None;
-    let mut origin: Option<Vec<u32>> = None;
-    let mut stitched_vertices = 0;
-    let reach = Reach::of(given, weld);
-    if let Some((stitched, moved)) = stitch_boundaries(given, &adjacency, reach, token)? {
-        adjacency = Adjacency::unless(&stitched, token)?;
-        (changed, stitched_vertices) = (Some(stitched), moved);
-    }
-    token.check()?;
-    let mut divided = None;
-    if adjacency.boundary_edges > 0
-        && let Some(found) = hanging::divide(changed.as_ref().unwrap_or(given), &adjacency, reach.distance, token)?
-    {
-        let Divided { mesh, origin: of, edges, .. } = found;
-        adjacency = Adjacency::unless(&mesh, token)?;
-        (changed, origin, divided) = (Some(mesh), Some(of), Some(edges));
-    }
-    token.check()?;
+    let Connected { mesh: mut changed, mut adjacency, stitched_vertices, divided } = Connected::of(given, weld, token)?;
+    let (mut origin, divided) = divided.map_or((None, None), |(origin, edges)| (Some(origin), Some(edges)));
     let mut coincident_facets = 0;
     if adjacency.inconsistent_edges + adjacency.non_manifold_edges > 0
         && let Some((single, kept)) = duplicates::remove(changed.as_ref().unwrap_or(given), token)?
@@ -88,10 +71,7 @@ pub(super) fn preprocess(given: &TriMesh, weld: Option<f64>, token: &Token) -> R
         changed = Some(consistent);
     }
     if adjacency.boundary_edges > 0 {
-        let clean = changed.as_ref().unwrap_or(given);
-        let (low, high) = clean.bounds();
-        let gaps = hanging::gaps(clean, &adjacency, MOST_GAP_DIAGONAL * (high - low).length(), token)?;
-        (figures.gap_edges, figures.gap_distance) = (gaps.edges, gaps.distance);
+        connect::gaps((given, changed.as_ref().unwrap_or(given)), &adjacency, &mut figures, token)?;
     }
     figures.stitched_vertices = stitched_vertices;
     figures.coincident_facets = coincident_facets;
@@ -202,10 +182,8 @@ impl Preprocessed {
             let mut sheets = Sheets::of(clean, if touching { least } else { 0.0 }, go_on, token)?;
             let (low, high) = clean.bounds();
             let gap = SEPARATION_EDGES * edge + SEPARATION_DIAGONAL * (high - low).length();
-            let moved = |sheets: &Sheets| match edge <= uniform_edge(clean, POINTS_PER_COMPONENT * sheets.whole) {
-                true => Apart::of(clean, sheets, gap),
-                false => None,
-            };
+            let suffices = |sheets: &Sheets| edge <= uniform_edge(clean, POINTS_PER_COMPONENT * sheets.whole);
+            let moved = |sheets: &Sheets| if suffices(sheets) { Apart::of(clean, sheets, gap) } else { None };
             // The pieces of a sheet meet in boundaries, whose vertices stay.
             let may_divide = options.keep_boundaries && !matches!(options.density.source, DensitySource::Metric(_));
             if touching
@@ -238,21 +216,27 @@ impl Preprocessed {
                     apart.mesh = consistent;
                 }
                 separated.topology = topology_unless(&apart.mesh, &Adjacency::unless(&apart.mesh, token)?, token)?;
+            } else if touching && surface && sheets.whole > topology.components && !suffices(&sheets) {
+                separated.figures.points_for_sheets = POINTS_PER_COMPONENT * sheets.whole;
             }
             (seams, joined) = (sheets.seams, sheets.joined);
         }
-        let meet = !seams.is_empty() || options.keep_non_manifold && touching;
-        if let (Some(apart), true) = (&separated.apart, meet) {
+        if let (Some(apart), true) = (&separated.apart, touching || !seams.is_empty()) {
             let (class, now) = places_before(clean, apart, token)?;
+            let in_metric = matches!(options.density.source, DensitySource::Metric(_));
+            let touching = match touching && !in_metric {
+                true => touching_in_places((&class, &now), &seams, &apart.mesh),
+                false => HashSet::new(),
+            };
             let joints = match options.keep_non_manifold {
-                true => Joints::All { touching: touching_in_places((&class, &now), &seams, &apart.mesh) },
+                true => Joints::All,
                 false => joints_of(&joined, (&class, &now), &apart.mesh),
             };
             if let (Joints::Pieces { vertices, .. }, false) = (&joints, joined.is_empty()) {
                 let adjacency = Adjacency::with(&apart.mesh, vertices.clone(), token)?;
                 separated.joined = Some(topology_unless(&apart.mesh, &adjacency, token)?);
             }
-            separated.seams = Some(Arc::new(Seams::new(class, &seams, joints)));
+            separated.seams = Some(Arc::new(Seams::new(class, &seams, joints).with_touching(touching)));
         }
         if let Some(pairs) = &self.pairs {
             let seams = match separated.seams.take().map(Arc::unwrap_or_clone) {
@@ -262,7 +246,7 @@ impl Preprocessed {
                         Some(apart) => places_before(clean, apart, token)?.0,
                         None => weld_unless(clean, token)?,
                     };
-                    Seams::new(class, &[], Joints::All { touching: HashSet::new() })
+                    Seams::new(class, &[], Joints::All)
                 }
             };
             separated.seams = Some(Arc::new(seams.with_periods(Periods::new(pairs, &options.periodic))));

@@ -1,10 +1,11 @@
 //! Tips that a result lost.
 //!
 //! Purpose: where a cone, a needle or a pit is thinner than an edge, no cell has its tip, and the result ends below it. [`put_back`] divides
-//! the facet there into three that meet in the tip. Where the result ends in a vertex itself, that one moves to the tip.
+//! the facet there into three that meet in the tip. Where the result ends in a vertex itself, that one moves to the tip. [`settle_points`]
+//! moves a vertex to each point that the result has to have and lacks: a cell may be around the whole cone of which the point is the tip.
 //! Invariant: no more facets cross each other than before; curves stay. Must not know: seeds, diagrams.
 
-use std::collections::HashSet;
+use std::collections::{HashMap, HashSet};
 
 use glam::DVec3;
 
@@ -14,6 +15,7 @@ use crate::mesh::crossings::crossings;
 use crate::mesh::csr::Csr;
 use crate::mesh::tips::Tips;
 use crate::mesh::{MeshError, TriMesh};
+use crate::remesh::features::KeptCurves;
 use crate::remesh::triangle::{longest_side, unit_normal};
 use crate::token::{Stopped, Token};
 
@@ -27,6 +29,46 @@ const FACING: f64 = 0.5;
 const TURNED: f64 = 0.5;
 /// New and moved vertices are at most this share of all.
 const MOST_TIPS: f64 = 0.01;
+
+/// Moves the nearest vertex to each single point of `curves` that no vertex has. `mesh` is that which the curves are of. Returns the seeds of
+/// the points for the vertices that moved.
+pub(super) fn settle_points(
+    built: &mut Built,
+    curves: &KeptCurves,
+    mesh: &TriMesh,
+    token: &Token,
+) -> Result<Result<HashMap<u32, u32>, MeshError>, Stopped> {
+    let present: HashSet<u32> = built.vertex_seed.iter().copied().collect();
+    let absent: Vec<(u32, u32)> = curves.points().filter(|(_, seed)| !present.contains(seed)).collect();
+    let mut moved = HashMap::new();
+    if absent.is_empty() {
+        return Ok(Ok(moved));
+    }
+    let closest = ClosestPoint::unless(&built.mesh, token)?;
+    let rings = Csr::one_rings(built.mesh.positions().len(), built.mesh.facets());
+    let mut positions = built.mesh.positions().to_vec();
+    for (v, seed) in absent {
+        let point = mesh.positions()[v as usize];
+        let corners = built.mesh.facets()[closest.project(point).facet as usize];
+        let from_point = |&v: &u32| positions[v as usize].distance_squared(point);
+        let free = corners.into_iter().filter(|&v| !curves.has_seed(built.vertex_seed[v as usize]));
+        let Some(end) = free.min_by(|a, b| from_point(a).total_cmp(&from_point(b))) else { continue };
+        let turns = |&f: &u32| {
+            let t = built.mesh.facets()[f as usize];
+            let [before, after] = [positions[end as usize], point]
+                .map(|place| unit_normal(t.map(|v| if v == end { place } else { positions[v as usize] })));
+            before.dot(after) < TURNED
+        };
+        if !(moved.contains_key(&end) || rings.of(end).iter().any(turns)) {
+            positions[end as usize] = point;
+            moved.insert(end, seed);
+        }
+    }
+    Ok(TriMesh::new(positions, built.mesh.facets().to_vec()).map(|mesh| {
+        built.mesh = mesh;
+        moved
+    }))
+}
 
 /// Puts the tips of `mesh` back that are lost. Whether the result changes.
 pub(super) fn put_back(built: &mut Built, mesh: &TriMesh, token: &Token) -> Result<Result<bool, MeshError>, Stopped> {
