@@ -210,7 +210,7 @@ fn what_is_no_manifold_is_not_looked_at_for_ever() {
     let mesh = TriMesh::new(positions, facets).unwrap();
     assert_eq!(topology(&mesh).non_manifold_vertices, 1);
     let out = run(&mesh, &options(500));
-    let after = topology(&out.mesh);
+    let after = out.report.result.topology;
     assert_eq!((after.non_manifold_vertices, after.non_manifold_edges, after.boundary_edges), (0, 0, 0));
     assert!(farthest(&mesh, &out.mesh) < edge(&mesh, 500));
 }

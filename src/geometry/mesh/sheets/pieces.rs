@@ -25,6 +25,9 @@ const MOST_ROUNDS: usize = 4;
 /// Cells that the least area has room for.
 const LEAST_CELLS: f64 = 4.0;
 
+/// A sheet stays whole where more than this share of the places in which it touches itself are noise.
+const RARE_NOISE: f64 = 0.0;
+
 /// Stretches of a curve that is divided.
 const BANDS: usize = 3;
 
@@ -84,9 +87,10 @@ impl Sheets {
             if failed.sheets.is_empty() && failed.noise.is_empty() {
                 break of_facet;
             }
+            let is_noisy = !failed.noise.is_empty();
             noise.append(&mut failed.noise);
             for sheet in failed.sheets {
-                if !ended.insert(sheet) {
+                if is_noisy || !whole.has_room(&self.of_facet, sheet) || !ended.insert(sheet) {
                     left.insert(sheet);
                 }
             }
@@ -188,6 +192,16 @@ impl Whole<'_> {
         sets
     }
 
+    /// Whether all that a sheet has between edges of more than two facets has room for a cell.
+    fn has_room(&self, of_facet: &[u32], sheet: u32) -> bool {
+        let mut ends = self.ends();
+        let mut area: BTreeMap<usize, f64> = BTreeMap::new();
+        for (f, _) in whole_facets(self.mesh, self.class).filter(|(f, _)| of_facet[*f] == sheet) {
+            *area.entry(ends.root(f)).or_default() += 0.5 * normal(self.mesh.corners(f)).length();
+        }
+        area.values().all(|area| *area > self.options.least / LEAST_CELLS)
+    }
+
     /// Where sheets have several fans of facets, in order.
     fn contacts(&self, of_facet: &[usize]) -> Result<Vec<Contact>, Stopped> {
         let Self { mesh, class, .. } = *self;
@@ -267,7 +281,16 @@ impl Whole<'_> {
         if first {
             let noise = self.noise(&mut patches, contacts);
             if !noise.is_empty() {
-                return Ok(Failed { noise, ..Failed::default() });
+                // Where noise is not rare, all is noise.
+                let mut of_sheet: BTreeMap<u32, [usize; 2]> = BTreeMap::new();
+                for group in contacts.chunk_by(at_one_place) {
+                    let [all, noisy] = of_sheet.entry(given[group[0].facet]).or_default();
+                    *all += 1;
+                    *noisy += usize::from(noise.contains(&group[0].place));
+                }
+                let is_noisy = |[all, noisy]: [usize; 2]| noisy as f64 > RARE_NOISE * all as f64;
+                let sheets = of_sheet.into_iter().filter(|(_, counts)| is_noisy(*counts)).map(|(sheet, _)| sheet);
+                return Ok(Failed { sheets: sheets.collect(), noise });
             }
         }
         if !touching.is_empty() {
