@@ -2,11 +2,9 @@
 //!
 //! Purpose: [`Sheets::in_pieces`] divides a sheet that has several fans of facets at one vertex, as of a solid that touches itself along
 //! an edge, so that no piece has. Pieces end at creases, which a remesh keeps anyway, and where a patch between creases touches itself,
-//! half way. A closed curve along which a patch comes back to itself is divided into stretches. A sheet for which that fails is divided at
-//! all edges of more than two facets.
+//! half way. A closed curve along which a patch comes back to itself is divided into stretches.
 //! Invariant: depends on the mesh, the angle of creases and the least area alone. A sheet stays whole if a facet is of two fans at one
-//! place. Where a smooth patch touches itself in less than an edge, that is noise, and no place to divide it for. Must not know: why
-//! pieces are wanted.
+//! place, if a piece would have less than the least area, and if a smooth patch touches itself in less than an edge: that is noise. Must not know: why pieces are wanted.
 
 use std::cmp::Reverse;
 use std::collections::{BTreeMap, BTreeSet, BinaryHeap};
@@ -24,9 +22,6 @@ const MOST_ROUNDS: usize = 4;
 
 /// Cells that the least area has room for.
 const LEAST_CELLS: f64 = 4.0;
-
-/// A sheet stays whole where more than this share of the places in which it touches itself are noise.
-const RARE_NOISE: f64 = 0.0;
 
 /// Stretches of a curve that is divided.
 const BANDS: usize = 3;
@@ -53,47 +48,31 @@ impl Sheets {
         let class = weld_unless(mesh, token)?;
         let groups = EdgeGroups::unless(class.len(), whole_facets(mesh, &class), token)?;
         let whole = Whole { mesh, class: &class, groups: &groups, outward: signed_volume(mesh) >= 0.0, options, token };
-        // Sheets that stay whole, and those that are divided at all edges of more than two facets, for want of a better way.
-        let (mut left, mut ended): (BTreeSet<u32>, BTreeSet<u32>) = Default::default();
-        // Places in which sheets touch themselves in too little to be divided for.
-        let mut noise: BTreeSet<[u32; 2]> = BTreeSet::new();
+        // Sheets that stay whole.
+        let mut left: BTreeSet<u32> = BTreeSet::new();
         let of_facet = loop {
             let mut of_facet: Vec<usize> = self.of_facet.iter().map(|&sheet| sheet as usize).collect();
-            if !ended.is_empty() {
-                let mut ends = whole.ends();
-                let count = of_facet.len();
-                let of = of_facet.iter_mut().enumerate().filter(|(_, sheet)| ended.contains(&(**sheet as u32)));
-                // Behind all other numbers.
-                of.for_each(|(f, sheet)| *sheet = 2 * count + ends.root(f));
-            }
-            let mut failed = Failed::default();
+            let mut failed: BTreeSet<u32> = BTreeSet::new();
             for round in 0..=MOST_ROUNDS {
                 let mut contacts = whole.contacts(&of_facet)?;
-                contacts.retain(|c| !(left.contains(&self.of_facet[c.facet]) || noise.contains(&c.place)));
+                contacts.retain(|contact| !left.contains(&self.of_facet[contact.facet]));
                 if contacts.is_empty() {
                     break;
                 }
+                let all = || contacts.iter().map(|contact| self.of_facet[contact.facet]).collect();
                 failed = if round == MOST_ROUNDS {
-                    let sheets = contacts.iter().map(|contact| self.of_facet[contact.facet]).collect();
-                    Failed { sheets, noise: BTreeSet::new() }
+                    all()
                 } else {
-                    let round = Round { given: &self.of_facet, ended: &ended, first: round == 0 };
-                    whole.divide(&mut of_facet, &contacts, round)?
+                    whole.divide(&mut of_facet, &contacts, (&self.of_facet, round == 0))?
                 };
-                if !(failed.sheets.is_empty() && failed.noise.is_empty()) {
+                if !failed.is_empty() {
                     break;
                 }
             }
-            if failed.sheets.is_empty() && failed.noise.is_empty() {
+            if failed.is_empty() {
                 break of_facet;
             }
-            let is_noisy = !failed.noise.is_empty();
-            noise.append(&mut failed.noise);
-            for sheet in failed.sheets {
-                if is_noisy || !whole.has_room(&self.of_facet, sheet) || !ended.insert(sheet) {
-                    left.insert(sheet);
-                }
-            }
+            left.append(&mut failed);
         };
         // Facets that name a point twice are of a piece that they touch.
         let mut at: BTreeMap<(u32, u32), usize> = BTreeMap::new();
@@ -123,24 +102,6 @@ impl Sheets {
         (pieces.joined, pieces.whole) = (joined, self.whole);
         Ok(Some(pieces))
     }
-}
-
-/// A division of sheets.
-struct Round<'a> {
-    /// The sheet of each facet at the beginning.
-    given: &'a [u32],
-    /// Those that were divided at all edges of more than two facets: their pieces have the vertices of these edges, and may be small.
-    ended: &'a BTreeSet<u32>,
-    first: bool,
-}
-
-/// Why a division is of no use.
-#[derive(Default)]
-struct Failed {
-    /// Sheets that cannot be divided like that.
-    sheets: BTreeSet<u32>,
-    /// Places in which smooth patches touch themselves in less than an edge.
-    noise: BTreeSet<[u32; 2]>,
 }
 
 /// A facet at a place where its sheet touches itself.
@@ -179,27 +140,6 @@ impl Whole<'_> {
             let of = (self.options.go_on, self.outward);
             visit([low, if a == low { b } else { a }], halves, &links((self.mesh, self.class), low, halves, of));
         });
-    }
-
-    /// What is connected through edges of two facets.
-    fn ends(&self) -> DisjointSets {
-        let mut sets = DisjointSets::new(self.mesh.facets().len());
-        self.groups.for_each(|_, halves| {
-            if let [a, b] = halves {
-                sets.join(a.facet as usize, b.facet as usize);
-            }
-        });
-        sets
-    }
-
-    /// Whether all that a sheet has between edges of more than two facets has room for a cell.
-    fn has_room(&self, of_facet: &[u32], sheet: u32) -> bool {
-        let mut ends = self.ends();
-        let mut area: BTreeMap<usize, f64> = BTreeMap::new();
-        for (f, _) in whole_facets(self.mesh, self.class).filter(|(f, _)| of_facet[*f] == sheet) {
-            *area.entry(ends.root(f)).or_default() += 0.5 * normal(self.mesh.corners(f)).length();
-        }
-        area.values().all(|area| *area > self.options.least / LEAST_CELLS)
     }
 
     /// Where sheets have several fans of facets, in order.
@@ -260,13 +200,13 @@ impl Whole<'_> {
     }
 
     /// Divides the sheets of the contacts. Returns the sheets of `given` that cannot be divided, then `of_facet` is of no use. Smooth
-    /// patches that touch themselves in short edges, or in vertices alone, may be noise: the `first` round finds those places.
+    /// patches that touch themselves in short edges, or in vertices alone, may be noise: `first` leaves their sheets whole.
     fn divide(
         &self,
         of_facet: &mut [usize],
         contacts: &[Contact],
-        Round { given, ended, first }: Round<'_>,
-    ) -> Result<Failed, Stopped> {
+        (given, first): (&[u32], bool),
+    ) -> Result<BTreeSet<u32>, Stopped> {
         let divided: BTreeSet<usize> = contacts.iter().map(|contact| contact.sheet).collect();
         let across = self.across(|link| {
             let [a, b] = link.map(|f| of_facet[f as usize]);
@@ -281,16 +221,7 @@ impl Whole<'_> {
         if first {
             let noise = self.noise(&mut patches, contacts);
             if !noise.is_empty() {
-                // Where noise is not rare, all is noise.
-                let mut of_sheet: BTreeMap<u32, [usize; 2]> = BTreeMap::new();
-                for group in contacts.chunk_by(at_one_place) {
-                    let [all, noisy] = of_sheet.entry(given[group[0].facet]).or_default();
-                    *all += 1;
-                    *noisy += usize::from(noise.contains(&group[0].place));
-                }
-                let is_noisy = |[all, noisy]: [usize; 2]| noisy as f64 > RARE_NOISE * all as f64;
-                let sheets = of_sheet.into_iter().filter(|(_, counts)| is_noisy(*counts)).map(|(sheet, _)| sheet);
-                return Ok(Failed { sheets: sheets.collect(), noise });
+                return Ok(noise.into_iter().map(|f| given[f]).collect());
             }
         }
         if !touching.is_empty() {
@@ -304,17 +235,16 @@ impl Whole<'_> {
         for (f, _) in whole_facets(self.mesh, self.class).filter(|(f, _)| divided.contains(&of_facet[*f])) {
             *area.entry(patches.root(f)).or_default() += 0.5 * normal(self.mesh.corners(f)).length();
         }
-        let small = area.into_iter().filter(|(_, area)| *area <= self.options.least).map(|(f, _)| given[f]);
-        failed.extend(small.filter(|sheet| !ended.contains(sheet)));
+        failed.extend(area.into_iter().filter(|(_, area)| *area <= self.options.least).map(|(f, _)| given[f]));
         // Numbers of sheets are below the number of facets.
         let count = of_facet.len();
         let facets = of_facet.iter_mut().enumerate().filter(|(_, sheet)| divided.contains(sheet));
         facets.for_each(|(f, sheet)| *sheet = count + patches.root(f));
-        Ok(Failed { sheets: failed, noise: BTreeSet::new() })
+        Ok(failed)
     }
 
-    /// Places where a patch touches itself in less than an edge.
-    fn noise(&self, patches: &mut DisjointSets, contacts: &[Contact]) -> BTreeSet<[u32; 2]> {
+    /// Facets at places where a patch touches itself in less than an edge.
+    fn noise(&self, patches: &mut DisjointSets, contacts: &[Contact]) -> Vec<usize> {
         let groups = || contacts.chunk_by(at_one_place);
         let mut chains = DisjointSets::new(self.class.len());
         let edges = || groups().map(|group| group[0].place).filter(|[a, b]| a != b);
@@ -326,11 +256,11 @@ impl Whole<'_> {
         }
         // The side of one of the cells that a piece has at least.
         let edge = (self.options.least / LEAST_CELLS).sqrt();
-        let mut found = BTreeSet::new();
+        let mut found = Vec::new();
         for group in groups() {
             let chain = chains.root(group[0].place[0] as usize);
             if !twice(patches, group).is_empty() && length.get(&chain).is_none_or(|length| *length < edge) {
-                found.insert(group[0].place);
+                found.push(group[0].facet);
             }
         }
         found
