@@ -21,7 +21,8 @@ use crate::token::{Stopped, Token};
 
 /// A network is a tangle if its curves are on average shorter than this share of the shortest crease.
 const TANGLED_SHARE: f64 = 0.5;
-/// The same if most of the network is sharp, or between plane faces: such edges are intended, and short only compared with the remesh.
+/// The same if most of the network is sharp, or bent more than moderately between plane faces: such edges are intended, and
+/// short only compared with the remesh.
 const TANGLED_SHARP_SHARE: f64 = 0.15;
 /// Smaller angles, degrees, are creases only if the caller asks for them. Of a tangle with them, they alone go.
 const MODERATE_ANGLE: f64 = 30.0;
@@ -164,7 +165,10 @@ impl Graph {
             }
             let length = |e: &Edge| metric.edge(e[0], e[1]);
             let total: f64 = edges.iter().map(length).sum();
-            let is_intended = |e: &&Edge| self.edges[*e].angle >= SHARP_ANGLE || self.edges[*e].between_planes;
+            let is_intended = |e: &&Edge| {
+                let EdgeInfo { angle, between_planes, .. } = self.edges[*e];
+                angle >= SHARP_ANGLE || (between_planes && angle >= MODERATE_ANGLE)
+            };
             let intended: f64 = edges.iter().filter(is_intended).map(length).sum();
             let chains = (ends / 2).max(1) as f64;
             let least = if intended >= 0.5 * total { TANGLED_SHARP_SHARE } else { TANGLED_SHARE };
