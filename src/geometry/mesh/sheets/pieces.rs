@@ -4,7 +4,8 @@
 //! an edge, so that no piece has. Pieces end at creases, which a remesh keeps anyway, and where a patch between creases touches itself,
 //! half way. A closed curve along which a patch comes back to itself is divided into stretches.
 //! Invariant: depends on the mesh, the angle of creases and the least area alone. A sheet stays whole if a facet is of two fans at one
-//! place, if a piece would have less than the least area, and if a smooth patch touches itself in less than an edge: that is noise. Must not know: why pieces are wanted.
+//! place, and if a piece would have less than the least area. Where a smooth patch touches itself in less than an edge, that is noise: a
+//! sheet with much of it stays whole, and rare noise is no place to divide for. Must not know: why pieces are wanted.
 
 use std::cmp::Reverse;
 use std::collections::{BTreeMap, BTreeSet, BinaryHeap};
@@ -22,6 +23,9 @@ const MOST_ROUNDS: usize = 4;
 
 /// Cells that the least area has room for.
 const LEAST_CELLS: f64 = 4.0;
+
+/// Noise is rare if no more than this share of the places in which a sheet touches itself are.
+const RARE_NOISE: f64 = 0.1;
 
 /// Stretches of a curve that is divided.
 const BANDS: usize = 3;
@@ -50,12 +54,17 @@ impl Sheets {
         let whole = Whole { mesh, class: &class, groups: &groups, outward: signed_volume(mesh) >= 0.0, options, token };
         // Sheets that stay whole.
         let mut left: BTreeSet<u32> = BTreeSet::new();
+        let mut noise: BTreeSet<[u32; 2]> = BTreeSet::new();
+        let mut first = true;
         let of_facet = loop {
             let mut of_facet: Vec<usize> = self.of_facet.iter().map(|&sheet| sheet as usize).collect();
             let mut failed: BTreeSet<u32> = BTreeSet::new();
             for round in 0..=MOST_ROUNDS {
                 let mut contacts = whole.contacts(&of_facet)?;
-                contacts.retain(|contact| !left.contains(&self.of_facet[contact.facet]));
+                if std::mem::take(&mut first) {
+                    (left, noise) = whole.noise(&contacts, &self.of_facet);
+                }
+                contacts.retain(|c| !(left.contains(&self.of_facet[c.facet]) || noise.contains(&c.place)));
                 if contacts.is_empty() {
                     break;
                 }
@@ -63,7 +72,7 @@ impl Sheets {
                 failed = if round == MOST_ROUNDS {
                     all()
                 } else {
-                    whole.divide(&mut of_facet, &contacts, (&self.of_facet, round == 0))?
+                    whole.divide(&mut of_facet, &contacts, &self.of_facet)?
                 };
                 if !failed.is_empty() {
                     break;
@@ -199,36 +208,21 @@ impl Whole<'_> {
         Ok(contacts.chunk_by(at_one_place).filter(touches).flatten().copied().collect())
     }
 
-    /// Divides the sheets of the contacts. Returns the sheets of `given` that cannot be divided, then `of_facet` is of no use. Smooth
-    /// patches that touch themselves in short edges, or in vertices alone, may be noise: `first` leaves their sheets whole.
-    fn divide(
-        &self,
-        of_facet: &mut [usize],
-        contacts: &[Contact],
-        (given, first): (&[u32], bool),
-    ) -> Result<BTreeSet<u32>, Stopped> {
+    /// Divides the sheets of the contacts. Returns the sheets of `given` that cannot be divided, then `of_facet` is of no use.
+    fn divide(&self, of_facet: &mut [usize], contacts: &[Contact], given: &[u32]) -> Result<BTreeSet<u32>, Stopped> {
         let divided: BTreeSet<usize> = contacts.iter().map(|contact| contact.sheet).collect();
         let across = self.across(|link| {
             let [a, b] = link.map(|f| of_facet[f as usize]);
             a == b && divided.contains(&a)
         });
         self.token.check()?;
-        let mut patches = DisjointSets::new(of_facet.len());
-        let smooth = || across.iter().filter(|across| !across.is_crease).map(|across| across.link);
-        smooth().for_each(|[a, b]| patches.join(a as usize, b as usize));
+        let mut patches = patches_of(of_facet.len(), &across);
         let groups = contacts.chunk_by(at_one_place);
         let touching: BTreeSet<usize> = groups.flat_map(|group| twice(&mut patches, group)).collect();
-        if first {
-            let noise = self.noise(&mut patches, contacts);
-            if !noise.is_empty() {
-                return Ok(noise.into_iter().map(|f| given[f]).collect());
-            }
-        }
         if !touching.is_empty() {
             let part = self.parts((&mut patches, &touching), contacts, &across)?;
-            patches = DisjointSets::new(of_facet.len());
-            let inner = |link: &Link| part[link[0] as usize] == part[link[1] as usize];
-            smooth().filter(inner).for_each(|[a, b]| patches.join(a as usize, b as usize));
+            let is_inner = |across: &&Across| part[across.link[0] as usize] == part[across.link[1] as usize];
+            patches = patches_of(of_facet.len(), across.iter().filter(is_inner));
         }
         let mut failed = self.merge(&mut patches, contacts, &across, given)?;
         let mut area: BTreeMap<usize, f64> = BTreeMap::new();
@@ -243,8 +237,12 @@ impl Whole<'_> {
         Ok(failed)
     }
 
-    /// Facets at places where a patch touches itself in less than an edge.
-    fn noise(&self, patches: &mut DisjointSets, contacts: &[Contact]) -> Vec<usize> {
+    /// Places where a patch touches itself in less than an edge, and the sheets of `given` in which they are not rare.
+    fn noise(&self, contacts: &[Contact], given: &[u32]) -> (BTreeSet<u32>, BTreeSet<[u32; 2]>) {
+        let touching: BTreeSet<u32> = contacts.iter().map(|contact| given[contact.facet]).collect();
+        let across =
+            self.across(|[a, b]| given[a as usize] == given[b as usize] && touching.contains(&given[a as usize]));
+        let mut patches = patches_of(given.len(), &across);
         let groups = || contacts.chunk_by(at_one_place);
         let mut chains = DisjointSets::new(self.class.len());
         let edges = || groups().map(|group| group[0].place).filter(|[a, b]| a != b);
@@ -256,14 +254,22 @@ impl Whole<'_> {
         }
         // The side of one of the cells that a piece has at least.
         let edge = (self.options.least / LEAST_CELLS).sqrt();
-        let mut found = Vec::new();
+        let mut noise = BTreeSet::new();
+        // By sheet: the places, and those of them that are noise.
+        let mut counts: BTreeMap<u32, [usize; 2]> = BTreeMap::new();
         for group in groups() {
             let chain = chains.root(group[0].place[0] as usize);
-            if !twice(patches, group).is_empty() && length.get(&chain).is_none_or(|length| *length < edge) {
-                found.push(group[0].facet);
+            let is_noise =
+                length.get(&chain).is_none_or(|length| *length < edge) && !twice(&mut patches, group).is_empty();
+            let [all, noisy] = counts.entry(given[group[0].facet]).or_default();
+            *all += 1;
+            if is_noise {
+                *noisy += 1;
+                noise.insert(group[0].place);
             }
         }
-        found
+        let is_noisy = |[all, noisy]: [usize; 2]| noisy as f64 > RARE_NOISE * all as f64;
+        (counts.into_iter().filter(|(_, counts)| is_noisy(*counts)).map(|(sheet, _)| sheet).collect(), noise)
     }
 
     /// Edges between facets of one sheet.
@@ -480,6 +486,15 @@ fn bands(contacts: &[Contact]) -> BTreeMap<u32, usize> {
         band.extend(steps.into_iter().map(|(v, step)| (v, BANDS * step / (most + 1))));
     }
     band
+}
+
+/// Sets of facets between which there is no crease.
+fn patches_of<'a>(facets: usize, across: impl IntoIterator<Item = &'a Across>) -> DisjointSets {
+    let mut patches = DisjointSets::new(facets);
+    for Across { link: [a, b], .. } in across.into_iter().filter(|across| !across.is_crease) {
+        patches.join(*a as usize, *b as usize);
+    }
+    patches
 }
 
 /// The patches that have several fans at one place.
