@@ -207,3 +207,16 @@ fn the_same_bits_on_any_number_of_threads() {
         }
     }
 }
+
+/// The worst facets of an even result are made better where that brings no place farther from the input.
+#[test]
+fn smooth_surfaces_have_no_small_angles() {
+    for shape in [Shape::Sphere, Shape::Torus] {
+        let mesh = shape.build(20_000);
+        for points in [2_000, 8_000] {
+            let done = run(&mesh, &options(points).with_newton(40).with_measure(true));
+            let quality = done.report.result.quality.as_ref().unwrap();
+            assert!(quality.q_min > 0.7 && quality.theta_min_deg > 38.8, "{shape}, {points}: {quality:?}");
+        }
+    }
+}

@@ -302,7 +302,7 @@ mod tests {
 
     #[test]
     fn a_solid_that_touches_itself_is_in_pieces() {
-        let options = PieceOptions { least: 0.5, go_on: true, crease: 0.5 };
+        let options = PieceOptions { least: 0.5, least_plane: 0.5, go_on: true, crease: 0.5 };
         let pieces = |mesh: &TriMesh| of(mesh).in_pieces(mesh, options, &Token::default()).unwrap();
         // Ends of a chain that meet in an edge; in a corner; two squares of one plane; a ring around nothing.
         for cubes in [
@@ -320,7 +320,7 @@ mod tests {
                 let flaws = (topology.non_manifold_edges, topology.non_manifold_vertices);
                 assert_eq!((topology.components, flaws), (pieces.count, (0, 0)), "{cubes:?}");
                 // Whatever is smaller than a piece would have to be stays as it is.
-                let least = PieceOptions { least: mesh.area(), ..options };
+                let least = PieceOptions { least: mesh.area(), least_plane: mesh.area(), ..options };
                 assert_eq!(whole.in_pieces(&mesh, least, &Token::default()), Ok(None));
             }
         }

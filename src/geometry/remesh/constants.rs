@@ -140,6 +140,17 @@ pub(super) const MAX_MEASURED: usize = 1000;
 pub(super) const STALE_SHARE: f64 = 0.98;
 /// Distance that is always allowed where a valence or a shape is improved.
 pub(super) const FREE_DISTANCE: f64 = 0.02;
+/// Score up to which the worst facets of an even result are improved, where distances do not grow. An equilateral triangle has 55.
+pub(super) const GOOD_SCORE: f64 = 38.8;
+/// Least gain of such a facet, degrees.
+pub(super) const LEAST_SCORE_GAIN: f64 = 0.3;
+/// Places around such facets that are improved, at most: so many, and a share of the vertices.
+pub(super) const MAX_POOR: usize = 20;
+pub(super) const MAX_POOR_SHARE: f64 = 0.006;
+/// Where the distance is this share of an edge, they stay: none of their neighbours may become as far.
+pub(super) const POOR_FAR: f64 = 0.2;
+/// Distance that is allowed there, share of an edge: on planes all distances are rounding.
+pub(super) const POOR_DISTANCE: f64 = 1e-9;
 /// Vertices whose valence is improved, at most.
 pub(super) const MAX_IRREGULAR: usize = 500;
 /// Rounds of the queue: some vertices have room for a flip only after far places were improved.

@@ -27,6 +27,9 @@ const LEAST_CELLS: f64 = 4.0;
 /// Noise is rare if no more than this share of the places in which a sheet touches itself are.
 const RARE_NOISE: f64 = 0.1;
 
+/// A piece is plane if the sum of its facets' areas with their directions is more than this share of its area.
+const PLANE: f64 = 1.0 - 1e-6;
+
 /// Stretches of a curve that is divided.
 const BANDS: usize = 3;
 
@@ -35,6 +38,8 @@ const BANDS: usize = 3;
 pub(crate) struct PieceOptions {
     /// Pieces have more area than this.
     pub least: f64,
+    /// The same for plane ones: they are what their border is, and need few vertices of their own.
+    pub least_plane: f64,
     /// As in [`Sheets::of`].
     pub go_on: bool,
     /// A crease is where facets make an angle of more than this, radians.
@@ -225,11 +230,18 @@ impl Whole<'_> {
             patches = patches_of(of_facet.len(), across.iter().filter(is_inner));
         }
         let mut failed = self.merge(&mut patches, contacts, &across, given)?;
-        let mut area: BTreeMap<usize, f64> = BTreeMap::new();
+        // Of each piece its area, and the sum of what its facets have with their directions.
+        let mut sizes: BTreeMap<usize, (f64, DVec3)> = BTreeMap::new();
         for (f, _) in whole_facets(self.mesh, self.class).filter(|(f, _)| divided.contains(&of_facet[*f])) {
-            *area.entry(patches.root(f)).or_default() += 0.5 * normal(self.mesh.corners(f)).length();
+            let (area, sum) = sizes.entry(patches.root(f)).or_default();
+            let directed = 0.5 * normal(self.mesh.corners(f));
+            *area += directed.length();
+            *sum += directed;
         }
-        failed.extend(area.into_iter().filter(|(_, area)| *area <= self.options.least).map(|(f, _)| given[f]));
+        let least = |(area, sum): (f64, DVec3)| {
+            if sum.length() > PLANE * area { self.options.least_plane } else { self.options.least }
+        };
+        failed.extend(sizes.into_iter().filter(|(_, size)| size.0 <= least(*size)).map(|(f, _)| given[f]));
         // Numbers of sheets are below the number of facets.
         let count = of_facet.len();
         let facets = of_facet.iter_mut().enumerate().filter(|(_, sheet)| divided.contains(sheet));

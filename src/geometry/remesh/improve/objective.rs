@@ -24,10 +24,10 @@ pub(super) struct ShapeCost {
 }
 
 impl ShapeCost {
-    /// Where distances are measured as well. Squares: near a ridge distances have to count beside facets that lack much.
-    pub(super) fn measured(shapes: Shapes) -> Self {
+    /// Where distances are measured as well, and this score is wanted. Squares: near a ridge distances have to count beside facets that lack much.
+    pub(super) fn measured(shapes: Shapes, wanted: f64) -> Self {
         let quality_weight = if shapes == Shapes::Round { QUALITY_WEIGHT } else { 0.0 };
-        Self { wanted: Wanted::new(shapes.least_score() + SCORE_MARGIN, 180.0), power: 2, quality_weight }
+        Self { wanted: Wanted::new(wanted, 180.0), power: 2, quality_weight }
     }
 
     /// Where they are not. Cubes, so that the worse of two facets gains at the other's cost.
@@ -170,7 +170,7 @@ impl<'a> VertexObjective<'a> {
             near,
             hint: 0,
             ring,
-            shape: ShapeCost::measured(patch.shapes),
+            shape: ShapeCost::measured(patch.shapes, patch.wanted_score),
             corners,
         }
     }

@@ -28,6 +28,8 @@ pub(super) struct Patch {
     /// Vertices that have all their facets inside and may move.
     pub(super) movable: Vec<u32>,
     pub(super) shapes: Shapes,
+    /// The score from which on facets cost nothing.
+    pub(super) wanted_score: f64,
     pub(super) steps: Steps,
     pub(super) centre: u32,
     pub(super) mean_edge: f64,
@@ -86,6 +88,7 @@ impl Patch {
         let mut patch = Self {
             movable,
             shapes: context.shapes,
+            wanted_score: context.shapes.least_score() + SCORE_MARGIN,
             steps: Steps::new(vertices.len()),
             centre,
             mean_edge: edges / (3 * facet_ids.len()) as f64,
@@ -171,7 +174,18 @@ impl Patch {
     }
 
     pub(super) fn worst_score(&self) -> f64 {
-        (0..self.facet_ids.len() as u32).map(|f| score(self.mesh.corners(f))).fold(f64::INFINITY, f64::min)
+        let [centre, rest] = self.worst_scores();
+        centre.min(rest)
+    }
+
+    /// The least score around the centre, and elsewhere.
+    pub(super) fn worst_scores(&self) -> [f64; 2] {
+        let mut worst = [f64::INFINITY; 2];
+        for (f, t) in (0..).zip(self.mesh.facets()) {
+            let side = &mut worst[usize::from(!t.contains(&self.centre))];
+            *side = side.min(score(self.mesh.corners(f)));
+        }
+        worst
     }
 
     /// The least cosine between the normals of two neighbours, or [`SHARPEST_COSINE`] if all are above that.

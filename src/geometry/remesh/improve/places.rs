@@ -1,7 +1,7 @@
 //! The queue of places to improve.
 //!
-//! Purpose: [`improve`] takes irregular vertices, then places far from the input by falling distance, and tries flips and
-//! relocations around each. [`recover_edge`] restores an edge of a curve that the dual lacks.
+//! Purpose: [`improve`] takes irregular vertices, then places far from the input by falling distance, and tries flips and relocations
+//! around each. [`round_off`] does so where the worst facets are. [`recover_edge`] restores an edge of a curve that the dual lacks.
 //! Invariant: nothing becomes farther from the input than it was, or than is allowed anywhere; no facet becomes worse than it
 //! should be, or than the worst one there was; inner valences stay between 5 and 7 where they were. Independent places are
 //! improved at the same time, with the same bits whatever the number of threads.
@@ -17,11 +17,13 @@ use super::{Context, MeshEditor, Place, Queue, distance_at};
 use crate::mesh::facet_set::squared_distance;
 use crate::remesh::constants::*;
 use crate::remesh::manifold::Flip;
-use crate::remesh::triangle::Shapes;
+use crate::remesh::triangle::{Shapes, score};
 
 /// What is wrong at a place. The later ones come first.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 enum Defect {
+    /// A facet there is worse than it could be; badness is what its score lacks.
+    Poor,
     /// The result is far from the input; badness is the distance.
     Far,
     /// The valence is not from 5 to 7; badness is by how much.
@@ -56,6 +58,17 @@ pub(crate) fn improve(editor: &mut MeshEditor<'_>, estimates: &[f64]) -> usize {
     run.improved
 }
 
+/// Makes the worst facets of an even result better. Returns how many places it improved.
+pub(crate) fn round_off(editor: &mut MeshEditor<'_>) -> usize {
+    let mut poor: Vec<Place<Defect>> = poor(&editor.context()).collect();
+    poor.sort_unstable_by(|a, b| b.cmp(a));
+    let vertices = editor.context().mesh.positions.len();
+    poor.truncate(MAX_POOR + (MAX_POOR_SHARE * vertices as f64) as usize);
+    let mut run = Run { queue: poor.into(), ..Run::default() };
+    run.take_all(editor);
+    run.improved
+}
+
 /// Makes the edge between two vertices by one flip or two, and keeps it from then on. Returns whether it is there.
 pub(crate) fn recover_edge(editor: &mut MeshEditor<'_>, ends: [u32; 2]) -> bool {
     let Some(patch) = Patch::around(&editor.context(), ends[0]) else { return false };
@@ -80,7 +93,7 @@ pub(crate) fn recover_edge(editor: &mut MeshEditor<'_>, ends: [u32; 2]) -> bool 
 /// The best of trials that keeps within what is allowed anywhere, with this least score.
 fn best_allowed(patch: &Patch, trials: &[Trial], score: f64) -> Option<Patch> {
     let allowed = patch.start_distance.largest().max(FREE_DISTANCE * patch.mean_edge);
-    let goal = Goal { centre: allowed, rest: allowed, score, cosine: patch.sharpest_cosine() };
+    let goal = Goal { centre: allowed, rest: allowed, scores: [score; 2], cosine: patch.sharpest_cosine() };
     best(
         patch,
         trials,
@@ -156,6 +169,7 @@ impl Run {
         let Some(patch) = Patch::around(&context, vertex) else { return Outcome::Fine };
         match place.kind {
             Defect::Irregular => attempt_irregular(&patch, place.badness()),
+            Defect::Poor => attempt_poor(patch, place.badness()),
             Defect::Far => attempt_far(&patch, place.badness()),
         }
     }
@@ -193,14 +207,22 @@ impl Run {
         let is_far = place.kind == Defect::Far;
         match outcome {
             Outcome::Fine => {}
-            Outcome::Less(now) => self.push_far(vec![Place::new(place.kind, place.vertex(), now)], editor.edits),
+            Outcome::Less(now) if is_far => {
+                self.push_far(vec![Place::new(place.kind, place.vertex(), now)], editor.edits);
+            }
+            Outcome::Less(now) => self.queue.push(Place::new(place.kind, place.vertex(), now)),
             Outcome::Better(patch) => {
                 editor.put_back(&patch);
                 self.improved += 1;
                 self.far_left = self.far_left.saturating_sub(usize::from(is_far));
                 // Often a place that failed is improved from a neighbouring vertex.
                 self.failed.retain(|failed| is_exhausted(&self.exhausted, editor, failed));
-                self.push_far(far(&editor.context(), patch.inner().collect()), editor.edits);
+                if place.kind == Defect::Poor {
+                    // What is left of it is tried once more.
+                    self.queue.push(place);
+                } else {
+                    self.push_far(far(&editor.context(), patch.inner().collect()), editor.edits);
+                }
             }
             Outcome::Failed(badness) => {
                 self.exhausted.insert((place.kind, place.vertex()), editor.edits);
@@ -247,7 +269,7 @@ fn attempt_far(patch: &Patch, before: f64) -> Outcome {
     }
     let centre = GAIN * distance;
     let score = patch.worst_score().min(patch.shapes.least_score());
-    let goal = Goal { centre, rest: now.rest.max(centre), score, cosine: patch.sharpest_cosine() };
+    let goal = Goal { centre, rest: now.rest.max(centre), scores: [score; 2], cosine: patch.sharpest_cosine() };
     let measure = Measure { distance, floor: 0.0, score };
     let mut trials = vec![Trial::Relocate];
     trials.extend(now.farthest_point.map(Trial::Jump));
@@ -263,6 +285,43 @@ fn attempt_far(patch: &Patch, before: f64) -> Outcome {
         Some(better) => Outcome::Better(Box::new(better)),
         None => Outcome::Failed(distance),
     }
+}
+
+/// Tries to make the worst facet around a vertex better, and none worse than that.
+fn attempt_poor(mut patch: Patch, before: f64) -> Outcome {
+    let [centre, rest] = patch.worst_scores();
+    let lack = GOOD_SCORE - centre;
+    if lack <= 0.0 {
+        return Outcome::Fine;
+    }
+    if lack < STALE_SHARE * before {
+        return Outcome::Less(lack);
+    }
+    let largest = patch.start_distance.largest();
+    if largest > POOR_FAR * patch.mean_edge {
+        return Outcome::Failed(lack);
+    }
+    let allowed = largest.max(POOR_DISTANCE * patch.mean_edge);
+    let better = (centre + LEAST_SCORE_GAIN).min(GOOD_SCORE);
+    let goal =
+        Goal { centre: allowed, rest: allowed, scores: [better, rest.min(better)], cosine: patch.sharpest_cosine() };
+    patch.wanted_score = GOOD_SCORE + SCORE_MARGIN;
+    let mut trials = vec![Trial::Relocate];
+    trials.extend(patch.flips(VALENCES).into_iter().map(|flip| Trial::Flip(vec![flip])));
+    match best(&patch, &trials, &goal, Measure { distance: allowed, floor: 1.0, score: patch.wanted_score }) {
+        Some(better) => Outcome::Better(Box::new(better)),
+        None => Outcome::Failed(lack),
+    }
+}
+
+/// Vertices that may move, have a facet that could be better, and no neighbour on a curve.
+fn poor<'a>(context: &Context<'a>) -> impl Iterator<Item = Place<Defect>> + use<'a> {
+    let Context { mesh, movable, .. } = *context;
+    let worst = move |v: u32| mesh.ring(v).iter().map(|&f| score(mesh.corners(f))).fold(f64::INFINITY, f64::min);
+    let is_apart = move |v: u32| !mesh.neighbours(v).into_iter().any(|u| mesh.is_on_curve(u));
+    let all = (0..mesh.positions.len() as u32).filter(move |&v| movable[v as usize] && is_apart(v));
+    let lacks = all.map(move |v| (v, GOOD_SCORE - worst(v))).filter(|(_, lack)| *lack > 0.0);
+    lacks.map(|(v, lack)| Place::new(Defect::Poor, v, lack))
 }
 
 /// Inner vertices with less than 5 or more than 7 neighbours.

@@ -30,8 +30,8 @@ pub(super) struct Goal {
     /// Distances from the input, at most.
     pub(super) centre: f64,
     pub(super) rest: f64,
-    /// The least score, at least.
-    pub(super) score: f64,
+    /// The least score, at least: around the centre, and elsewhere.
+    pub(super) scores: [f64; 2],
     /// The least cosine between two neighbours, at least.
     pub(super) cosine: f64,
 }
@@ -41,7 +41,7 @@ impl Goal {
         let distance = patch.distance();
         distance.centre <= self.centre
             && distance.rest <= self.rest
-            && patch.worst_score() >= self.score
+            && patch.worst_scores().iter().zip(self.scores).all(|(score, least)| *score >= least)
             && patch.sharpest_cosine() >= self.cosine
     }
 }
@@ -124,7 +124,7 @@ pub(super) fn best(patch: &Patch, trials: &[Trial], goal: &Goal, measure: Measur
     let begun = trials.iter().filter_map(|trial| begin(patch, trial)).collect();
     let promising = relaxed(begun, FIRST_PASSES).into_iter().take(PROMISING_TRIALS).map(|tried| tried.patch);
     let tried = relaxed(promising.collect(), FURTHER_PASSES);
-    let hopeless = HOPELESS_SHARE.max(goal.rest / measure.distance);
+    let hopeless = HOPELESS_SHARE.max(goal.centre.max(goal.rest) / measure.distance);
     let is_hopeful = |tried: &Tried| tried.distance.largest() <= hopeless * measure.distance;
     let mut finalists = tried.into_iter().filter(is_hopeful).take(FINALISTS);
     finalists.find_map(|Tried { mut patch, .. }| {

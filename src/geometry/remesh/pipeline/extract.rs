@@ -13,6 +13,7 @@ use rayon::prelude::*;
 
 use crate::mesh::TriMesh;
 use crate::mesh::closest_point::ClosestPoint;
+use crate::mesh::crossings::crossing_facets;
 use crate::mesh::csr::Csr;
 use crate::mesh::edges::undirected;
 use crate::mesh::features::CurveKind;
@@ -23,14 +24,14 @@ use crate::remesh::features::envelope::CurveEnvelope;
 use crate::remesh::fit::{self, Target};
 use crate::remesh::improve::MeshEditor;
 use crate::remesh::improve::exchange::exchange;
-use crate::remesh::improve::places::{improve, recover_edge};
+use crate::remesh::improve::places::{improve, recover_edge, round_off};
 use crate::remesh::improve::shapes::{Mobility, MotionBounds, improve_shapes, restore, tighten};
 use crate::remesh::manifold::{LocalMesh, boundary_ears, notches, repair, rims};
 use crate::remesh::report::{AdaptedFigures, RepairFigures};
 use crate::remesh::triangle::Shapes;
 use crate::remesh::{Placement, RemeshError};
 use crate::rvd::{Surface, dual};
-use crate::token::Token;
+use crate::token::{Stopped, Token};
 
 pub(super) struct Extraction<'a> {
     pub(super) divided: &'a TriMesh,
@@ -272,7 +273,7 @@ impl<'a> Extraction<'a> {
     pub(super) fn finish(&self, mut draft: Draft<'a>) -> Result<Built, RemeshError> {
         let mut missed = 0;
         if let Some(mut fitted) = draft.fitted.take() {
-            missed = self.improve(&mut draft, &mut fitted);
+            missed = self.improve(&mut draft, &mut fitted)?;
             self.token.check()?;
             let frame = self.surface.frame();
             if self.shapes != Shapes::Round {
@@ -334,7 +335,7 @@ impl<'a> Extraction<'a> {
     }
 
     /// Recovers edges of curves and improves the places that need it. Returns how many places are still far.
-    fn improve(&self, draft: &mut Draft<'a>, fitted: &mut Fitted<'a>) -> usize {
+    fn improve(&self, draft: &mut Draft<'a>, fitted: &mut Fitted<'a>) -> Result<usize, Stopped> {
         let absent = self.curves.missing(&draft.curve_edges, &draft.vertex_seed, |_| true);
         if !absent.is_empty() {
             let mobility = mobility(&fitted.mesh.positions, &draft.curve_edges, &fitted.target.fixed);
@@ -349,7 +350,12 @@ impl<'a> Extraction<'a> {
         }
         let Fitted { mesh, target, reference, distances, .. } = fitted;
         let mobility = mobility(&mesh.positions, &draft.curve_edges, &target.fixed);
-        let improved = improve(&mut MeshEditor::new(mesh, &mobility, self.shapes, reference, self.token), distances);
+        let mut editor = MeshEditor::new(mesh, &mobility, self.shapes, reference, self.token);
+        let mut improved = improve(&mut editor, distances);
+        let is_even = !self.adds && self.tolerance.is_none() && self.surface.is_uniform();
+        if is_even && self.shapes == Shapes::Round {
+            improved += self.round_off(mesh, &mobility, reference)?;
+        }
         let before = draft.missed.places.len();
         let mut missed = before;
         if improved > 0 || before > 0 {
@@ -364,7 +370,30 @@ impl<'a> Extraction<'a> {
             }
             self.find_curves(draft, mesh);
         }
-        missed
+        Ok(missed)
+    }
+
+    /// As [`round_off`], unless more facets cross others then.
+    fn round_off(
+        &self,
+        mesh: &mut LocalMesh,
+        mobility: &[Mobility],
+        reference: &Reference<'_>,
+    ) -> Result<usize, Stopped> {
+        let crossing = |mesh: &LocalMesh| {
+            let now = TriMesh::new(mesh.positions.clone(), mesh.facets().to_vec());
+            now.map_or(Ok(0), |now| crossing_facets(&now, self.token).map(|facets| facets.len()))
+        };
+        let before = mesh.clone();
+        let improved = round_off(&mut MeshEditor::new(mesh, mobility, self.shapes, reference, self.token));
+        if improved > 0 {
+            let crossed = crossing(mesh)?;
+            if crossed > 0 && crossed > crossing(&before)? {
+                *mesh = before;
+                return Ok(0);
+            }
+        }
+        Ok(improved)
     }
 
     /// Finds the edges of curves again, in the order of the facets. They stay from now on.

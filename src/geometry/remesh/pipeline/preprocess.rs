@@ -186,11 +186,14 @@ impl Preprocessed {
             let moved = |sheets: &Sheets| if suffices(sheets) { Apart::of(clean, sheets, gap) } else { None };
             // The pieces of a sheet meet in boundaries, whose vertices stay.
             let may_divide = options.keep_boundaries && !matches!(options.density.source, DensitySource::Metric(_));
+            // Plane pieces that lie on each other have no thickness.
+            let thick = self.figures.back_to_back_facets == 0;
+            let least_plane = if thick { least / POINTS_PER_COMPONENT as f64 } else { least };
+            let division = PieceOptions { least, least_plane, go_on, crease: crease_angle(options) };
             if touching
                 && surface
                 && may_divide
-                && let Some(pieces) =
-                    sheets.in_pieces(clean, PieceOptions { least, go_on, crease: crease_angle(options) }, token)?
+                && let Some(pieces) = sheets.in_pieces(clean, division, token)?
             {
                 separated.apart = moved(&pieces);
                 sheets = if separated.apart.is_some() { pieces } else { sheets };
