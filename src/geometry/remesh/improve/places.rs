@@ -306,9 +306,13 @@ fn attempt_poor(mut patch: Patch, before: f64) -> Outcome {
     let goal =
         Goal { centre: allowed, rest: allowed, scores: [better, rest.min(better)], cosine: patch.sharpest_cosine() };
     patch.wanted_score = GOOD_SCORE + SCORE_MARGIN;
-    let mut trials = vec![Trial::Relocate];
-    trials.extend(patch.flips(VALENCES).into_iter().map(|flip| Trial::Flip(vec![flip])));
-    match best(&patch, &trials, &goal, Measure { distance: allowed, floor: 1.0, score: patch.wanted_score }) {
+    let measure = Measure { distance: allowed, floor: 1.0, score: patch.wanted_score };
+    // Flips are tried where a relocation is not enough.
+    let flipped = || {
+        let trials: Vec<Trial> = patch.flips(VALENCES).into_iter().map(|flip| Trial::Flip(vec![flip])).collect();
+        best(&patch, &trials, &goal, measure)
+    };
+    match best(&patch, &[Trial::Relocate], &goal, measure).or_else(flipped) {
         Some(better) => Outcome::Better(Box::new(better)),
         None => Outcome::Failed(lack),
     }
