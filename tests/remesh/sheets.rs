@@ -304,7 +304,7 @@ fn a_sheet_that_meets_itself_along_a_closed_curve_is_kept() {
     }
 }
 
-/// Where smooth sheets touch, each has a vertex if they are kept.
+/// Where smooth sheets touch, they have a common vertex if they are kept, and each its own if they are cut.
 #[test]
 fn sheets_that_touch_in_a_vertex_have_it() {
     let sphere = Shape::Sphere.build(600);
@@ -315,9 +315,11 @@ fn sheets_that_touch_in_a_vertex_have_it() {
     let flipped = other.facets().iter().map(|&[a, b, c]| [a, c, b]).collect();
     let other = TriMesh::new(other.positions().to_vec(), flipped).unwrap();
     let mesh = together(&[sphere, other], true);
-    let done = run(&mesh, &points(500).with_keep_non_manifold(true));
-    assert_eq!(done.mesh.positions().iter().filter(|p| **p == at).count(), 1);
-    assert_eq!(done.report.result.topology.euler, 3);
+    for (keep, count, euler) in [(true, 1, 3), (false, 2, 4)] {
+        let done = run(&mesh, &points(500).with_keep_non_manifold(keep));
+        assert_eq!(done.mesh.positions().iter().filter(|p| **p == at).count(), count);
+        assert_eq!(done.report.result.topology.euler, euler);
+    }
 }
 
 /// The walls between cells of a grid that have other labels, 0 outside; `n` cells along each side, walls of `s` x `s` squares.

@@ -227,9 +227,10 @@ impl Preprocessed {
         if let (Some(apart), true) = (&separated.apart, touching || !seams.is_empty()) {
             let (class, now) = places_before(clean, apart, token)?;
             let in_metric = matches!(options.density.source, DensitySource::Metric(_));
-            let touching = match touching && !in_metric && options.keep_non_manifold {
-                true => touching_in_places((&class, &now), &seams, &apart.mesh),
-                false => HashSet::new(),
+            let touching = if touching && !in_metric {
+                touching_in_places((&class, &now), &seams, &apart.mesh)
+            } else {
+                HashSet::new()
             };
             let joints = match options.keep_non_manifold {
                 true => Joints::All,
