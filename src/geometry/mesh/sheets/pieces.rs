@@ -57,18 +57,15 @@ impl Sheets {
         let class = weld_unless(mesh, token)?;
         let groups = EdgeGroups::unless(class.len(), whole_facets(mesh, &class), token)?;
         let whole = Whole { mesh, class: &class, groups: &groups, outward: signed_volume(mesh) >= 0.0, options, token };
-        // Sheets that stay whole.
-        let mut left: BTreeSet<u32> = BTreeSet::new();
-        let mut noise: BTreeSet<[u32; 2]> = BTreeSet::new();
-        let mut first = true;
+        let given: Vec<usize> = self.of_facet.iter().map(|&sheet| sheet as usize).collect();
+        let touching = whole.contacts(&given)?;
+        // Sheets that stay whole, and places for which none is divided.
+        let (mut left, noise) = whole.noise(&touching, &self.of_facet);
         let of_facet = loop {
-            let mut of_facet: Vec<usize> = self.of_facet.iter().map(|&sheet| sheet as usize).collect();
+            let mut of_facet = given.clone();
             let mut failed: BTreeSet<u32> = BTreeSet::new();
             for round in 0..=MOST_ROUNDS {
-                let mut contacts = whole.contacts(&of_facet)?;
-                if std::mem::take(&mut first) {
-                    (left, noise) = whole.noise(&contacts, &self.of_facet);
-                }
+                let mut contacts = if round == 0 { touching.clone() } else { whole.contacts(&of_facet)? };
                 contacts.retain(|c| !(left.contains(&self.of_facet[c.facet]) || noise.contains(&c.place)));
                 if contacts.is_empty() {
                     break;
