@@ -1,8 +1,10 @@
 //! Promise: fitted vertices bring the facets nearer to the input, refinement brings them within a tolerance, and
 //! neither folds the surface.
 
+use std::f64::consts::TAU;
+
 use geometry::mesh::adjacency::Adjacency;
-use glam::DVec3;
+use glam::{DMat3, DVec3};
 use tessera::mesh::TriMesh;
 use tessera::mesh::closest_point::ClosestPoint;
 use tessera::mesh::measure::{Topology, topology};
@@ -13,6 +15,7 @@ use tessera::rvd::Backend;
 use tessera::rvd::Parallel;
 
 use crate::parts::tube;
+use crate::rough::Random;
 use tessera::token::Token;
 
 fn options(points: usize) -> RemeshOptions {
@@ -218,5 +221,25 @@ fn smooth_surfaces_have_no_small_angles() {
             let quality = done.report.result.quality.as_ref().unwrap();
             assert!(quality.q_min > 0.7 && quality.theta_min_deg > 38.8, "{shape}, {points}: {quality:?}");
         }
+    }
+}
+
+/// A boundary that bends between straight lines of a plane is no smooth curve: the bends stay, however small.
+#[test]
+fn plane_polygons_keep_their_corners() {
+    let random = &mut Random::new(46);
+    for sides in [5, 7, 10, 13, 17, 24u32] {
+        let mut angle = |k: u32| TAU * (f64::from(k) + 0.25 * random.signed()) / f64::from(sides);
+        let corners: Vec<DVec3> = (0..sides).map(&mut angle).map(|a| DVec3::new(a.cos(), a.sin(), 0.0)).collect();
+        let turn = DMat3::from_axis_angle(DVec3::new(1.0, 2.0, 3.0).normalize(), f64::from(sides));
+        // Each side in two edges.
+        let rim = (0..corners.len()).flat_map(|k| [corners[k], 0.5 * (corners[k] + corners[(k + 1) % corners.len()])]);
+        let positions: Vec<DVec3> = rim.chain([DVec3::ZERO]).map(|p| turn * p).collect();
+        let around = 2 * sides;
+        let mesh = TriMesh::new(positions, (0..around).map(|k| [k, (k + 1) % around, around]).collect()).unwrap();
+        let done = run(&mesh, &options(4_000));
+        let to = ClosestPoint::new(&done.mesh);
+        let farthest = mesh.positions().iter().map(|&p| to.distance(p)).fold(0.0, f64::max);
+        assert!(farthest < 1e-7, "{sides} sides: {farthest}");
     }
 }

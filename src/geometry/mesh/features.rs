@@ -120,8 +120,8 @@ pub enum FeatureError {
 }
 
 type Edge = [u32; 2];
-/// An edge, its dihedral angle in degrees, and whether it has a plane face on both sides.
-type SharpEdge = (Edge, f64, bool);
+/// An edge, its dihedral angle in degrees, and whether each of its facets is in a plane with another.
+type FeatureEdge = (Edge, f64, bool);
 
 /// Lengths, multiplied by [`FeatureOptions::resolution`].
 #[derive(Clone, Copy)]
@@ -165,10 +165,10 @@ impl Features {
         let (sharp, boundary) = classify(mesh, &angles, &adjacency, options.crease_angle_deg, token)?;
         token.check()?;
         let mut graph = Graph::default();
-        let required = |kind| EdgeInfo { kind, required: true, angle: 180.0, between_planes: false };
-        for (k, &e) in boundary.iter().enumerate() {
+        let required = |kind| EdgeInfo { kind, required: true, angle: 180.0, beside_planes: false };
+        for (k, &(e, _, beside_planes)) in boundary.iter().enumerate() {
             token.check_at(k)?;
-            graph.insert(e, required(CurveKind::Boundary));
+            graph.insert(e, EdgeInfo { beside_planes, ..required(CurveKind::Boundary) });
         }
         let edges = (!options.given_creases.is_empty()).then(|| all_edges(mesh, &adjacency)).into_iter().flatten();
         let known: HashSet<Edge> = edges.collect();
@@ -187,9 +187,9 @@ impl Features {
                 _ => return Err(FeatureError::NoSuchEdge { crease, a, b }),
             }
         }
-        for (k, &(e, angle, between_planes)) in sharp.iter().enumerate() {
+        for (k, &(e, angle, beside_planes)) in sharp.iter().enumerate() {
             token.check_at(k)?;
-            graph.insert(e, EdgeInfo { kind: CurveKind::Crease, required: false, angle, between_planes });
+            graph.insert(e, EdgeInfo { kind: CurveKind::Crease, required: false, angle, beside_planes });
         }
         let left_out = graph.prune(metric, options.min_crease_length, token)?;
         if options.ridge_clearance > 0.0 && options.crease_angle_deg > 0.0 {
@@ -317,12 +317,15 @@ fn classify(
     adjacency: &Adjacency,
     angle: f64,
     token: &Token,
-) -> Result<(Vec<SharpEdge>, Vec<Edge>), Stopped> {
+) -> Result<(Vec<FeatureEdge>, Vec<FeatureEdge>), Stopped> {
     let (mut sharp, mut boundary) = (Vec::new(), Vec::new());
     for (half, e) in all_edges(mesh, adjacency).enumerate() {
         token.check_at(half)?;
         match (adjacency.kind(half), adjacency.opposite(half)) {
-            (EdgeKind::Boundary, _) => boundary.push(e),
+            (EdgeKind::Boundary, _) => {
+                let crease = if angle > 0.0 { angle } else { 180.0 };
+                boundary.push((e, 180.0, angles.is_plane_beside(half, crease)));
+            }
             (_, Some(other)) if angle > 0.0 && half < other => {
                 let bend = angles.at(half).filter(|&bend| bend > angle);
                 let between = || [half, other].into_iter().all(|half| angles.is_plane_beside(half, angle));
@@ -332,6 +335,6 @@ fn classify(
         }
     }
     sharp.sort_unstable_by_key(|b| b.0);
-    boundary.sort_unstable();
+    boundary.sort_unstable_by_key(|b| b.0);
     Ok((sharp, boundary))
 }

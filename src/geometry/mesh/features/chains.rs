@@ -22,6 +22,13 @@ use crate::token::{Stopped, Token};
 const END_EDGES: usize = 3;
 /// A curve has a corner where it turns by more than this, degrees.
 const CORNER_ANGLE: f64 = 60.0;
+/// The same between straight lines of a plane's boundary. Creases turn like that where a round side was made of plane faces, whose
+/// edges are no creases: corners there bring nothing.
+const BEND_ANGLE: f64 = 10.0;
+/// Lines between which a bend is a corner are this long, [`super::FeatureOptions::turn_reach`].
+const LINE: f64 = 2.0;
+/// A chain is straight if its vertices are this near to its chord, shares of its length.
+const STRAIGHT: f64 = 1e-5;
 
 /// The curves between corners, the corners, and how many of them have become part of others. Those `given` are corners if a curve has
 /// them, and stay.
@@ -51,7 +58,7 @@ pub(super) fn curves(
             let chain = graph.chain_to(v, next, &corners);
             done.extend(chain.windows(2).map(|p| undirected([p[0], p[1]])));
             let closed = chain[0] == chain[chain.len() - 1] && !corners.contains(&v);
-            split(&chain, closed, kind(v, next), (metric, merge.reach), (&mut corners, &mut curves), token)?;
+            split(&chain, closed, (graph, metric, merge.reach), (&mut corners, &mut curves), token)?;
         }
     }
     for (k, curve) in curves.iter_mut().enumerate() {
@@ -71,13 +78,13 @@ pub(super) fn curves(
 fn split(
     chain: &[u32],
     closed: bool,
-    kind: CurveKind,
-    (metric, reach): (Metric<'_>, f64),
+    (graph, metric, reach): (&Graph, Metric<'_>, f64),
     (corners, curves): (&mut BTreeSet<u32>, &mut Vec<Curve>),
     token: &Token,
 ) -> Result<(), Stopped> {
-    let turns = sharp_turns(chain, closed, (metric, reach), token)?;
+    let turns = sharp_turns(chain, closed, (graph, metric, reach), token)?;
     let last = chain.len() - 1;
+    let kind = graph.edges[&undirected([chain[0], chain[1]])].kind;
     let curve = |vertices, closed| Curve { kind, vertices, closed, angle_deg: 0.0, ends_deg: [0.0; 2], is_rim: false };
     if closed && turns.is_empty() {
         curves.push(curve(chain[..last].to_vec(), true));
@@ -94,32 +101,116 @@ fn split(
     Ok(())
 }
 
-/// Places where a chain turns by more than [`CORNER_ANGLE`] from `reach` before to `reach` after, the sharpest of each `reach`.
-fn sharp_turns(chain: &[u32], closed: bool, along: (Metric<'_>, f64), token: &Token) -> Result<Vec<usize>, Stopped> {
-    let (metric, reach) = along;
-    let p: Vec<DVec3> = chain.iter().map(|&v| metric.at(v)).collect();
-    let last = p.len() - 1;
-    let mut along = vec![0.0];
-    chain.windows(2).for_each(|w| along.push(along[along.len() - 1] + metric.edge(w[0], w[1])));
-    let total = along[last];
-    // The point at arc length s.
-    let at = |s: f64| {
-        let s = if closed { s.rem_euclid(total) } else { s.clamp(0.0, total) };
-        let k = along.partition_point(|&a| a <= s).clamp(1, last);
+/// A chain by arc length. A closed one has its first place again at the end.
+struct Arc {
+    places: Vec<DVec3>,
+    /// Arc length at each place, ascending.
+    along: Vec<f64>,
+    closed: bool,
+}
+
+impl Arc {
+    fn new(chain: &[u32], closed: bool, metric: Metric<'_>) -> Self {
+        let places = chain.iter().map(|&v| metric.at(v)).collect();
+        let mut along = vec![0.0];
+        chain.windows(2).for_each(|w| along.push(along[along.len() - 1] + metric.edge(w[0], w[1])));
+        Self { places, along, closed }
+    }
+
+    fn last(&self) -> usize {
+        self.places.len() - 1
+    }
+
+    fn total(&self) -> f64 {
+        self.along[self.last()]
+    }
+
+    /// The point at arc length `s`.
+    fn at(&self, s: f64) -> DVec3 {
+        let (p, along) = (&self.places, &self.along);
+        let s = if self.closed { s.rem_euclid(self.total()) } else { s.clamp(0.0, self.total()) };
+        let k = along.partition_point(|&a| a <= s).clamp(1, self.last());
         let width = along[k] - along[k - 1];
         if width > 0.0 { p[k - 1].lerp(p[k], (s - along[k - 1]) / width) } else { p[k] }
-    };
-    let limit = CORNER_ANGLE.to_radians().cos();
-    let inner = if closed { 0..last } else { 1..last };
-    let reach = reach.min(total / 3.0);
-    let cosine = |k: usize| {
-        let (back, ahead) = (p[k] - at(along[k] - reach), at(along[k] + reach) - p[k]);
+    }
+
+    /// Cosine of the turn at place `k`, from `reach` before to `reach` after.
+    fn cosine(&self, k: usize, reach: f64) -> f64 {
+        let (p, s) = (self.places[k], self.along[k]);
+        let (back, ahead) = (p - self.at(s - reach), self.at(s + reach) - p);
         back.normalize_or_zero().dot(ahead.normalize_or_zero())
+    }
+
+    /// The place after `k`, and the arc length to it; the place before it without `forward`.
+    fn next(&self, k: usize, forward: bool) -> Option<(usize, f64)> {
+        let last = self.last();
+        // Both ends of a closed chain are one place.
+        let k = match k {
+            0 if self.closed && !forward => last,
+            k if self.closed && forward && k == last => 0,
+            k => k,
+        };
+        let next = if forward { (k < last).then_some(k + 1) } else { k.checked_sub(1) }?;
+        Some((next, (self.along[next] - self.along[k]).abs()))
+    }
+
+    /// Whether the chain is a straight line from place `k` on, or back without `forward`, over the length `line`.
+    fn is_straight(&self, k: usize, forward: bool, line: f64) -> bool {
+        let (from, s) = (self.places[k], self.along[k]);
+        let along = |length: f64| if forward { s + length } else { s - length };
+        let end = along(line);
+        if if self.closed { line >= self.total() } else { !(0.0..=self.total()).contains(&end) } {
+            return false;
+        }
+        let chord = self.at(end) - from;
+        let is_near = |p: DVec3| (p - from).cross(chord).length() <= STRAIGHT * chord.length_squared();
+        // The middle first: a walk from each place of a smooth curve would take the square of their number.
+        if !is_near(self.at(along(0.5 * line))) {
+            return false;
+        }
+        let (mut here, mut length) = (k, 0.0);
+        while let Some((next, step)) = self.next(here, forward) {
+            length += step;
+            if length >= line {
+                break;
+            }
+            if !is_near(self.places[next]) {
+                return false;
+            }
+            here = next;
+        }
+        true
+    }
+}
+
+/// Places where a chain turns by more than [`CORNER_ANGLE`] from `reach` before to `reach` after, or by more than [`BEND_ANGLE`]
+/// between straight lines of a plane's boundary; the sharpest of each `reach`.
+fn sharp_turns(
+    chain: &[u32],
+    closed: bool,
+    (graph, metric, reach): (&Graph, Metric<'_>, f64),
+    token: &Token,
+) -> Result<Vec<usize>, Stopped> {
+    let arc = Arc::new(chain, closed, metric);
+    let (last, total) = (arc.last(), arc.total());
+    let [limit, least_bend] = [CORNER_ANGLE, BEND_ANGLE].map(|angle: f64| angle.to_radians().cos());
+    let inner = if closed { 0..last } else { 1..last };
+    let line = LINE * reach;
+    let reach = reach.min(total / 3.0);
+    let is_line = |k: usize, forward: bool| {
+        let of_plane = |(next, _)| {
+            let edge = graph.edges[&undirected([chain[k], chain[next]])];
+            edge.kind == CurveKind::Boundary && edge.beside_planes
+        };
+        arc.next(k, forward).is_some_and(of_plane) && arc.is_straight(k, forward, line)
     };
-    let mut found: Vec<(f64, usize)> = inner.map(|k| (cosine(k), k)).filter(|&(c, _)| c < limit).collect();
+    let turn = |k: usize| (arc.cosine(k, reach), k);
+    let is_corner =
+        |&(cosine, k): &(f64, usize)| cosine < limit || cosine < least_bend && is_line(k, true) && is_line(k, false);
+    let mut found: Vec<(f64, usize)> = inner.map(turn).filter(is_corner).collect();
     found.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
     let apart = |j: usize, k: usize| {
-        let d = (along[k] - along[j]).abs();
+        let d = (arc.along[k] - arc.along[j]).abs();
         if closed { d.min(total - d) } else { d }
     };
     // Arc length ascends with the place: only the next taken ones count, and round a closed chain's end the outermost.

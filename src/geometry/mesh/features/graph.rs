@@ -43,8 +43,8 @@ pub(super) struct EdgeInfo {
     pub(super) required: bool,
     /// Dihedral angle, degrees.
     pub(super) angle: f64,
-    /// Whether it has a plane face on both sides.
-    pub(super) between_planes: bool,
+    /// Whether each of its facets is in a plane with another.
+    pub(super) beside_planes: bool,
 }
 
 impl Graph {
@@ -166,8 +166,8 @@ impl Graph {
             let length = |e: &Edge| metric.edge(e[0], e[1]);
             let total: f64 = edges.iter().map(length).sum();
             let is_intended = |e: &&Edge| {
-                let EdgeInfo { angle, between_planes, .. } = self.edges[*e];
-                angle >= SHARP_ANGLE || (between_planes && angle >= MODERATE_ANGLE)
+                let EdgeInfo { angle, beside_planes, .. } = self.edges[*e];
+                angle >= SHARP_ANGLE || (beside_planes && angle >= MODERATE_ANGLE)
             };
             let intended: f64 = edges.iter().filter(is_intended).map(length).sum();
             let chains = (ends / 2).max(1) as f64;
@@ -326,7 +326,7 @@ impl<'a> DihedralAngles<'a> {
         let mut ridges = Graph::default();
         for (e, angle) in self.ridges(crease, clearance, token)? {
             if !graph.edges.contains_key(&e) {
-                ridges.insert(e, EdgeInfo { kind: CurveKind::Crease, required: false, angle, between_planes: false });
+                ridges.insert(e, EdgeInfo { kind: CurveKind::Crease, required: false, angle, beside_planes: false });
             }
         }
         let nodes: BTreeSet<u32> =
