@@ -339,3 +339,43 @@ fn what_would_tear_is_refused() {
     let torn = run(&mesh, &sample(300).with_keep(vec![part]));
     assert!(matches!(torn, Err(RemeshError::KeptAcrossJunction { .. })));
 }
+
+/// Facets here and there, drawn at random: one of `share`.
+fn scattered(random: &mut Random, mesh: &TriMesh, share: usize) -> BTreeSet<u32> {
+    let facets = mesh.facets().len();
+    (0..facets / share).map(|_| random.below(facets) as u32).collect()
+}
+
+fn part(facets: &BTreeSet<u32>) -> Part {
+    Part::Facets(facets.iter().copied().collect())
+}
+
+#[test]
+fn scattered_facets_stay_and_few_others() {
+    let random = &mut Random::new(11);
+    for shape in [Shape::Sphere, Shape::Torus, Shape::Hills] {
+        let mesh = shape.build(2000);
+        let keep = scattered(random, &mesh, 40);
+        let corners: BTreeSet<_> = keep.iter().map(|&f| mesh.corners(f as usize).map(bits)).collect();
+        for points in [600, 1500] {
+            let done = run(&mesh, &sample(points).with_keep(vec![part(&keep)])).unwrap();
+            let name = format!("{shape}, {points}");
+            assert_stays(&name, &mesh, &done, |t| corners.contains(&t.map(bits)));
+            let kept = done.report.result.kept.unwrap();
+            assert!(kept.further_facets <= corners.len(), "{name}: {kept:?}");
+        }
+    }
+}
+
+#[test]
+fn facets_without_room_stay_beside_what_stays() {
+    let random = &mut Random::new(12);
+    let mesh = Shape::Torus.build(2000);
+    // Facets on their own, and a patch with vertices of its own.
+    let only = vec![ball(random, &mesh), part(&scattered(random, &mesh, 20))];
+    let done = run(&mesh, &sample(1000).with_only(only)).unwrap();
+    let kept = done.report.result.kept.unwrap();
+    assert!(kept.further_facets > 50 && kept.facets < 1990, "{kept:?}");
+    assert!(done.mesh.positions().len().abs_diff(1000) <= 20, "{}", done.mesh.positions().len());
+    assert!(done.report.topology_changes.is_empty());
+}

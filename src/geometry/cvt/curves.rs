@@ -67,9 +67,13 @@ const MIN_SEPARATION: f64 = 0.45;
 const MIN_CORNER_SEPARATION: f64 = 0.3;
 /// A seed comes between the ends of a segment if its distance to a point there is below this share of theirs.
 const BETWEEN_MARGIN: f64 = 0.98;
+/// The same for edges that stay, which have to be in the result.
+const HELD_BETWEEN_MARGIN: f64 = 1.0;
 /// Rounds of splitting segments that a seed of another curve comes between, at most, and the shortest part, a share of h.
 const MAX_SPLIT_ROUNDS: usize = 4;
 const MIN_SPLIT_PART: f64 = 0.3;
+/// The shortest part of edges that stay, share of the segment: it may be much shorter than h, and seeds within are taken out again.
+const MIN_HELD_PART: f64 = 0.1;
 /// A corner is acute if two of its curves enclose less than this, degrees.
 const ACUTE_CORNER_DEG: f64 = 40.0;
 /// Two creases that enclose less than this at a corner, degrees, both stay only if their dihedral angles exceed the second.
@@ -248,8 +252,13 @@ impl CurveSeeds {
         Ok(())
     }
 
-    /// Splits segments of the curves that `may` allows if another curve's seed comes between their ends, as across a slit.
-    pub fn split_between_others(&mut self, may: impl Fn(u32) -> bool, token: &Token) -> Result<(), Stopped> {
+    /// Splits segments of the curves that `may` allows if another curve's seed comes between their ends, as across a slit. Edges of the
+    /// curves that are `held` have to be in the result, and are split sooner.
+    pub fn split_between_others(
+        &mut self,
+        (may, held): (impl Fn(u32) -> bool, impl Fn(u32) -> bool),
+        token: &Token,
+    ) -> Result<(), Stopped> {
         for _ in 0..MAX_SPLIT_ROUNDS {
             token.check()?;
             let index = SeedIndex::new(&self.seeds);
@@ -257,14 +266,18 @@ impl CurveSeeds {
             for (number, segment) in (0..).zip(&self.segments).filter(|(_, s)| may(s.curve)) {
                 token.check_at(64 * number as usize)?;
                 let ends = segment.ends.map(|e| self.seeds[e as usize]);
-                let between = |&k: &usize| {
+                let (margin, least) = match held(segment.curve) {
+                    true => (HELD_BETWEEN_MARGIN, MIN_HELD_PART * ends[0].distance(ends[1])),
+                    false => (BETWEEN_MARGIN, MIN_SPLIT_PART * segment.edge),
+                };
+                let between = |k: usize| {
                     let p = segment.between[k];
                     let (nearest, own) = (index.nearest(p), ends[0].distance(p).min(ends[1].distance(p)));
                     let apart = self.seeds[nearest as usize].distance(p);
-                    let comes_between = !segment.ends.contains(&nearest) && apart < BETWEEN_MARGIN * own;
-                    (comes_between && own > MIN_SPLIT_PART * segment.edge).then_some((apart, k))
+                    let comes_between = !segment.ends.contains(&nearest) && apart < margin * own;
+                    (comes_between && own > least).then_some((apart, k))
                 };
-                let places = (0..INNER_POINTS).filter_map(|k| between(&k));
+                let places = (0..INNER_POINTS).filter_map(between);
                 found.extend(places.min_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, k)| (number, k)));
             }
             if found.is_empty() {

@@ -538,6 +538,11 @@ pub(super) const SCALING_TOLERANCE: f64 = 0.01;
 
 // Parts that stay.
 
+/// A vertex is that of a corner's seed if it is this near, unit frame: the frame's transformation rounds.
+pub(super) const CORNER_ROUNDING: f64 = 1e-12;
+/// A facet between those that stay has no room for a vertex if its area is below this, cells: a regular triangle of twice the target
+/// edge has two.
+pub(super) const ENCLOSED_CELLS: f64 = 2.0;
 /// Rounds in which facets beside these stay too, at most; each reaches one facet farther than the last.
 pub(super) const FURTHER_KEPT_ROUNDS: usize = 6;
 /// Vertices around one that is taken out of an edge, at most.

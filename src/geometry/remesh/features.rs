@@ -212,8 +212,9 @@ impl KeptCurves {
             }
             if let Some(mut seeds) = placed {
                 seeds.split_by_deviation(f64::INFINITY, token)?;
-                let may_split = |c: &Curve| c.kind == CurveKind::Boundary || c.is_rim;
-                seeds.split_between_others(|c| may_split(&features.curves[c as usize]), token)?;
+                let is_rim = |c: u32| features.curves[c as usize].is_rim;
+                let may_split = |c: u32| is_rim(c) || features.curves[c as usize].kind == CurveKind::Boundary;
+                seeds.split_between_others((may_split, is_rim), token)?;
                 let share = |seams: &Arc<Seams>| seams.share(&mut seeds, &features, surface.positions());
                 let (joints, copies) = seams.map(share).unwrap_or_default();
                 if seeds.len() as f64 <= most_of(creases(&features)) * points as f64 {
@@ -272,9 +273,9 @@ impl KeptCurves {
         let (mesh, points): (&TriMesh, usize) = (&plan.mesh, plan.points);
         let frame = surface.frame();
         let mut all: Vec<DVec3> = (0..self.seeds.len() as u32).map(|i| self.position(mesh, frame, i)).collect();
-        // Seeds of which others are copies have one vertex with them.
+        // Some seeds have no vertex of their own in the end.
         let all_narrow = !self.narrow.is_empty() && !self.narrow.contains(&false);
-        let others = if all_narrow { 0 } else { (points + self.copies).saturating_sub(all.len()) };
+        let others = if all_narrow { 0 } else { (points + self.surplus()).saturating_sub(all.len()) };
         let clearance = self.seeds.clearance(CLEARANCE);
         let clear = |p: &DVec3| clearance.holds(frame.to_unit(*p));
         // Seeds do not cross curves, so each region gets its own share.
@@ -489,6 +490,10 @@ impl KeptCurves {
                 && let Some(&after) = next.get(&seeds[seeds.len() - 1])
             {
                 seeds.push(after);
+            }
+            // An edge that stays has none between its ends in the result.
+            if curve.is_rim {
+                seeds.drain(1..(seeds.len() - 1).max(1));
             }
             let boundary = curve.kind == CurveKind::Boundary;
             chains.push(Chain { vertices: curve.round().collect(), closed: curve.closed, seeds, boundary });

@@ -72,7 +72,7 @@ impl Of<'_> {
         let Some(mut seeds) = CurveSeeds::place(surface, (features, &[]), edge, most, token)? else { return Ok(None) };
         seeds.split_by_deviation(f64::INFINITY, token)?;
         let patches = Patches::of(features, (mesh, surface), of_patches);
-        seeds.split_between_others(|curve| patches.beside_wide[curve as usize], token)?;
+        seeds.split_between_others((|curve| patches.beside_wide[curve as usize], |_| false), token)?;
         let share = |seams: &Arc<Seams>| seams.share(&mut seeds, features, surface.positions());
         let (joints, copies) = seams.map(share).unwrap_or_default();
         let expected = seeds.len().saturating_sub(copies) as f64 + patches.points_within(&seeds, of_patches);

@@ -79,7 +79,8 @@ fn triangulate(
     let n = around.len();
     let facing: DVec3 = around.windows(2).map(|p| (at(p[0]) - at(v)).cross(at(p[1]) - at(v))).sum();
     let facing = facing.normalize_or_zero();
-    if is_edge(around[0], around[n - 1]) {
+    // The edge is there already if the vertex has one facet alone, and must not be there otherwise.
+    if is_edge(around[0], around[n - 1]) != (n == 2) {
         return None;
     }
     // The worst shape between two of the vertices, at its best, and the third corner of the facet at their edge.
@@ -141,5 +142,13 @@ mod tests {
         assert!(facets.iter().all(|t| area(t) > 0.0));
         assert!((facets.iter().map(area).sum::<f64>() - 6.0).abs() < 1e-12);
         assert!(facets.iter().any(|t| t.contains(&0) && t.contains(&6)), "{facets:?}");
+    }
+
+    #[test]
+    fn a_vertex_with_one_facet_is_taken_out_with_it() {
+        let positions = [[0.0, 0.0], [2.0, 0.0], [1.0, 1.0], [1.0, 0.0]].map(|[x, y]| DVec3::new(x, y, 0.0));
+        let mut facets = vec![[0, 1, 2], [0, 3, 1]];
+        assert_eq!(take_out(&positions, &mut facets, &[3]), HashSet::from([3]));
+        assert_eq!(facets, [[0, 1, 2]]);
     }
 }

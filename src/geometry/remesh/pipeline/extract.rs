@@ -17,7 +17,7 @@ use crate::mesh::crossings::crossing_facets;
 use crate::mesh::csr::Csr;
 use crate::mesh::edges::undirected;
 use crate::mesh::features::CurveKind;
-use crate::remesh::constants::OFF_CURVE_SHARE;
+use crate::remesh::constants::{CORNER_ROUNDING, OFF_CURVE_SHARE};
 use crate::remesh::distance::{HausdorffEstimate, InputSamples, Reference, SurfaceSample, missed_places};
 use crate::remesh::features::KeptCurves;
 use crate::remesh::features::envelope::CurveEnvelope;
@@ -56,6 +56,8 @@ pub(super) struct Draft<'a> {
     pub(super) vertex_seed: Vec<u32>,
     /// For each segment of the curves its edge, if it is there.
     pub(super) curve_edges: Vec<Option<[u32; 2]>>,
+    /// Vertices that share a corner that stays with others. Until the draft is finished they are as far beside it as repair puts them.
+    pub(super) at_corners: Vec<u32>,
     pub(super) repair: RepairFigures,
     pub(super) fitted: Option<Fitted<'a>>,
     pub(super) missed: Missed,
@@ -89,7 +91,8 @@ pub(super) struct Missed {
 impl<'a> Extraction<'a> {
     /// The dual made a triangulation: repaired, its vertices placed, with the seed of each vertex.
     pub(super) fn draft(&self, dual: &dual::Dual, seeds: &[DVec3]) -> Result<Draft<'a>, RemeshError> {
-        let positions = self.vertex_positions(dual, seeds);
+        let at_corner = self.parts_at_corners(dual);
+        let positions = self.vertex_positions(dual, &at_corner, seeds);
         self.token.check()?;
         let repaired = repair::repair(&positions, &dual.triangles, self.token)?;
         if repaired.facets.is_empty() {
@@ -130,7 +133,10 @@ impl<'a> Extraction<'a> {
             }
         }
         let (fitted, missed, seeds) = (None, Missed::default(), seeds.len());
-        let mut draft = Draft { positions, facets, vertex_seed, curve_edges, repair, fitted, missed, seeds };
+        let at_corners =
+            (0..).zip(&repaired.source).filter(|(_, part)| at_corner.contains(part)).map(|(v, _)| v).collect();
+        let mut draft =
+            Draft { positions, facets, vertex_seed, curve_edges, at_corners, repair, fitted, missed, seeds };
         match (self.placement, self.shapes) {
             (Placement::Fitted, _) => self.fit(&mut draft, &repaired.source, dual),
             (_, Shapes::Round) => {}
@@ -162,7 +168,7 @@ impl<'a> Extraction<'a> {
     /// Where the dual's vertices go, caller's coordinates. A cell in one piece has its vertex at its seed, which is on the
     /// surface, or at its centroid; a component of a split cell has it at the closest point to its own centroid, but for the largest of
     /// a curve's seed.
-    fn vertex_positions(&self, dual: &dual::Dual, seeds: &[DVec3]) -> Vec<DVec3> {
+    fn vertex_positions(&self, dual: &dual::Dual, at_corner: &HashSet<u32>, seeds: &[DVec3]) -> Vec<DVec3> {
         let frame = self.surface.frame();
         let closest = dual.components.iter().any(|c| !c.whole).then(|| ClosestPoint::new(self.divided));
         // The largest part of a cell has its vertex on the curve; a fit takes it on from there.
@@ -175,15 +181,33 @@ impl<'a> Extraction<'a> {
             let area = largest.entry(c.seed).or_default();
             *area = area.max(c.area);
         }
-        let place = |c: &dual::Component| match &closest {
-            _ if self.curves.has_seed(c.seed) && (c.whole || largest.get(&c.seed) == Some(&c.area)) => {
-                self.curves.position(self.divided, frame, c.seed)
-            }
+        let is_at_seed =
+            |k: u32, c: &dual::Component| c.whole || largest.get(&c.seed) == Some(&c.area) || at_corner.contains(&k);
+        let place = |(k, c): (u32, &dual::Component)| match &closest {
+            _ if self.curves.has_seed(c.seed) && is_at_seed(k, c) => self.curves.position(self.divided, frame, c.seed),
             _ if self.placement == Placement::Centroids => frame.to_world(c.centroid),
             Some(tree) if !c.whole && !self.token.is_stopped() => tree.project(frame.to_world(c.centroid)).position,
             _ => frame.to_world(seeds[c.seed as usize]),
         };
-        dual.components.iter().map(place).collect()
+        (0..).zip(&dual.components).map(place).collect()
+    }
+
+    /// Parts of split cells that have the vertex of a corner that stays: all of them meet there, as where a boundary touches itself.
+    fn parts_at_corners(&self, dual: &dual::Dual) -> HashSet<u32> {
+        let is_split = |c: &dual::Component| !c.whole && self.curves.is_corner(c.seed) && self.curves.stays(c.seed);
+        if !dual.components.iter().any(is_split) {
+            return HashSet::new();
+        }
+        let has_corner = |piece: &&dual::Piece| {
+            let component = &dual.components[piece.component as usize];
+            let facet = self.surface.welded()[piece.facet as usize];
+            // Seeds of corners differ from their vertices by rounding.
+            let is_at =
+                |k: usize, seed: DVec3| self.surface.positions()[facet[k] as usize].distance(seed) <= CORNER_ROUNDING;
+            let seed = is_split(component).then(|| self.curves.seeds.seeds[component.seed as usize]);
+            seed.is_some_and(|seed| (0..3).any(|k| piece.corners & (1 << k) != 0 && is_at(k, seed)))
+        };
+        dual.pieces.iter().filter(has_corner).map(|piece| piece.component).collect()
     }
 
     /// Flips edges of a draft whose vertices stay on the input, or at their centroids. `component` is by vertex.
@@ -284,6 +308,10 @@ impl<'a> Extraction<'a> {
             draft.facets = facets;
             let moved = draft.positions.iter_mut().zip(positions).zip(&fitted.target.fixed);
             moved.filter(|(_, fixed)| !**fixed).for_each(|((p, u), _)| *p = frame.to_world(u));
+        }
+        let frame = self.surface.frame();
+        for &v in &draft.at_corners {
+            draft.positions[v as usize] = self.curves.position(self.divided, frame, draft.vertex_seed[v as usize]);
         }
         self.straighten_rims(&mut draft);
         let Draft { positions, facets, vertex_seed, curve_edges, repair, seeds, .. } = draft;

@@ -13,7 +13,6 @@ use super::attributes;
 use super::measured::compare;
 use super::preprocess::{Preprocessed, preprocess};
 use crate::cvt::density::{DensityError, DensitySource};
-use crate::mesh::TriMesh;
 use crate::mesh::adjacency::{Adjacency, weld_unless};
 use crate::mesh::apart::bits;
 use crate::mesh::attributes::Attributes;
@@ -23,7 +22,8 @@ use crate::mesh::edges::{DisjointSets, EdgeGroups, sides, undirected};
 use crate::mesh::features::Features;
 use crate::mesh::measure::{coincident_vertices, topology_unless};
 use crate::mesh::parts::{Inclusion, Indices, Part, PartError};
-use crate::remesh::constants::FURTHER_KEPT_ROUNDS;
+use crate::mesh::{TriMesh, normal};
+use crate::remesh::constants::{ENCLOSED_CELLS, FURTHER_KEPT_ROUNDS};
 use crate::remesh::features::Held;
 use crate::remesh::report::KeptFigures;
 use crate::remesh::{Provenance, Remesh, RemeshError, RemeshOptions, Result, Seeds, Tolerance};
@@ -52,6 +52,7 @@ pub(super) fn remesh(given: &TriMesh, options: &RemeshOptions, run: Run<'_>, tok
     let whole = preprocess(given, None, token)?;
     let mut farthest = None;
     stay_without_area(given, &class, &mut stays);
+    stay_enclosed(given, (&class, &single), options, &mut stays);
     for round in 1.. {
         token.check()?;
         let Some(free) = Free::of(given, &class, (&stays, &single), options.keep_rims) else {
@@ -168,6 +169,28 @@ fn stay_without_area(given: &TriMesh, class: &[u32], stays: &mut [bool]) {
     }
 }
 
+/// Facets between those that stay and without a vertex of their own, where each is too small for a new one: nothing there can change.
+fn stay_enclosed(given: &TriMesh, (class, single): (&[u32], &[u32]), options: &RemeshOptions, stays: &mut [bool]) {
+    let Seeds::Sample { points, .. } = options.seeds else { return };
+    let largest = ENCLOSED_CELLS * given.area() / points.max(1) as f64;
+    let welded = |f: usize| given.facets()[f].map(|v| class[v as usize]);
+    let mut held = vec![false; class.len()];
+    (0..stays.len()).filter(|&f| stays[f]).flat_map(welded).for_each(|v| held[v as usize] = true);
+    single.iter().for_each(|&v| held[class[v as usize] as usize] = true);
+    let free: Vec<usize> = (0..stays.len()).filter(|&f| !stays[f]).collect();
+    let mut patches = DisjointSets::new(stays.len());
+    EdgeGroups::new(class.len(), free.iter().map(|&f| (f, welded(f)))).for_each(|_, halves| {
+        halves.windows(2).for_each(|pair| patches.join(pair[0].facet as usize, pair[1].facet as usize));
+    });
+    let is_room =
+        |f: usize| !welded(f).iter().all(|&v| held[v as usize]) || 0.5 * normal(given.corners(f)).length() > largest;
+    let with_room: HashSet<usize> = free.iter().filter(|&&f| is_room(f)).map(|&f| patches.root(f)).collect();
+    // What is all that there is to remesh is not given up.
+    if !with_room.is_empty() {
+        free.into_iter().filter(|&f| !with_room.contains(&patches.root(f))).for_each(|f| stays[f] = true);
+    }
+}
+
 /// The part of a surface that is remeshed. Vertices and facets are those of the surface.
 struct Free {
     facets: Vec<u32>,
@@ -246,6 +269,27 @@ impl Free {
         self.kept_vertices.len().saturating_sub(on_rims)
     }
 
+    /// How many fans of facets there are at vertices of rims beyond one each: a result has a vertex for each of them, in one place.
+    fn further_fans(&self, given: &TriMesh, class: &[u32]) -> usize {
+        let welded = |f: u32| given.facets()[f as usize].map(|v| class[v as usize]);
+        let on_rims: HashSet<u32> = self.rims.keys().flatten().copied().collect();
+        let mut around: BTreeMap<u32, Vec<[u32; 3]>> = BTreeMap::new();
+        for t in self.facets.iter().map(|&f| welded(f)) {
+            t.iter().filter(|v| on_rims.contains(v)).for_each(|&v| around.entry(v).or_default().push(t));
+        }
+        let fans = |(&v, facets): (&u32, &Vec<[u32; 3]>)| {
+            let mut fans = DisjointSets::new(facets.len());
+            let mut first: HashMap<u32, usize> = HashMap::new();
+            for (k, &other) in facets.iter().enumerate().flat_map(|(k, t)| t.iter().map(move |other| (k, other))) {
+                if other != v {
+                    fans.join(*first.entry(other).or_insert(k), k);
+                }
+            }
+            (0..facets.len()).filter(|&k| fans.root(k) == k).count() - 1
+        };
+        around.iter().map(fans).sum()
+    }
+
     /// The options for this part.
     fn options(&self, (given, class): (&TriMesh, &[u32]), options: &RemeshOptions) -> Result<RemeshOptions> {
         let mut own = options.clone();
@@ -253,8 +297,9 @@ impl Free {
         // A sheet that goes on in another could not face as both do, and what stays of them cannot be turned.
         own.keep_non_manifold |= !self.kept.is_empty();
         let all = self.inner() + self.places.len() + self.single.len();
+        let further = self.further_fans(given, class);
         let fewer = |points: usize| match points.checked_sub(self.inner()) {
-            Some(rest) if rest >= self.places.len() + self.single.len() && rest > 0 => Ok(rest),
+            Some(rest) if rest >= self.places.len() + self.single.len() && rest > 0 => Ok(rest + further),
             _ => Err(RemeshError::TooFewForRims { points, rims: all }),
         };
         if let Seeds::Sample { points, .. } = &mut own.seeds {
