@@ -12,7 +12,7 @@ mod chords;
 mod path;
 mod shared;
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeSet, HashMap};
 
 use glam::DVec3;
 
@@ -72,6 +72,8 @@ const HELD_BETWEEN_MARGIN: f64 = 1.0;
 /// Rounds of splitting segments that a seed of another curve comes between, at most, and the shortest part, a share of h.
 const MAX_SPLIT_ROUNDS: usize = 4;
 const MIN_SPLIT_PART: f64 = 0.3;
+/// How far from a corner both sides of a facet that stay get a seed, share of the shorter segment.
+const TIP_SHARE: f64 = 0.4;
 /// The shortest part of edges that stay, share of the segment: it may be much shorter than h, and seeds within are taken out again.
 const MIN_HELD_PART: f64 = 0.1;
 /// A corner is acute if two of its curves enclose less than this, degrees.
@@ -228,6 +230,43 @@ impl CurveSeeds {
         self.segments[segment as usize] = Segment { ends: [a, new], between: first, curve, edge };
         self.segments.push(Segment { ends: [new, b], between: second, curve, edge });
         middle
+    }
+
+    /// Splits the straight segments of each group at their corners, all in one distance: (the seed of a corner, curve). Both sides of a
+    /// facet's corner then have a seed as near to it as the other, so that the three are a facet with acute angles.
+    pub fn split_alike(&mut self, groups: &[Vec<(u32, u32)>]) {
+        let mut at: HashMap<(u32, u32), u32> = HashMap::new();
+        let ends = |number: u32, segment: &Segment| segment.ends.map(|end| ((end, segment.curve), number));
+        at.extend((0..).zip(&self.segments).flat_map(|(number, segment)| ends(number, segment)));
+        for group in groups {
+            let length = |all: &Self, segment: u32| {
+                let [a, b] = all.segments[segment as usize].ends.map(|end| all.seeds[end as usize]);
+                a.distance(b)
+            };
+            let own: Vec<(u32, u32)> = group.iter().filter_map(|key| Some((key.0, *at.get(key)?))).collect();
+            let lengths = own.iter().map(|&(_, segment)| length(self, segment));
+            let reach = TIP_SHARE * lengths.fold(f64::INFINITY, f64::min);
+            for (corner, segment) in own {
+                let share = reach / length(self, segment);
+                let from_first = self.segments[segment as usize].ends[0] == corner;
+                self.split_straight(segment, if from_first { share } else { 1.0 - share });
+                let last = self.segments.len() as u32 - 1;
+                at.extend([segment, last].into_iter().flat_map(|k| ends(k, &self.segments[k as usize])));
+            }
+        }
+    }
+
+    /// Splits a straight segment at this share of it.
+    fn split_straight(&mut self, segment: u32, share: f64) {
+        let new = self.seeds.len() as u32;
+        let Segment { ends: [a, b], curve, edge, .. } = self.segments[segment as usize];
+        let [p, q] = [a, b].map(|end| self.seeds[end as usize]);
+        let place = p.lerp(q, share);
+        self.seeds.push(place);
+        let between =
+            |from: DVec3, to: DVec3| std::array::from_fn(|k| from.lerp(to, (k + 1) as f64 / (INNER_POINTS + 1) as f64));
+        self.segments[segment as usize] = Segment { ends: [a, new], between: between(p, place), curve, edge };
+        self.segments.push(Segment { ends: [new, b], between: between(place, q), curve, edge });
     }
 
     /// Splits segments whose chord leaves the curve by over a seventh of an edge, at the farthest point that may be. No edge counts as

@@ -10,7 +10,7 @@ pub(super) mod envelope;
 pub(super) mod polyline;
 pub(super) mod seams;
 
-use std::collections::{HashMap, HashSet};
+use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
 use std::sync::Arc;
 
 use glam::DVec3;
@@ -22,6 +22,7 @@ use super::{RemeshError, RemeshOptions, Seeds};
 use crate::cvt::curves::{CurveSeeds, INNER_POINTS, Segment, edge_length};
 use crate::cvt::density::Plan;
 use crate::mesh::TriMesh;
+use crate::mesh::adjacency::weld;
 use crate::mesh::csr::ascending;
 use crate::mesh::edges::undirected;
 use crate::mesh::features::{Curve, CurveKind, FeatureOptions, Features};
@@ -44,6 +45,45 @@ fn staying(seeds: &CurveSeeds, features: &Features) -> Vec<bool> {
     let corners = stays.iter_mut().zip(&features.corners);
     corners.for_each(|(stays, corner)| *stays |= features.points.binary_search(corner).is_ok());
     stays
+}
+
+/// The curves at each corner of a facet both sides of which are edges that stay, with the seed of the corner. Copies at other sheets are
+/// in the same group.
+fn tips(features: &Features, mesh: &TriMesh, seams: Option<&Arc<Seams>>) -> Vec<Vec<(u32, u32)>> {
+    let rims = || (0u32..).zip(&features.curves).filter(|(_, curve)| curve.is_rim && !curve.closed);
+    let mut of_edge: HashMap<[u32; 2], &Curve> = HashMap::new();
+    for (_, curve) in rims() {
+        of_edge.extend(curve.vertices.windows(2).map(|pair| (undirected([pair[0], pair[1]]), curve)));
+    }
+    if of_edge.is_empty() {
+        return Vec::new();
+    }
+    let place = |v: u32| seams.and_then(|seams| seams.class(v)).unwrap_or(v);
+    let places = |curve: &Curve| undirected(curve.ends().map(place));
+    let class = weld(mesh);
+    // The curves at each place by those of their ends.
+    let mut tips: BTreeMap<u32, (BTreeSet<[u32; 2]>, Vec<(u32, u32)>)> = BTreeMap::new();
+    for [a, b, c] in mesh.facets().iter().map(|t| t.map(|v| class[v as usize])) {
+        for [before, corner, after] in [[a, b, c], [b, c, a], [c, a, b]] {
+            let curve = |other: u32| of_edge.get(&undirected([corner, other]));
+            if let (Some(one), Some(two)) = (curve(before), curve(after))
+                && one.vertices != two.vertices
+            {
+                tips.entry(place(corner)).or_default().0.extend([places(one), places(two)]);
+            }
+        }
+    }
+    for (number, curve) in rims() {
+        for end in curve.ends() {
+            if let Some((curves, group)) = tips.get_mut(&place(end))
+                && curves.contains(&places(curve))
+                && let Ok(seed) = features.corners.binary_search(&end)
+            {
+                group.push((seed as u32, number));
+            }
+        }
+    }
+    tips.into_values().map(|(_, group)| group).collect()
 }
 
 /// A curve as a report has it.
@@ -213,6 +253,7 @@ impl KeptCurves {
             if let Some(mut seeds) = placed {
                 seeds.split_by_deviation(f64::INFINITY, token)?;
                 let is_rim = |c: u32| features.curves[c as usize].is_rim;
+                seeds.split_alike(&tips(&features, &plan.mesh, seams));
                 let may_split = |c: u32| is_rim(c) || features.curves[c as usize].kind == CurveKind::Boundary;
                 seeds.split_between_others((may_split, is_rim), token)?;
                 let share = |seams: &Arc<Seams>| seams.share(&mut seeds, &features, surface.positions());

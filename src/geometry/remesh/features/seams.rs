@@ -114,7 +114,8 @@ impl Seams {
         known.windows(2).map(|pair| undirected([pair[0], pair[1]])).min()
     }
 
-    fn class(&self, v: u32) -> Option<u32> {
+    /// The lowest vertex in the place of a vertex.
+    pub(crate) fn class(&self, v: u32) -> Option<u32> {
         self.class.get(v as usize).copied()
     }
 
