@@ -9,8 +9,9 @@ mod crowded;
 pub(super) mod envelope;
 pub(super) mod polyline;
 pub(super) mod seams;
+mod tips;
 
-use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
+use std::collections::{HashMap, HashSet};
 use std::sync::Arc;
 
 use glam::DVec3;
@@ -22,7 +23,6 @@ use super::{RemeshError, RemeshOptions, Seeds};
 use crate::cvt::curves::{CurveSeeds, INNER_POINTS, Segment, edge_length};
 use crate::cvt::density::Plan;
 use crate::mesh::TriMesh;
-use crate::mesh::adjacency::weld;
 use crate::mesh::csr::ascending;
 use crate::mesh::edges::undirected;
 use crate::mesh::features::{Curve, CurveKind, FeatureOptions, Features};
@@ -35,6 +35,7 @@ use envelope::CurveSample;
 use polyline::{Polyline, Stretch};
 use seams::periods::Signs;
 use seams::{Joint, Seams};
+use tips::tips;
 
 /// For each seed, whether it stays at its place.
 fn staying(seeds: &CurveSeeds, features: &Features) -> Vec<bool> {
@@ -45,45 +46,6 @@ fn staying(seeds: &CurveSeeds, features: &Features) -> Vec<bool> {
     let corners = stays.iter_mut().zip(&features.corners);
     corners.for_each(|(stays, corner)| *stays |= features.points.binary_search(corner).is_ok());
     stays
-}
-
-/// The curves at each corner of a facet both sides of which are edges that stay, with the seed of the corner. Copies at other sheets are
-/// in the same group.
-fn tips(features: &Features, mesh: &TriMesh, seams: Option<&Arc<Seams>>) -> Vec<Vec<(u32, u32)>> {
-    let rims = || (0u32..).zip(&features.curves).filter(|(_, curve)| curve.is_rim && !curve.closed);
-    let mut of_edge: HashMap<[u32; 2], &Curve> = HashMap::new();
-    for (_, curve) in rims() {
-        of_edge.extend(curve.vertices.windows(2).map(|pair| (undirected([pair[0], pair[1]]), curve)));
-    }
-    if of_edge.is_empty() {
-        return Vec::new();
-    }
-    let place = |v: u32| seams.and_then(|seams| seams.class(v)).unwrap_or(v);
-    let places = |curve: &Curve| undirected(curve.ends().map(place));
-    let class = weld(mesh);
-    // The curves at each place by those of their ends.
-    let mut tips: BTreeMap<u32, (BTreeSet<[u32; 2]>, Vec<(u32, u32)>)> = BTreeMap::new();
-    for [a, b, c] in mesh.facets().iter().map(|t| t.map(|v| class[v as usize])) {
-        for [before, corner, after] in [[a, b, c], [b, c, a], [c, a, b]] {
-            let curve = |other: u32| of_edge.get(&undirected([corner, other]));
-            if let (Some(one), Some(two)) = (curve(before), curve(after))
-                && one.vertices != two.vertices
-            {
-                tips.entry(place(corner)).or_default().0.extend([places(one), places(two)]);
-            }
-        }
-    }
-    for (number, curve) in rims() {
-        for end in curve.ends() {
-            if let Some((curves, group)) = tips.get_mut(&place(end))
-                && curves.contains(&places(curve))
-                && let Ok(seed) = features.corners.binary_search(&end)
-            {
-                group.push((seed as u32, number));
-            }
-        }
-    }
-    tips.into_values().map(|(_, group)| group).collect()
 }
 
 /// A curve as a report has it.
