@@ -246,6 +246,10 @@ impl CurveSeeds {
             let own: Vec<(u32, u32)> = group.iter().filter_map(|key| Some((key.0, *at.get(key)?))).collect();
             let lengths = own.iter().map(|&(_, segment)| length(self, segment));
             let reach = TIP_SHARE * lengths.fold(f64::INFINITY, f64::min);
+            // Ends that rounding brought to one place have no room.
+            if reach <= 0.0 {
+                continue;
+            }
             for (corner, segment) in own {
                 let share = reach / length(self, segment);
                 let from_first = self.segments[segment as usize].ends[0] == corner;
