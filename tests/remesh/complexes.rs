@@ -14,25 +14,25 @@ use tessera::{Token, TriMesh};
 
 use crate::rough::Random;
 
-fn run(mesh: &TriMesh, options: &RemeshOptions) -> Remesh {
+pub fn run(mesh: &TriMesh, options: &RemeshOptions) -> Remesh {
     remesh(mesh, options, &Parallel::new(Some(2)).unwrap(), &mut (), &Token::default()).unwrap()
 }
 
 /// Complexes of each kind.
-fn how_many(usual: usize) -> usize {
+pub fn how_many(usual: usize) -> usize {
     std::env::var("TESSERA_COMPLEXES").map_or(usual, |count| count.parse().unwrap())
 }
 
 /// Checks that report every complex that fails, not the first alone.
 #[derive(Default)]
-struct Failures(usize);
+pub struct Failures(usize);
 
 impl Failures {
-    fn check(&mut self, case: impl FnOnce()) {
+    pub fn check(&mut self, case: impl FnOnce()) {
         self.0 += usize::from(catch_unwind(AssertUnwindSafe(case)).is_err());
     }
 
-    fn finish(self) {
+    pub fn finish(self) {
         assert_eq!(self.0, 0, "complexes that failed");
     }
 }
@@ -275,7 +275,7 @@ fn strata(random: &mut Random, layers: i64, faults: i64, bend: f64) -> (TriMesh,
     films.finish(bend)
 }
 
-fn edges(mesh: &TriMesh) -> BTreeMap<[u32; 2], usize> {
+pub fn edges(mesh: &TriMesh) -> BTreeMap<[u32; 2], usize> {
     let mut edges = BTreeMap::new();
     for &[a, b, c] in mesh.facets() {
         for [p, q] in [[a, b], [b, c], [c, a]] {
@@ -286,7 +286,7 @@ fn edges(mesh: &TriMesh) -> BTreeMap<[u32; 2], usize> {
 }
 
 /// Vertices less edges plus facets, with vertices as the facets name them.
-fn euler(mesh: &TriMesh) -> i64 {
+pub fn euler(mesh: &TriMesh) -> i64 {
     let used: BTreeSet<u32> = mesh.facets().iter().flatten().copied().collect();
     used.len() as i64 - edges(mesh).len() as i64 + mesh.facets().len() as i64
 }

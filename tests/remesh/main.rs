@@ -38,6 +38,7 @@ mod generated;
 mod hostile_meshes;
 mod hostile_seeds;
 mod kept;
+mod labelled;
 mod mechanical;
 mod metric;
 mod mirror;

@@ -36,6 +36,8 @@ pub struct FeatureOptions {
     /// Shortest crease found by angle with a free end; shorter ones are removed. A connected network of creases is removed
     /// if its total length is below twice this, or if its curves are much shorter on average.
     pub min_crease_length: f64,
+    /// Shorter creases are left out where both ends are near each other on one boundary or named curve.
+    pub min_chord_length: f64,
     /// The turning angle of a curve at a vertex is measured over this length on either side.
     pub turn_reach: f64,
     /// An edge of at least half the crease angle is a crease too if no edge within this length beside it has nearly its angle,
@@ -190,6 +192,9 @@ impl Features {
         for (k, &(e, angle, beside_planes)) in sharp.iter().enumerate() {
             token.check_at(k)?;
             graph.insert(e, EdgeInfo { kind: CurveKind::Crease, required: false, angle, beside_planes });
+        }
+        if options.min_chord_length > 0.0 {
+            graph.drop_chords(metric, options.min_chord_length, token)?;
         }
         let left_out = graph.prune(metric, options.min_crease_length, token)?;
         if options.ridge_clearance > 0.0 && options.crease_angle_deg > 0.0 {

@@ -2,24 +2,21 @@
 //!
 //! Purpose: [`Sheets::of`] says which facets form one sheet. Facets on both sides of an edge of two facets are of one sheet. Where an
 //! edge has more, they are paired: first those that the file joins by its vertices, then those with material between them, then
-//! those that continue each other best. Sheets that share a vertex or such an edge touch, and no more.
+//! those that continue each other best along the curve. Sheets that share a vertex or such an edge touch, and no more.
 //! Invariant: depends on the mesh alone, and on the area below which a sheet counts as noise: that one stays with a sheet it
 //! touches. A facet that names a point twice is of a sheet that it touches. Must not know: why sheets are wanted.
 
+mod pairing;
 mod patches;
 pub(crate) mod pieces;
 
 use std::collections::BTreeMap;
 
-use glam::DVec3;
-
+use self::pairing::Pairing;
 use super::adjacency::weld_unless;
-use super::edges::{DisjointSets, EdgeGroups, Half, undirected};
+use super::edges::{DisjointSets, EdgeGroups, undirected};
 use super::{TriMesh, normal};
 use crate::token::{Stopped, Token};
-
-/// Facets at an edge that are told apart; those of an edge of more stay together.
-const MOST_AT_EDGE: usize = 32;
 
 /// Which facets are of which sheet. Sheets are numbered in the order of their first vertices.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -40,19 +37,6 @@ pub(crate) struct Sheets {
 /// Two facets with an edge, through which a sheet goes on.
 pub(crate) type Link = [u32; 2];
 
-/// A facet at an edge, seen along the edge from its lower end.
-struct Side {
-    facet: usize,
-    /// The two vertices that the file has there.
-    ends: [u32; 2],
-    /// Whether it runs from the lower end to the higher one.
-    forward: bool,
-    /// From the lower end to the higher one.
-    along: DVec3,
-    /// Towards its third corner, square to the edge, of length 1.
-    out: DVec3,
-}
-
 impl Sheets {
     /// The sheets of `mesh`. Those of at most the area `least` are joined to a sheet that they touch. Unless sheets `go_on` through edges
     /// of more than two facets, all end there.
@@ -60,17 +44,18 @@ impl Sheets {
         let class = weld_unless(mesh, token)?;
         let welded = |t: &[u32; 3]| t.map(|v| class[v as usize]);
         let groups = EdgeGroups::unless(class.len(), whole_facets(mesh, &class), token)?;
-        let outward = signed_volume(mesh) >= 0.0;
         let mut sets = DisjointSets::new(mesh.facets().len());
-        groups.for_each(|low, halves| match *halves {
-            // Nearly all, without a list for each.
+        let mut is_manifold = true;
+        // Nearly all, without a list for each.
+        groups.for_each(|_, halves| match *halves {
             [a, b] => sets.join(a.facet as usize, b.facet as usize),
-            _ => {
-                let links = links((mesh, &class), low, halves, (go_on, outward));
-                links.iter().for_each(|&[a, b]| sets.join(a as usize, b as usize));
-            }
+            _ => is_manifold &= halves.len() < 2,
         });
         token.check()?;
+        if !is_manifold {
+            let pairing = Pairing::of(mesh, (&class, &groups), go_on, token)?;
+            pairing.links().for_each(|&[a, b]| sets.join(a as usize, b as usize));
+        }
         let mut area = vec![0.0; mesh.facets().len()];
         for f in 0..mesh.facets().len() {
             area[sets.root(f)] += 0.5 * normal(mesh.corners(f)).length();
@@ -127,108 +112,11 @@ fn whole_facets<'a>(mesh: &'a TriMesh, class: &'a [u32]) -> impl Iterator<Item =
     facets.filter(|(_, [a, b, c])| a != b && b != c && c != a)
 }
 
-/// The pairs of facets at an edge through which a sheet goes on. Unless sheets `go_on`, they end at edges of more than two.
-fn links((mesh, class): (&TriMesh, &[u32]), low: u32, halves: &[Half], (go_on, outward): (bool, bool)) -> Vec<Link> {
-    match *halves {
-        [_] => Vec::new(),
-        [a, b] => vec![[a.facet, b.facet]],
-        // No sheets meet like that.
-        ref fan if fan.len() > MOST_AT_EDGE => fan.windows(2).map(|pair| [pair[0].facet, pair[1].facet]).collect(),
-        _ if !go_on => Vec::new(),
-        _ => pairs(sides(mesh, class, low, halves), outward).iter().map(|pair| pair.map(|f| f as u32)).collect(),
-    }
-}
-
-/// Six times the volume within a closed surface, from its corner; positive if its facets are seen from outside.
-fn signed_volume(mesh: &TriMesh) -> f64 {
-    let (origin, _) = mesh.bounds();
-    (0..mesh.facets().len())
-        .map(|f| {
-            let [a, b, c] = mesh.corners(f).map(|p| p - origin);
-            a.dot(b.cross(c))
-        })
-        .sum()
-}
-
-fn sides(mesh: &TriMesh, class: &[u32], low: u32, halves: &[Half]) -> Vec<Side> {
-    let side = |half: &Half| {
-        let facet = half.facet as usize;
-        let corners = mesh.facets()[facet];
-        let ends = [corners[half.side], corners[(half.side + 1) % 3]];
-        let [a, b, c] = [0, 1, 2].map(|k| mesh.corners(facet)[(half.side + k) % 3]);
-        let along = (b - a).normalize_or_zero();
-        let out = ((c - a) - along * (c - a).dot(along)).normalize_or_zero();
-        let forward = class[ends[0] as usize] == low;
-        Side { facet, ends, forward, along: if forward { along } else { -along }, out }
-    };
-    halves.iter().map(side).collect()
-}
-
-/// The facets at an edge, in pairs; some may be left over, each the end of its sheet.
-fn pairs(mut sides: Vec<Side>, outward: bool) -> Vec<[usize; 2]> {
-    let mut found = Vec::new();
-    let mut by_ends: BTreeMap<[u32; 2], usize> = BTreeMap::new();
-    sides.iter().for_each(|side| *by_ends.entry(undirected(side.ends)).or_default() += 1);
-    for (ends, _) in by_ends.iter().filter(|(_, count)| **count == 2) {
-        let of_file = |side: &Side| undirected(side.ends) == *ends;
-        found.extend(pair_of(sides.iter().filter(|side| of_file(side))));
-        sides.retain(|side| !of_file(side));
-    }
-    if 2 * sides.iter().filter(|side| side.forward).count() == sides.len() {
-        around_material(&mut sides, outward, &mut found);
-    } else {
-        by_continuation(sides, &mut found);
-    }
-    found
-}
-
-fn pair_of<'a>(mut sides: impl Iterator<Item = &'a Side>) -> Option<[usize; 2]> {
-    Some([sides.next()?.facet, sides.next()?.facet])
-}
-
-/// Pairs the facets of solids that share the edge, so that each solid keeps its own. A facet that runs forward has material on
-/// its clockwise side, seen against the edge, if facets are seen from outside.
-fn around_material(sides: &mut [Side], outward: bool, found: &mut Vec<[usize; 2]>) {
-    let Some(&Side { out: right, along, .. }) = sides.first() else { return };
-    let up = along.cross(right);
-    // Facets on one another are at one angle in spite of rounding.
-    let angle = |side: &Side| (1e9 * side.out.dot(up).atan2(side.out.dot(right))).round();
-    // Of two in one place, one ends a solid before the other begins one.
-    let begins = |side: &Side| side.forward != outward;
-    sides.sort_by(|a, b| angle(a).total_cmp(&angle(b)).then(begins(a).cmp(&begins(b))).then(a.facet.cmp(&b.facet)));
-    let mut open: Vec<usize> = Vec::new();
-    let mut closed = vec![false; sides.len()];
-    // The second time around ends what began before the first angle.
-    for (k, side) in sides.iter().enumerate().chain(sides.iter().enumerate()) {
-        if closed[k] || open.contains(&k) {
-            continue;
-        }
-        if begins(side) {
-            open.push(k);
-        } else if let Some(begun) = open.pop() {
-            (closed[k], closed[begun]) = (true, true);
-            found.push([sides[begun].facet, side.facet]);
-        }
-    }
-}
-
-/// Pairs the facets that continue each other best, oriented alike if possible, until fewer than two are left.
-fn by_continuation(mut sides: Vec<Side>, found: &mut Vec<[usize; 2]>) {
-    while sides.len() > 1 {
-        let pairs = (0..sides.len()).flat_map(|i| (i + 1..sides.len()).map(move |k| (i, k)));
-        let bend = |&(i, k): &(usize, usize)| {
-            let [a, b] = [&sides[i], &sides[k]];
-            a.out.dot(b.out) + if a.forward == b.forward { 4.0 } else { 0.0 }
-        };
-        let Some((i, k)) = pairs.min_by(|a, b| bend(a).total_cmp(&bend(b))) else { return };
-        let second = sides.remove(k);
-        found.push([sides.remove(i).facet, second.facet]);
-    }
-}
-
 #[cfg(test)]
 mod tests {
     #![allow(clippy::unwrap_used)]
+
+    use glam::DVec3;
 
     use super::pieces::PieceOptions;
     use super::*;

@@ -143,6 +143,8 @@ impl KeptCurves {
             rims: plan.edges(rims, token)?,
             // On a designed part what is short is no noise.
             min_crease_length: if crowded { 0.0 } else { SHORTEST_CREASE * scale },
+            // What a grid leaves beside the curves in which sheets meet.
+            min_chord_length: if crowded || seams.is_none() { 0.0 } else { scale },
             turn_reach: BEND_REACH * scale,
             ridge_clearance: if weaker { SMOOTH_REACH * scale } else { 0.0 },
             // Corners of curves that end there have to stay.
@@ -177,7 +179,8 @@ impl KeptCurves {
             let edge = edge_length(surface, (&features, &[]), surface.root_mass(), points, token)?;
             let is_crease = |c: &&Curve| c.kind == CurveKind::Crease && !c.is_rim;
             let creases = |features: &Features| features.curves.iter().filter(is_crease).count();
-            let most_of = |creases| if creases == 0 { 1.0 } else { LARGEST_SHARE };
+            let found = criteria.crease_angle_deg > 0.0;
+            let most_of = |creases| if creases == 0 || !found { 1.0 } else { LARGEST_SHARE };
             // Close curves are dropped next, but do not make room for more than this.
             let most = points.saturating_mul(MOST_SEEDS).saturating_add(SPARE_SEEDS);
             if crowded {
@@ -239,6 +242,8 @@ impl KeptCurves {
                     });
                 }
             }
+            // Where creases end at a curve, it goes on without them.
+            criteria.given_corners.clone_from(&all.given_corners);
             if criteria.ridge_clearance > 0.0 {
                 criteria.ridge_clearance = 0.0;
                 dropped.truncate(dropped_before);
@@ -246,6 +251,12 @@ impl KeptCurves {
             }
             let creases = creases(&features);
             is_crowded |= creases > 0;
+            if found && !criteria.given_creases.is_empty() {
+                // Those that the caller named, or where sheets meet, are dropped after all others.
+                dropped.extend(features.curves.iter().filter(is_crease).filter(|c| c.angle_deg < 180.0).map(named));
+                criteria.crease_angle_deg = 0.0;
+                continue;
+            }
             dropped.extend(features.curves.iter().filter(is_crease).map(named));
             if creases == 0 && !(rims.is_empty() && vertices.is_empty()) {
                 if rims_alone {
@@ -440,9 +451,13 @@ impl KeptCurves {
         on
     }
 
-    /// The ends of boundary edges that a result lacks and has to have, as [`KeptCurves::missing`].
+    /// The ends of boundary edges that a result lacks and has to have, as [`KeptCurves::missing`]: where sheets meet, too.
     pub(crate) fn missing_closing(&self, edges: &[Option<[u32; 2]>], vertex_seed: &[u32]) -> Vec<[u32; 2]> {
-        if self.closes { self.missing(edges, vertex_seed, |kind| kind == CurveKind::Boundary) } else { Vec::new() }
+        if self.closes || self.seams.is_some() {
+            self.missing(edges, vertex_seed, |kind| kind == CurveKind::Boundary)
+        } else {
+            Vec::new()
+        }
     }
 
     fn signs(&self, curve: &Curve) -> Option<&Signs> {
@@ -619,7 +634,7 @@ impl KeptCurves {
         let broken: HashSet<u32> = missing.iter().copied().collect();
         let mut dropped = self.dropped.clone();
         dropped.sort_by(|a, b| b.length.total_cmp(&a.length));
-        let dropped_length = dropped.iter().map(|curve| curve.length).sum();
+        let dropped_length = dropped.iter().fold(0.0, |sum, curve| sum + curve.length);
         dropped.truncate(MOST_DROPPED_NAMED);
         FeatureFigures {
             boundaries: count(CurveKind::Boundary),

@@ -1,7 +1,7 @@
 //! The edges that are features: a graph without its short parts, and ridges.
 //!
 //! Purpose: [`Graph`] holds the edges with their kind and angle; [`Graph::prune`] removes creases with free ends, short networks
-//! and tangles. [`DihedralAngles::add_ridges`] adds edges below the crease angle that continue a crease: a crease may fade, or end
+//! and tangles, [`Graph::drop_chords`] those beside curves. [`DihedralAngles::add_ridges`] adds edges below the crease angle that continue a crease: a crease may fade, or end
 //! in a ridge of about twenty degrees, which is as visible in a remesh. A ridge differs from the facets of a rounding by its
 //! smooth surroundings: within a few edges of the remesh, no edge beside it has nearly its angle. As in Canny's edge detector
 //! (1986, section VI), there are two thresholds: an edge above the lower one counts if it continues an edge above the higher one.
@@ -26,6 +26,8 @@ const TANGLED_SHARE: f64 = 0.5;
 const TANGLED_SHARP_SHARE: f64 = 0.15;
 /// Smaller angles, degrees, are creases only if the caller asks for them. Of a tangle with them, they alone go.
 const MODERATE_ANGLE: f64 = 30.0;
+/// How much longer the way along a curve may be than a crease that cuts it short.
+const MOST_AROUND_CHORD: f64 = 3.0;
 /// Larger angles, degrees, are sharp.
 const SHARP_ANGLE: f64 = 75.0;
 
@@ -131,6 +133,49 @@ impl Graph {
                 return Ok(());
             }
         }
+    }
+
+    /// Removes creases shorter than `length` from one place of curves that stay to another that is not farther along these: ears.
+    pub(super) fn drop_chords(&mut self, metric: Metric<'_>, length: f64, token: &Token) -> Result<(), Stopped> {
+        let required = |&u: &u32, v: u32| self.edges[&undirected([v, u])].required;
+        let on_required = |v: u32| self.neighbours[&v].iter().any(|u| required(u, v));
+        let mut chords = Vec::new();
+        for (&v, list) in self.neighbours.iter().filter(|(v, _)| on_required(**v)) {
+            token.check()?;
+            for &next in list.iter().filter(|u| !required(u, v)) {
+                let chain = self.chain(v, next, |v| self.degree(v) != 2);
+                let end = chain[chain.len() - 1];
+                let most = MOST_AROUND_CHORD * metric.chain(&chain);
+                if most < MOST_AROUND_CHORD * length
+                    && on_required(end)
+                    && self.is_removable(&chain)
+                    && self.required_path(v, end, most, metric)
+                {
+                    chords.push(chain);
+                }
+            }
+        }
+        for chain in chords {
+            chain.windows(2).for_each(|p| self.remove(undirected([p[0], p[1]])));
+        }
+        Ok(())
+    }
+
+    /// Whether edges that stay join two vertices in at most this length.
+    fn required_path(&self, from: u32, to: u32, most: f64, metric: Metric<'_>) -> bool {
+        let mut nearest: BTreeMap<u32, f64> = BTreeMap::from([(from, 0.0)]);
+        let mut queue = vec![from];
+        while let Some(v) = queue.pop() {
+            let here = nearest[&v];
+            for &u in self.neighbours[&v].iter().filter(|u| self.edges[&undirected([v, **u])].required) {
+                let there = here + metric.edge(v, u);
+                if there <= most && nearest.get(&u).is_none_or(|known| there < *known) {
+                    nearest.insert(u, there);
+                    queue.push(u);
+                }
+            }
+        }
+        nearest.contains_key(&to)
     }
 
     fn is_removable(&self, chain: &[u32]) -> bool {

@@ -6,7 +6,8 @@
 
 use std::collections::HashSet;
 
-use super::{Sheets, links, signed_volume, whole_facets};
+use super::pairing::{Pairing, ends_of};
+use super::{Sheets, whole_facets};
 use crate::mesh::TriMesh;
 use crate::mesh::adjacency::weld_unless;
 use crate::mesh::edges::{DisjointSets, EdgeGroups, undirected};
@@ -24,13 +25,12 @@ impl Sheets {
         let class = weld_unless(mesh, token)?;
         let curves: HashSet<[u32; 2]> = curves.iter().map(|edge| undirected(edge.map(|v| class[v as usize]))).collect();
         let groups = EdgeGroups::unless(class.len(), whole_facets(mesh, &class), token)?;
-        let outward = signed_volume(mesh) >= 0.0;
+        let pairing = Pairing::of(mesh, (&class, &groups), go_on, token)?;
         let mut sets = DisjointSets::new(mesh.facets().len());
         let mut across = Vec::new();
         groups.for_each(|low, halves| {
-            let t = mesh.facets()[halves[0].facet as usize].map(|v| class[v as usize]);
-            let ends = undirected([t[halves[0].side], t[(halves[0].side + 1) % 3]]);
-            for [a, b] in links((mesh, &class), low, halves, (go_on, outward)) {
+            let ends = ends_of((mesh, &class), low, halves);
+            for [a, b] in pairing.at(ends, halves) {
                 if self.of_facet[a as usize] != self.of_facet[b as usize] || curves.contains(&ends) {
                     across.push((ends, [a, b]));
                 } else {

@@ -12,7 +12,8 @@ use std::collections::{BTreeMap, BTreeSet, BinaryHeap};
 
 use glam::DVec3;
 
-use super::{Link, Sheets, links, signed_volume, whole_facets};
+use super::pairing::{Pairing, ends_of};
+use super::{Link, Sheets, whole_facets};
 use crate::mesh::adjacency::weld_unless;
 use crate::mesh::edges::{DisjointSets, EdgeGroups, Half};
 use crate::mesh::{TriMesh, normal};
@@ -56,7 +57,8 @@ impl Sheets {
     ) -> Result<Option<Self>, Stopped> {
         let class = weld_unless(mesh, token)?;
         let groups = EdgeGroups::unless(class.len(), whole_facets(mesh, &class), token)?;
-        let whole = Whole { mesh, class: &class, groups: &groups, outward: signed_volume(mesh) >= 0.0, options, token };
+        let pairing = Pairing::of(mesh, (&class, &groups), options.go_on, token)?;
+        let whole = Whole { mesh, class: &class, groups: &groups, pairing, options, token };
         let given: Vec<usize> = self.of_facet.iter().map(|&sheet| sheet as usize).collect();
         let touching = whole.contacts(&given)?;
         // Sheets that stay whole, and places for which none is divided.
@@ -137,7 +139,7 @@ struct Whole<'a> {
     mesh: &'a TriMesh,
     class: &'a [u32],
     groups: &'a EdgeGroups,
-    outward: bool,
+    pairing: Pairing,
     options: PieceOptions,
     token: &'a Token,
 }
@@ -146,10 +148,8 @@ impl Whole<'_> {
     /// Calls `visit` with the ends of each edge, the lower first, its sides, and the pairs of facets through which a sheet goes on there.
     fn edges(&self, mut visit: impl FnMut([u32; 2], &[Half], &[Link])) {
         self.groups.for_each(|low, halves| {
-            let t = self.mesh.facets()[halves[0].facet as usize];
-            let [a, b] = [t[halves[0].side], t[(halves[0].side + 1) % 3]].map(|v| self.class[v as usize]);
-            let of = (self.options.go_on, self.outward);
-            visit([low, if a == low { b } else { a }], halves, &links((self.mesh, self.class), low, halves, of));
+            let ends = ends_of((self.mesh, self.class), low, halves);
+            visit(ends, halves, &self.pairing.at(ends, halves));
         });
     }
 
