@@ -170,6 +170,7 @@ macro_rules! conformance {
                 degenerate::one_seed_and_few
                 degenerate::later_duplicates_have_no_cell
                 degenerate::seeds_nearly_on_each_other
+                degenerate::clusters_have_the_cells_of_the_reference
                 degenerate::seeds_in_lattices_and_on_circles
                 degenerate::seeds_on_the_mesh_itself
                 degenerate::seeds_far_from_the_surface

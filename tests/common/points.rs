@@ -36,6 +36,13 @@ fn on_areas(surface: &Surface, areas: &[f64], rng: &mut ChaCha8Rng) -> (u32, DVe
     (f as u32, in_facet(surface, f, rng))
 }
 
+/// `n` random points in a cube twice as wide as `width`.
+pub fn cluster(middle: DVec3, n: usize, width: f64, seed: u64) -> Vec<DVec3> {
+    let mut rng = rng(seed);
+    let mut off = || width * (2.0 * rng.random::<f64>() - 1.0);
+    (0..n).map(|_| middle + dvec3(off(), off(), off())).collect()
+}
+
 /// `n` random points of the surface ∝ area, with their facets, unit frame.
 pub fn on_surface(surface: &Surface, n: usize, rng: &mut ChaCha8Rng) -> Vec<(u32, DVec3)> {
     let areas = areas(surface);

@@ -105,6 +105,8 @@ pub(super) struct Neighbours<P: DeviceSpace> {
     /// Later duplicates among the seeds, and whether some of those are none in f64.
     pub duplicates: u64,
     pub merged: bool,
+    /// Whether cells of close seeds are lost in floats, once that is known.
+    pub loses_cells: Option<bool>,
     /// (facet, first cell) of every facet that is not degenerate, by facet; cells as far as the host knows them.
     pub roots: Vec<[u32; 2]>,
     pub host: HostCopy<P>,
@@ -127,6 +129,7 @@ impl<P: DeviceSpace> Neighbours<P> {
             listed_for: 0,
             duplicates: 0,
             merged: false,
+            loses_cells: None,
             roots,
             host: HostCopy::default(),
             host_searches: 0,
@@ -170,6 +173,7 @@ impl<P: DeviceSpace> Neighbours<P> {
         self.first_cells.known = false;
         self.host.fresh = false;
         self.merged = false;
+        self.loses_cells = None;
     }
 
     /// The device's memory is new. Rows of the host are uploaded again.

@@ -12,7 +12,7 @@ use super::input::{bumpy, square, surface, triangle};
 use super::{Claims, Precision, compare, sums};
 use crate::broken::*;
 use crate::points::{
-    cube_lattice, duplicate_sets, far_sets, nearly_twice, noise, on_circle, on_the_mesh, square_lattice,
+    cluster, cube_lattice, duplicate_sets, far_sets, nearly_twice, noise, on_circle, on_the_mesh, square_lattice,
 };
 
 /// Asserts that the cells cover the surface, carry its mass and are those of the reference. Seeds in the unit frame.
@@ -79,6 +79,28 @@ pub fn seeds_nearly_on_each_other(claims: &Claims) {
     let facet = surface(&triangle([dvec3(0.5, -0.5, 0.0), dvec3(0.5, 0.5, 0.0), dvec3(-0.5, -0.5, 0.0)]), None);
     let seeds = [dvec3(-0.5, -0.5, -1.0), dvec3(-0.5, -0.5, 1.0), dvec3(0.5, 0.0, 0.0)];
     covered(claims, "mirror images", &facet, &seeds);
+}
+
+pub fn clusters_have_the_cells_of_the_reference(claims: &Claims) {
+    let torus = surface(&Shape::Torus.build(2000), None);
+    let around = on(&torus, 150);
+    for width in [1e-3, 1e-4, 1e-5, 1e-6, 1e-7] {
+        // Off the surface too, so that some have no cell.
+        let seeds: Vec<DVec3> = around.iter().copied().chain(cluster(around[0], 40, width, 5)).collect();
+        let name = format!("a cluster as wide as {width}");
+        let (got, _) = covered(claims, &name, &torus, &seeds);
+        let (want, _) = sums(&Serial, &torus, &seeds);
+        for i in 0..seeds.len() {
+            // In single precision the bisector of close seeds is off by their distance's share of a rounding.
+            let most = claims.by_precision(1e-9, 0.05) * (want.area[i] + (1e-3 * width).powi(2));
+            assert!(
+                (got.area[i] - want.area[i]).abs() <= most,
+                "{name}: cell {i}: {} of {}",
+                got.area[i],
+                want.area[i]
+            );
+        }
+    }
 }
 
 pub fn seeds_in_lattices_and_on_circles(claims: &Claims) {

@@ -18,6 +18,13 @@ use geometry::token::{Stopped, Token};
 /// The longest row that is sent to the device.
 pub(crate) const LONGEST_ROW: u32 = 4096;
 
+/// Seeds nearer to each other, unit frame, may have cells that single precision loses: the corners of a facet are a few roundings off, and
+/// the cells of seeds at a hundred roundings have been lost.
+const CLUMPED: f64 = 1.0 / 65536.0;
+
+/// Neighbours among which the nearest is sought: one at the same distance as others is not in a shorter row.
+const NEAREST: usize = 8;
+
 /// What the host knows of the seeds on the device. Of no use while not fresh, but for `starts`, which are guesses.
 pub(crate) struct HostCopy<P: DeviceSpace> {
     /// It is of the present seeds.
@@ -185,6 +192,19 @@ impl<P: DeviceSpace> Neighbours<P> {
         host.packed_end = host.records.iter().map(end).max().unwrap_or(0).max(by_device);
         host.fresh = true;
         Ok(())
+    }
+
+    /// Whether one of these seeds is nearer to another than [`CLUMPED`], and not in its place; [`Self::view`] comes before.
+    pub(crate) fn any_clumped(&self, seeds: &[u32]) -> bool {
+        let HostCopy { seen, index, .. } = &self.host;
+        let is_clumped = |row: &mut NeighbourRow, &i: &u32| {
+            index.row(i, NEAREST, row);
+            row.seeds.iter().any(|&j| {
+                let apart = (seen[i as usize] - seen[j as usize]).length();
+                apart > 0.0 && apart < CLUMPED
+            })
+        };
+        seeds.par_iter().map_init(NeighbourRow::default, is_clumped).any(|is_clumped| is_clumped)
     }
 
     /// The length of a row that is to be longer.
