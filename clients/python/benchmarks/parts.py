@@ -2,8 +2,8 @@
 
 Usage: python parts.py COMMAND [PARTS [POINTS,... [LINES]]]
 COMMAND is `tessera`, PARTS the number of parts (42) of `tessera shape`, all kinds in turn, POINTS the numbers of vertices
-(500,1500,5000). Each result is a line of JSON in the file LINES. The environment that `tests/python/venv.sh` makes has the
-other programs; mmgs comes with mmgpy.
+(500,1500,5000). Each result is a line of JSON in the file LINES; a run that was ended goes on behind the lines there. The
+environment that `tests/python/venv.sh` makes has the other programs; mmgs comes with mmgpy.
 
 The programs are called as in `peers.py`; mmgs with creases from 30 degrees, as the others have. A crease of the input is an edge
 above 40 degrees. It is kept where the result has an edge above 20 degrees within a quarter of an edge length. Folded
@@ -150,12 +150,15 @@ def main() -> None:
         f"MeshLab {version('pymeshlab')}": with_meshlab,
         f"mmgs {'.'.join(mmgpy.MMG_VERSION.split('.')[:2])}": lambda surface: with_mmgs(surface, "-ar", "30"),
     }
-    rows = []
-    with lines.open("w", encoding="utf-8") as file:
+    rows = [json.loads(line) for line in lines.read_text(encoding="utf-8").splitlines()] if lines.is_file() else []
+    known = {(row["seed"], row["points"]) for row in rows}
+    with lines.open("a", encoding="utf-8") as file:
         for number in range(parts):
             kind, turn = KINDS[number % len(KINDS)], number // len(KINDS)
             feature = FEATURES[turn % len(FEATURES)]
             for points in counts:
+                if (number, points) in known:
+                    continue
                 with tempfile.TemporaryDirectory() as work:
                     path = Path(work) / "part.obj"
                     shape = [command, "shape", kind, "--feature", str(feature), "--seed", str(number), "-o", path]
