@@ -7,8 +7,8 @@ environment that `tests/python/venv.sh` makes has the other programs; mmgs comes
 
 The programs are called as in `peers.py`; mmgs with creases from 30 degrees, as the others have. A crease of the input is an edge
 above 40 degrees. It is kept where the result has an edge above 20 degrees within a quarter of an edge length. Folded
-edges are those above 150 degrees where the input has none. Seconds are those of all cores; of Tessera
-and mmgs with reading and writing.
+edges are those above 150 degrees where the input has none. Seconds are those of all cores, and not of
+a clock, which other work delays; of Tessera and mmgs with reading and writing.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ import statistics
 import subprocess
 import sys
 import tempfile
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -147,8 +148,8 @@ def main() -> None:
     lines = Path(sys.argv[4]) if len(sys.argv) > 4 else Path("/dev/null")
     programs: dict[str, Callable[[Surface], tuple[Path, float]]] = {
         "tessera": lambda surface: of_tessera(command, surface),
-        f"MeshLab {version('pymeshlab')}": with_meshlab,
-        f"mmgs {'.'.join(mmgpy.MMG_VERSION.split('.')[:2])}": lambda surface: with_mmgs(surface, "-ar", "30"),
+        f"MeshLab {version('pymeshlab')}": lambda surface: with_meshlab(surface, time.process_time),
+        f"mmgs {'.'.join(mmgpy.MMG_VERSION.split('.')[:2])}": lambda surface: with_mmgs(surface, "-ar", "30", clock=cpu),
     }
     rows = [json.loads(line) for line in lines.read_text(encoding="utf-8").splitlines()] if lines.is_file() else []
     known = {(row["seed"], row["points"]) for row in rows}

@@ -30,6 +30,9 @@ import pyacvd
 import pymeshlab
 import pyvista
 
+# Seconds since some time.
+Clock = Callable[[], float]
+
 SURFACES = {"rocker-arm": 5000, "fandisk": 3000, "nefertiti": 50000}
 ROUNDS = 3
 COLUMNS = {
@@ -97,23 +100,23 @@ def with_pyacvd(surface: Surface) -> tuple[Path, float]:
     return surface.write(result.points, result.regular_faces), taken
 
 
-def with_meshlab(surface: Surface) -> tuple[Path, float]:
+def with_meshlab(surface: Surface, clock: Clock = time.perf_counter) -> tuple[Path, float]:
     taken = 0.0
 
     def remesh(length: float) -> tuple[Path, int]:
         nonlocal taken
         meshes = pymeshlab.MeshSet()
         meshes.add_mesh(pymeshlab.Mesh(surface.vertices, surface.faces))
-        start = time.perf_counter()
+        start = clock()
         meshes.meshing_isotropic_explicit_remeshing(targetlen=pymeshlab.PureValue(length))
-        taken = time.perf_counter() - start
+        taken = clock() - start
         mesh = meshes.current_mesh()
         return surface.write(mesh.vertex_matrix(), mesh.face_matrix()), mesh.vertex_number()
 
     return by_length(surface, remesh), taken
 
 
-def with_mmgs(surface: Surface, *further: str) -> tuple[Path, float]:
+def with_mmgs(surface: Surface, *further: str, clock: Clock = time.perf_counter) -> tuple[Path, float]:
     taken = 0.0
     program = Path(sys.executable).with_name("mmgs")
 
@@ -121,9 +124,9 @@ def with_mmgs(surface: Surface, *further: str) -> tuple[Path, float]:
         nonlocal taken
         out = surface.work / "out.mesh"
         options = ["-v", "0", "-hausd", 1e-2 * surface.diagonal, "-hsiz", length, *further]
-        start = time.perf_counter()
+        start = clock()
         subprocess.run([program, *map(str, options), surface.medit, out], check=True, capture_output=True)
-        taken = time.perf_counter() - start
+        taken = clock() - start
         mesh = meshio.read(out)
         return surface.write(mesh.points, mesh.cells_dict["triangle"]), len(mesh.points)
 
