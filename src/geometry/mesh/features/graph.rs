@@ -1,10 +1,11 @@
 //! The edges that are features: a graph without its short parts, and ridges.
 //!
 //! Purpose: [`Graph`] holds the edges with their kind and angle; [`Graph::prune`] removes creases with free ends, short networks
-//! and tangles, [`Graph::drop_chords`] those beside curves. [`DihedralAngles::add_ridges`] adds edges below the crease angle that continue a crease: a crease may fade, or end
-//! in a ridge of about twenty degrees, which is as visible in a remesh. A ridge differs from the facets of a rounding by its
-//! smooth surroundings: within a few edges of the remesh, no edge beside it has nearly its angle. As in Canny's edge detector
-//! (1986, section VI), there are two thresholds: an edge above the lower one counts if it continues an edge above the higher one.
+//! and tangles, [`Graph::drop_chords`] those that cut ears off curves. [`DihedralAngles::add_ridges`] adds edges below the crease angle
+//! that continue a crease: a crease may fade, or end in a ridge of about twenty degrees, which is as visible in a remesh. A ridge differs
+//! from the facets of a rounding by its smooth surroundings: within a few edges of the remesh, no edge beside it has nearly its angle. As in
+//! Canny's edge detector (1986, section VI), there are two thresholds: an edge above the lower one counts if it continues an edge above
+//! the higher one.
 //! Invariant: an edge that is required stays. Must not know: curves, seeds, diagrams.
 
 use std::collections::{BTreeMap, BTreeSet};
