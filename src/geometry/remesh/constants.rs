@@ -11,6 +11,9 @@ pub(super) const REGULAR_VALENCE: usize = 6;
 pub(super) const VALENCES: [usize; 2] = [5, 7];
 /// Least and largest valence that the recovery of a curve's edge may make: the curve counts for more than a valence.
 pub(super) const RECOVERY_VALENCES: [usize; 2] = [4, 8];
+/// The same where the surface is open without the edge, and the least score there.
+pub(super) const NECESSARY_VALENCES: [usize; 2] = [3, usize::MAX];
+pub(super) const NECESSARY_SCORE: f64 = 2.0;
 /// Least cosine between the normals of flipped facets and the mean before. An edge across a ridge turns both facets.
 pub(super) const FLIPPED_COSINE: f64 = 0.3;
 /// Least cosine between a facet's normal and its marked normal where the distance from the input is measured, and where not.

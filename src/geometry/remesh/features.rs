@@ -453,11 +453,16 @@ impl KeptCurves {
 
     /// The ends of boundary edges that a result lacks and has to have, as [`KeptCurves::missing`]: where sheets meet, too.
     pub(crate) fn missing_closing(&self, edges: &[Option<[u32; 2]>], vertex_seed: &[u32]) -> Vec<[u32; 2]> {
-        if self.closes || self.seams.is_some() {
+        if self.are_joined() {
             self.missing(edges, vertex_seed, |kind| kind == CurveKind::Boundary)
         } else {
             Vec::new()
         }
+    }
+
+    /// Whether sheets are joined along curves: where an edge of one is missing, the result is open.
+    pub(crate) fn are_joined(&self) -> bool {
+        self.closes || self.seams.is_some()
     }
 
     fn signs(&self, curve: &Curve) -> Option<&Signs> {

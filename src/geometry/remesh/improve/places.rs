@@ -69,30 +69,38 @@ pub(crate) fn round_off(editor: &mut MeshEditor<'_>) -> usize {
     run.improved
 }
 
-/// Makes the edge between two vertices by one flip or two, and keeps it from then on. Returns whether it is there.
-pub(crate) fn recover_edge(editor: &mut MeshEditor<'_>, ends: [u32; 2]) -> bool {
+/// Makes the edge between two vertices by one flip or two, and keeps it from then on. Returns whether it is there. An edge that `must` be
+/// there may cost shape and distance.
+pub(crate) fn recover_edge(editor: &mut MeshEditor<'_>, [a, b]: [u32; 2], must: bool) -> bool {
+    recovered(editor, [a, b], false) || must && (recovered(editor, [a, b], true) || recovered(editor, [b, a], true))
+}
+
+/// As [`recover_edge`], in the patch around the first end.
+fn recovered(editor: &mut MeshEditor<'_>, ends: [u32; 2], must: bool) -> bool {
     let Some(patch) = Patch::around(&editor.context(), ends[0]) else { return false };
     let Ok(to) = patch.vertices.binary_search(&ends[1]) else { return false };
+    let valences = if must { NECESSARY_VALENCES } else { RECOVERY_VALENCES };
     let joins = |patch: &Patch, before: &[_]| {
         let joins = |flip: &Flip| [patch.centre, to as u32].iter().all(|end| flip.corners[0].contains(end));
-        let flips = patch.flips(RECOVERY_VALENCES).into_iter().filter(joins);
+        let flips = patch.flips(valences).into_iter().filter(joins);
         flips.map(|flip| Trial::Flip([before, &[flip]].concat())).collect::<Vec<Trial>>()
     };
     let mut trials = joins(&patch, &[]);
-    for flip in patch.flips(RECOVERY_VALENCES) {
+    for flip in patch.flips(valences) {
         let mut first = patch.clone();
         first.flip(&flip);
         trials.extend(joins(&first, &[flip]));
     }
-    let Some(better) = best_allowed(&patch, &trials, patch.worst_score().min(RECOVERY_SCORE)) else { return false };
+    let (score, distance) = if must { (NECESSARY_SCORE, patch.mean_edge) } else { (RECOVERY_SCORE, 0.0) };
+    let Some(better) = best_allowed(&patch, &trials, patch.worst_score().min(score), distance) else { return false };
     editor.put_back(&better);
     editor.mesh.keep(ends);
     true
 }
 
-/// The best of trials that keeps within what is allowed anywhere, with this least score.
-fn best_allowed(patch: &Patch, trials: &[Trial], score: f64) -> Option<Patch> {
-    let allowed = patch.start_distance.largest().max(FREE_DISTANCE * patch.mean_edge);
+/// The best of trials that keeps within what is allowed anywhere or a distance, with this least score.
+fn best_allowed(patch: &Patch, trials: &[Trial], score: f64, distance: f64) -> Option<Patch> {
+    let allowed = patch.start_distance.largest().max(FREE_DISTANCE * patch.mean_edge).max(distance);
     let goal = Goal { centre: allowed, rest: allowed, scores: [score; 2], cosine: patch.sharpest_cosine() };
     best(
         patch,
@@ -250,7 +258,7 @@ fn attempt_irregular(patch: &Patch, before: f64) -> Outcome {
     });
     let trials: Vec<Trial> = trials.map(|flip| Trial::Flip(vec![flip])).collect();
     let score = if patch.mesh.is_on_curve(patch.centre) { CURVE_SCORE } else { LEAST_SCORE };
-    match best_allowed(patch, &trials, patch.worst_score().min(score)) {
+    match best_allowed(patch, &trials, patch.worst_score().min(score), 0.0) {
         _ if irregularity(patch) == 0 => Outcome::Fine,
         Some(better) => Outcome::Better(Box::new(better)),
         None => Outcome::Failed(before),
@@ -360,4 +368,38 @@ fn far(context: &Context<'_>, vertices: Vec<u32>) -> Vec<Place<Defect>> {
         (badness > NEAR_SHARE * edge).then_some(Place::new(Defect::Far, vertex, badness))
     };
     vertices.into_par_iter().filter_map(measure).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+
+    use super::*;
+    use crate::mesh::TriMesh;
+    use crate::mesh::csr::Csr;
+    use crate::remesh::distance::Reference;
+    use crate::remesh::improve::shapes::Mobility;
+    use crate::remesh::manifold::LocalMesh;
+    use crate::rvd::Surface;
+    use crate::token::Token;
+    use glam::DVec3;
+
+    #[test]
+    fn an_edge_that_has_to_be_there_costs_shape() {
+        // The edge 0-1 leaves a facet of 9 degrees.
+        let places = [[0.0, 0.0], [2.0, 0.0], [1.0, 0.15], [1.0, -1.0]];
+        let positions: Vec<DVec3> = places.map(|[x, y]| DVec3::new(x, y, 0.0)).to_vec();
+        let mesh = TriMesh::new(positions, vec![[0, 3, 2], [3, 1, 2]]).unwrap();
+        let surface = Surface::new(&mesh, None).unwrap();
+        let all: Vec<u32> = (0..8).map(|k| k / 2).collect();
+        let facets = Csr::group(4, &all, |k| k as u32 % 2);
+        let vertices = Csr::group(4, &[0, 1, 2, 3], |v| surface.positions()[v]);
+        let (reference, token) = (Reference { surface: &surface, facets, vertices }, Token::default());
+        for (must, ends) in [(false, [0, 1]), (true, [0, 1]), (true, [1, 0])] {
+            let mut local = LocalMesh::new(surface.positions().to_vec(), mesh.facets().to_vec(), HashSet::new());
+            let mut editor = MeshEditor::new(&mut local, &[Mobility::Fixed; 4], Shapes::Round, &reference, &token);
+            assert_eq!(recover_edge(&mut editor, ends, must), must);
+            assert_eq!(local.facets().iter().all(|t| t.contains(&0) && t.contains(&1)), must);
+        }
+    }
 }

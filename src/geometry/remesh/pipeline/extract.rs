@@ -368,7 +368,9 @@ impl<'a> Extraction<'a> {
         if !absent.is_empty() {
             let mobility = mobility(&fitted.mesh.positions, &draft.curve_edges, &fitted.target.fixed);
             let mut editor = MeshEditor::new(&mut fitted.mesh, &mobility, self.shapes, &fitted.reference, self.token);
-            let recover = |&ends: &[u32; 2]| !self.token.is_stopped() && recover_edge(&mut editor, ends);
+            let recover = |&ends: &[u32; 2]| {
+                !self.token.is_stopped() && recover_edge(&mut editor, ends, self.curves.are_joined())
+            };
             if absent.into_iter().filter(recover).count() > 0 {
                 self.find_curves(draft, &mut fitted.mesh);
                 self.improve_shapes(&mut fitted.mesh, draft, &fitted.target.fixed, &fitted.envelope, false);
