@@ -170,12 +170,14 @@ impl Anisotropy {
     pub const SHARES: std::ops::RangeInclusive<f64> = 0.0..=10.0;
 }
 
-/// More points where the result is far from the input. Needs [`Placement::Fitted`].
+/// A bound on the distance of result and input. Needs [`Placement::Fitted`].
 ///
 /// The distance is measured both ways, at samples of facets, edges and vertices. Drawn seeds are drawn again, up to nine times,
 /// with shorter edges where the last result was too far; rounds go on while points and progress remain. A result that is still
-/// too far is never farther than as many points with a uniform density or one by curvature. Given seeds stay, and seeds are
-/// added to them. [`report::RefineFigures::ended`] says what ended it.
+/// too far is never farther than as many points with a uniform density or one by curvature. Once the bound is reached, up to ten
+/// rounds have longer edges where the result is nearer than that, as long as points are saved. The number of seeds that is asked
+/// for does not matter then, but for the default of `max_points`. Edge lengths that are given are never longer than given. Given
+/// seeds stay, and seeds are added to them. [`report::RefineFigures::ended`] says what ended it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Refine {
     /// The largest distance between input and result. The report's `refine.out_of_tolerance` counts samples farther away.

@@ -18,7 +18,7 @@ fn run(mesh: &TriMesh, points: usize, threads: usize) -> Remesh {
 }
 
 /// The edges at which facets make an angle of more than this, degrees.
-fn sharp(mesh: &TriMesh, degrees: f64) -> Vec<[DVec3; 2]> {
+pub(crate) fn sharp(mesh: &TriMesh, degrees: f64) -> Vec<[DVec3; 2]> {
     let normal = |f: usize| {
         let [a, b, c] = mesh.corners(f);
         (b - a).cross(c - a).normalize_or_zero()

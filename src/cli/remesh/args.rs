@@ -127,8 +127,8 @@ pub(crate) struct SizeArgs {
     #[arg(long, value_name = "A", default_value_t = DensityOptions::default().adaptivity)]
     #[arg(allow_negative_numbers = true)]
     pub(crate) adaptivity: f64,
-    /// Add points where input and remesh are farther apart than this at a sample of either, in percent of the bounding
-    /// box's diagonal; for --placement fitted.
+    /// As few points as keep input and remesh this near at all samples of both, in percent of the bounding box's diagonal;
+    /// for --placement fitted.
     #[arg(long, value_name = "PERCENT", value_parser = positive, allow_negative_numbers = true)]
     pub(crate) max_deviation: Option<f64>,
     /// The most points that --max-deviation may come to; twice --points if not given.

@@ -473,6 +473,20 @@ pub(super) const FEWER_MISSED: f64 = 0.8;
 pub(super) const TOLERANCE_AIM: f64 = 0.7;
 /// Least factor on an edge's length in one round. At a crease that was not kept, distance is proportional to length.
 pub(super) const SHORTEST_SHARE: f64 = 0.35;
+/// Area over tolerance, diagonal and this is the number of points that a search for a tolerance begins with: equilateral facets deviate by
+/// a sixth of their squared edges over the radius of curvature, and a fourth of the diagonal is an ordinary radius.
+pub(super) const FIRST_POINTS_AREA: f64 = 1.3;
+pub(super) const LEAST_FIRST_POINTS: usize = 100;
+/// Rounds with longer edges, at most, once the tolerance is met.
+pub(super) const MAX_LENGTHENING_ROUNDS: usize = 10;
+/// Largest factor on an edge's length in one of them.
+pub(super) const LONGEST_SHARE: f64 = 2.0;
+/// Share of the points that one of them saves at least if the next is to go as far.
+pub(super) const LEAST_SAVED: f64 = 0.05;
+/// Factor on all lengths once no others save points: about 7 % fewer points.
+pub(super) const EVEN_GROWTH: f64 = 1.04;
+/// Least share of the way to the lengths sought that is still tried.
+pub(super) const LEAST_PACE: f64 = 0.2;
 /// Share of missed samples up to which seeds are added there after the last round.
 pub(super) const FEW_MISSED_SHARE: f64 = 0.002;
 /// Share of the allowed points from which on they count as used up.

@@ -47,7 +47,7 @@ use glam::DVec3;
 
 use super::attributes::{self, Provenance};
 use super::features::Held;
-use super::report::{RegionFigures, Timings};
+use super::report::{RefineEnd, RegionFigures, Timings};
 use super::{
     Anisotropy, Limits, Observer, Placement, Refine, Remesh, RemeshError, RemeshOptions, Result, Seeds, Tolerance,
     constants, warnings,
@@ -55,6 +55,7 @@ use super::{
 use crate::cvt::density::{Count, DensityOptions, DensitySource, Plan};
 use crate::mesh::TriMesh;
 use crate::mesh::adjacency::Adjacency;
+use crate::mesh::apart::Apart;
 use crate::mesh::attributes::Attributes;
 use crate::mesh::closest_point::{ClosestPoint, SurfacePoint};
 use crate::mesh::crossings::crossings;
@@ -162,6 +163,8 @@ fn remesh_parts(
     observer: &mut dyn Observer,
     token: &Token,
 ) -> Result<Remesh, RemeshError> {
+    let begun = tolerance::begin(given, options);
+    let options = begun.as_ref().unwrap_or(options);
     if options.keeps_parts() {
         return on_threads_of(backend, || {
             let mut run = |part: (&TriMesh, Held<'_>), options: &RemeshOptions| {
@@ -325,14 +328,18 @@ fn run_once(
     let may_divide = options.keep_boundaries
         && isotropic
         && !in_metric
-        && options.refine.is_none()
         && !held.closes
         && options.periodic.is_empty()
         && held.rims.is_empty()
         && held.vertices.is_empty()
         && is_designed;
     let creases = match &prepared {
-        Ok(prepared) if may_divide && (way == Way::Divided || way == Way::Free && prepared.curves.is_crowded) => {
+        // Flat patches then come down to their corners.
+        Ok(prepared)
+            if may_divide
+                && (way == Way::Divided
+                    || way == Way::Free && (prepared.curves.is_crowded || options.refine.is_some())) =>
+        {
             let Prepared { curves, plan, surface, .. } = prepared;
             let apart = undivided.apart.as_ref();
             let separated = apart.map_or(clean, |apart| &apart.mesh);
@@ -399,13 +406,14 @@ fn run_once(
     // A tolerance decides itself how many points there are, and a metric is scaled for their number.
     let scales_seeds = options.refine.is_none() && !in_metric;
     let divisible = way == Way::Free && may_divide && !is_divided;
-    let may_divide = divisible && keep_thin;
+    let may_divide = divisible && keep_thin && options.refine.is_none();
     // Patches that are divided are not thin, and the number of their vertices is known.
     let may_shorten = keep_thin && options.refine.is_none() && !matches!(options.seeds, Seeds::Given(_));
     let (keep_thin, scales_seeds) = (keep_thin && !is_divided, scales_seeds && !is_divided);
     let wants_division = false;
     let mut job = Job {
         separated,
+        patches: apart.as_ref().filter(|_| meet),
         asked,
         backend,
         token,
@@ -437,19 +445,18 @@ fn run_once(
     };
 
     token.check()?;
-    let apart_along_curves = apart.as_ref().filter(|_| meet);
-    if !attempt.mend(apart_along_curves, token)? && is_divided {
+    let is_reached = limits.is_none() || attempt.figures.refine.ended == Some(RefineEnd::Reached);
+    if is_divided && !(attempt.is_whole && is_reached) {
         return Ok(Outcome::Again(Way::Undivided));
     }
     // Not known again once vertices move.
     let mut none_crosses = false;
     if may_shorten {
         let crossing;
-        (attempt, crossing) =
-            match job.uncross(attempt, (clean, apart.as_ref()), (meet, divisible, is_divided), options)? {
-                Some(found) => found,
-                None => return Ok(Outcome::Again(Way::Divided)),
-            };
+        (attempt, crossing) = match job.uncross(attempt, (clean, apart.as_ref()), (divisible, is_divided), options)? {
+            Some(found) => found,
+            None => return Ok(Outcome::Again(Way::Divided)),
+        };
         none_crosses = crossing == 0 && preprocessed.pairs.is_none();
     }
     if options.keep_thin && options.placement == Placement::Fitted && !matches!(options.seeds, Seeds::Given(_)) {
@@ -602,6 +609,8 @@ fn carry(
 pub(super) struct Job<'a, 'b> {
     /// The input, preprocessed, its sheets apart.
     pub(super) separated: &'a TriMesh,
+    /// The same with what was moved, if its sheets meet along curves.
+    pub(super) patches: Option<&'a Apart>,
     asked: Asked<'a>,
     pub(super) backend: &'b dyn Backend,
     pub(super) token: &'b Token,

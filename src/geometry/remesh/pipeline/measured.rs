@@ -44,7 +44,7 @@ pub(super) fn measure(
     known: Known,
     Job { backend, token, mut laps, topology: wanted, .. }: Job<'_, '_>,
 ) -> Result<Remesh, RemeshError> {
-    let Attempt { plan, curves, closest, built, seeds, figures, device, device_bytes } = attempt;
+    let Attempt { plan, curves, closest, built, seeds, figures, device, device_bytes, .. } = attempt;
     let Figures { seed, asked, converged, last, rvd, iterations, refine } = figures;
     token.check()?;
     let result = &built.mesh;

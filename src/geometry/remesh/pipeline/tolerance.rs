@@ -2,12 +2,13 @@
 //!
 //! Purpose: [`Job::attempt`] optimizes the seeds, then builds results in rounds. Each round adds seeds where the result is too far
 //! from the input, or moves seeds that produced no vertex. [`refine`] remeshes again and again, each time with shorter edges where
-//! the last result was too far from the input. The distance of a facet from a smooth surface falls with the square of its edges, so
-//! a few rounds do. Shorter edges that grade into the others keep triangles round. Seeds that are only added do not: steps spread
-//! them out again. Given seeds stay, so [`Job::add`] can only add to them.
+//! the last result was too far from the input, then with longer ones where it was nearer than it has to be. The distance of a facet from a
+//! smooth surface falls with the square of its edges, so a few rounds do. Shorter edges that grade into the others keep triangles round.
+//! Seeds that are only added do not: steps spread them out again. Given seeds stay, so [`Job::add`] can only add to them.
 //! Invariant: never more points than allowed; the nearest result of all rounds comes back. If it is too far, as many points with a
 //! uniform density or one by curvature are no nearer, unless the lengths were given. At most [`MAX_REFINING_ROUNDS`] rounds, one
-//! that adds seeds, and two comparisons for each of two searches.
+//! that adds seeds, and two comparisons for each of two searches, and [`MAX_LENGTHENING_ROUNDS`]. The result does not depend on how many
+//! points drawn seeds were asked for, but for how many there may be.
 //! Must not know: how a surface is made, how distances are measured.
 
 use glam::DVec3;
@@ -20,16 +21,15 @@ use super::patches;
 use super::prepare::{Metric, Prepared, prepare, with_source};
 use super::schedule::{Figures, Schedule};
 use crate::cvt::density::{DensitySource, Plan};
-use crate::mesh::apart::Apart;
+use crate::mesh::TriMesh;
 use crate::mesh::closest_point::ClosestPoint;
 use crate::mesh::comparison::{Comparison, Distances};
 use crate::remesh::constants::*;
 use crate::remesh::features::KeptCurves;
 use crate::remesh::metric::Wanted;
 use crate::remesh::report::{DeviceFigures, RefineEnd};
-use crate::remesh::{Limits, Placement, RemeshOptions, Result, Seeds};
+use crate::remesh::{Limits, Placement, Refine, RemeshOptions, Result, Seeds};
 use crate::rvd::{Lifted, RvdError};
-use crate::token::Token;
 
 struct Measured<'a> {
     attempt: Attempt<'a>,
@@ -70,6 +70,32 @@ fn attempt<'a>(
     Ok(Measured { attempt, distances, options })
 }
 
+/// The options of a remesh within a tolerance, from the number of points that it begins with; `None` if that is as given. It goes with the
+/// surface and the tolerance alone, so that the result does, too, and not with how many points are asked for.
+pub(super) fn begin(mesh: &TriMesh, options: &RemeshOptions) -> Option<RemeshOptions> {
+    let (Some(Refine { tolerance, max_points }), &Seeds::Sample { points, seed }) = (options.refine, &options.seeds)
+    else {
+        return None;
+    };
+    let most = max_points.unwrap_or(points.saturating_mul(2));
+    // Vertices that stay are in the number.
+    if !begins_anew(options) || options.keeps_parts() || points > most {
+        return None;
+    }
+    let (low, high) = mesh.bounds();
+    let points = mesh.area() / (FIRST_POINTS_AREA * tolerance.length(mesh) * (high - low).length());
+    // Saturates.
+    let points = (points as usize).clamp(LEAST_FIRST_POINTS, most.max(LEAST_FIRST_POINTS)).min(most);
+    let refine = Refine { tolerance, max_points: Some(most) };
+    Some(RemeshOptions { refine: Some(refine), seeds: Seeds::Sample { points, seed }, ..options.clone() })
+}
+
+/// Whether a tolerance alone says how many points there are. Lengths that are given are the longest that edges may have.
+fn begins_anew(options: &RemeshOptions) -> bool {
+    let given = matches!(options.density.source, DensitySource::Sizes(_) | DensitySource::Weights(_));
+    matches!(options.seeds, Seeds::Sample { .. }) && options.density.edge_length.is_none() && !given
+}
+
 /// Remeshes from what is prepared for `options`, with more points where the result is too far from the input.
 pub(super) fn refine<'a>(
     job: &mut Job<'a, '_>,
@@ -89,6 +115,9 @@ pub(super) fn refine<'a>(
             break;
         }
         from = Some(search.best.attempt.plan.lengths(search.job.separated, search.job.token)?);
+    }
+    if begins_anew(&options) {
+        search.lengthen(random_seed)?;
     }
     Ok(search.end())
 }
@@ -175,6 +204,54 @@ impl<'a, 'j, 'b> Search<'a, 'j, 'b> {
         Ok(())
     }
 
+    /// Once the tolerance is met: rounds with longer edges where the result is nearer than it has to be, as long as points are saved.
+    fn lengthen(&mut self, random_seed: u64) -> Result<()> {
+        let (separated, token) = (self.job.separated, self.job.token);
+        let Limits { tolerance, max_points } = self.limits;
+        // How much of the way edges go to the lengths that are sought.
+        let mut pace = 1.0;
+        for _ in 0..MAX_LENGTHENING_ROUNDS {
+            if !self.is_done() {
+                break;
+            }
+            self.rounds += 1;
+            // At last all edges alike: the largest distance of a round is a matter of chance, too.
+            let is_even = pace < LEAST_PACE;
+            let mut lengths = self.best.attempt.plan.lengths(separated, token)?;
+            let aim = TOLERANCE_AIM * tolerance;
+            for (length, &d) in lengths.iter_mut().zip(&self.best.distances.by_vertex) {
+                let share = (aim / d.max(f64::MIN_POSITIVE)).sqrt().clamp(SHORTEST_SHARE, LONGEST_SHARE);
+                *length *= if is_even { EVEN_GROWTH } else { share.powf(pace) };
+            }
+            let mut options = RemeshOptions { refine: None, ..self.best.options.clone() };
+            options = with_source(&options, DensitySource::Sizes(lengths));
+            options.density.max_points = max_points;
+            options.seeds = Seeds::Implied { seed: random_seed };
+            let Some(prepared) = self.job.prepare_again(&options, None)? else { break };
+            let mut next = match attempt(self.job, &self.comparison, prepared, options, tolerance) {
+                // So few that a part or a patch has no room for its vertices.
+                Err(_) if token.check().is_ok() && !is_even => {
+                    pace *= 0.5;
+                    continue;
+                }
+                Err(_) if token.check().is_ok() => break,
+                next => next?,
+            };
+            let saved = self.best.points() as f64 - next.points() as f64;
+            let holds = next.distances.missed == 0 && next.attempt.is_whole;
+            let is_less = saved >= LEAST_SAVED * self.best.points() as f64;
+            if holds && saved > 0.0 {
+                std::mem::swap(&mut self.best, &mut next);
+            }
+            self.passes_of_others += next.attempt.figures.passes();
+            if is_even && !(holds && saved > 0.0) {
+                break;
+            }
+            pace = if holds && is_less { pace } else { 0.5 * pace };
+        }
+        Ok(())
+    }
+
     /// The best again, with a few seeds more, if it misses little.
     fn add_few(&mut self) -> Result<()> {
         if self.is_done() || self.is_spent() || self.best.distances.missed_share > FEW_MISSED_SHARE {
@@ -233,21 +310,13 @@ pub(super) struct Attempt<'a> {
     pub(super) curves: KeptCurves,
     pub(super) closest: Option<ClosestPoint>,
     pub(super) built: Built,
+    /// Whether all patches of sheets that are apart along curves have their edges.
+    pub(super) is_whole: bool,
     /// Caller's coordinates.
     pub(super) seeds: Vec<DVec3>,
     pub(super) figures: Figures,
     pub(super) device: DeviceFigures,
     pub(super) device_bytes: u64,
-}
-
-impl Attempt<'_> {
-    /// Mends the patches of sheets that are apart along curves, as [`patches::mend`]; nothing where there are none.
-    pub(super) fn mend(&mut self, apart: Option<&Apart>, token: &Token) -> Result<bool> {
-        let Some(apart) = apart else { return Ok(true) };
-        let broken = |e| RvdError::Internal(format!("a surface was valid before: {e}"));
-        let of = (&*self.plan.mesh, &self.curves, &self.seeds[..]);
-        Ok(patches::mend(&mut self.built, of, apart, token)?.map_err(broken)?)
-    }
 }
 
 impl<'a> Job<'a, '_> {
@@ -269,17 +338,23 @@ impl<'a> Job<'a, '_> {
         Ok(search.end())
     }
 
-    /// From what is prepared for `options` to a surface. Its creases may be off by half of `tolerance`.
+    /// From what is prepared for `options` to a surface, its patches mended. Its creases may be off by half of `tolerance`.
     pub(super) fn attempt(
         &mut self,
         prepared: Prepared<'a>,
         options: &RemeshOptions,
         tolerance: Option<f64>,
     ) -> Result<Attempt<'a>> {
-        match prepared.lift {
+        let mut done = match prepared.lift {
             None => self.attempt_in::<DVec3>(prepared, options, tolerance),
             Some(_) => self.attempt_in::<Lifted>(prepared, options, tolerance),
+        }?;
+        if let Some(apart) = self.patches {
+            let broken = |e| RvdError::Internal(format!("a surface was valid before: {e}"));
+            let of = (&*done.plan.mesh, &done.curves, &done.seeds[..]);
+            done.is_whole = patches::mend(&mut done.built, of, apart, self.token)?.map_err(broken)?;
         }
+        Ok(done)
     }
 
     fn attempt_in<P: Metric>(
@@ -298,7 +373,7 @@ impl<'a> Job<'a, '_> {
         let device_bytes = cvt.device_bytes();
         // Nothing else of it is needed: its memory is free for the measurements.
         let closest = cvt.into_closest();
-        Ok(Attempt { plan, curves, closest, built, seeds, figures, device, device_bytes })
+        Ok(Attempt { plan, curves, closest, built, is_whole: true, seeds, figures, device, device_bytes })
     }
 }
 

@@ -23,13 +23,13 @@ use crate::rvd::RvdError;
 use crate::token::{Stopped, Token};
 
 impl<'a> Job<'a, '_> {
-    /// A result in place of `best` with fewer crossing facets, if there is one, and how many it has. Sheets of `clean` may be apart, and
-    /// `meet` along curves, as where it `is_divided`. `None` if some cross and the surface is `divisible`: divided, it has room for its cells.
+    /// A result in place of `best` with fewer crossing facets, if there is one, and how many it has. Sheets of `clean` may be apart, as
+    /// where it `is_divided`. `None` if some cross and the surface is `divisible`: divided, it has room for its cells.
     pub(super) fn uncross(
         &mut self,
         mut best: Attempt<'a>,
         (clean, apart): (&TriMesh, Option<&Apart>),
-        (meet, divisible, is_divided): (bool, bool, bool),
+        (divisible, is_divided): (bool, bool),
         options: &RemeshOptions,
     ) -> Result<Option<(Attempt<'a>, usize)>> {
         let token = self.token;
@@ -57,14 +57,13 @@ impl<'a> Job<'a, '_> {
                 break;
             }
             let Ok(mut next) = self.attempt(prepared, &options, None) else { break };
-            let is_whole = next.mend(apart.filter(|_| meet), self.token)?;
             crossing = crossing_of(&next.built.mesh)?;
             lengths = next.plan.lengths(self.separated, self.token)?;
             shorten_near(&mut lengths, self.separated, (&next.built.mesh, &crossing), self.token)?;
-            if !is_whole || crossing.len() >= fewest || lost_curves(&next) > lost_curves(&best) {
+            if !next.is_whole || crossing.len() >= fewest || lost_curves(&next) > lost_curves(&best) {
                 best.figures.refine.evaluations += next.figures.passes();
                 // Of a bent wall, edges may have to be shorter still.
-                if is_divided && is_whole {
+                if is_divided && next.is_whole {
                     continue;
                 }
                 break;
