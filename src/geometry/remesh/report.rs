@@ -154,7 +154,7 @@ pub struct RefineFigures {
     pub rounds: usize,
     /// Seeds without a vertex that were moved to where edges are long.
     pub moved_seeds: usize,
-    /// Seeds added there.
+    /// Seeds added where the result was far: more than the rounds began with.
     pub added_seeds: usize,
     /// Passes over the diagram.
     pub evaluations: usize,
