@@ -250,7 +250,7 @@ async fn refinement_adds_seeds() {
     assert_ne!(full.report["refine"]["ended"], "reached");
     assert!(full.done.seeds <= 60 && full.done.refinement_end() != RefinementEnd::Reached);
     let loose = remesh(&mut client, &mesh, wish(0.5, 60), &[]).await.unwrap();
-    assert_eq!((loose.done.seeds, loose.done.refinement_end()), (50, RefinementEnd::Reached));
+    assert!(loose.done.seeds < 50 && loose.done.refinement_end() == RefinementEnd::Reached, "{}", loose.done.seeds);
     let plain = remesh(&mut client, &mesh, header(&mesh, 50), &[]).await.unwrap();
     assert_eq!(plain.done.refinement_end(), RefinementEnd::Unspecified);
     for tolerance in [0.0, -1.0, f64::NAN, f64::INFINITY] {
