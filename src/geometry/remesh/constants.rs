@@ -476,7 +476,7 @@ pub(super) const SHORTEST_SHARE: f64 = 0.35;
 /// Area over tolerance, diagonal and this is the number of points that a search for a tolerance begins with: equilateral facets deviate by
 /// a sixth of their squared edges over the radius of curvature, and a fourth of the diagonal is an ordinary radius.
 pub(super) const FIRST_POINTS_AREA: f64 = 1.3;
-pub(super) const LEAST_FIRST_POINTS: usize = 100;
+pub(super) const LEAST_FIRST_POINTS: usize = 300;
 /// Rounds with longer edges, at most, once the tolerance is met.
 pub(super) const MAX_LENGTHENING_ROUNDS: usize = 10;
 /// Largest factor on an edge's length in one of them.

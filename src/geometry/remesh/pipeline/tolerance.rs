@@ -22,14 +22,18 @@ use super::prepare::{Metric, Prepared, prepare, with_source};
 use super::schedule::{Figures, Schedule};
 use crate::cvt::density::{DensitySource, Plan};
 use crate::mesh::TriMesh;
+use crate::mesh::adjacency::Adjacency;
 use crate::mesh::closest_point::ClosestPoint;
 use crate::mesh::comparison::{Comparison, Distances};
+use crate::mesh::crossings::crossing_facets;
+use crate::mesh::measure::topology_unless;
 use crate::remesh::constants::*;
 use crate::remesh::features::KeptCurves;
 use crate::remesh::metric::Wanted;
 use crate::remesh::report::{DeviceFigures, RefineEnd};
 use crate::remesh::{Limits, Placement, Refine, RemeshOptions, Result, Seeds};
 use crate::rvd::{Lifted, RvdError};
+use crate::token::{Stopped, Token};
 
 struct Measured<'a> {
     attempt: Attempt<'a>,
@@ -204,10 +208,12 @@ impl<'a, 'j, 'b> Search<'a, 'j, 'b> {
         Ok(())
     }
 
-    /// Once the tolerance is met: rounds with longer edges where the result is nearer than it has to be, as long as points are saved.
+    /// Once the tolerance is met: rounds with longer edges where the result is nearer than it has to be, as long as points are saved and
+    /// the topology and the curves stay.
     fn lengthen(&mut self, random_seed: u64) -> Result<()> {
         let (separated, token) = (self.job.separated, self.job.token);
         let Limits { tolerance, max_points } = self.limits;
+        let mut soundness = Soundness::of(&self.best.attempt, token)?;
         // How much of the way edges go to the lengths that are sought.
         let mut pace = 1.0;
         for _ in 0..MAX_LENGTHENING_ROUNDS {
@@ -238,16 +244,21 @@ impl<'a, 'j, 'b> Search<'a, 'j, 'b> {
                 next => next?,
             };
             let saved = self.best.points() as f64 - next.points() as f64;
-            let holds = next.distances.missed == 0 && next.attempt.is_whole;
             let is_less = saved >= LEAST_SAVED * self.best.points() as f64;
-            if holds && saved > 0.0 {
-                std::mem::swap(&mut self.best, &mut next);
+            let mut is_better = saved > 0.0 && next.distances.missed == 0 && next.attempt.is_whole;
+            if is_better {
+                let of_next = Soundness::of(&next.attempt, token)?;
+                is_better = of_next.is_kept_from(&soundness);
+                if is_better {
+                    soundness = of_next;
+                    std::mem::swap(&mut self.best, &mut next);
+                }
             }
             self.passes_of_others += next.attempt.figures.passes();
-            if is_even && !(holds && saved > 0.0) {
+            if is_even && !is_better {
                 break;
             }
-            pace = if holds && is_less { pace } else { 0.5 * pace };
+            pace = if is_better && is_less { pace } else { 0.5 * pace };
         }
         Ok(())
     }
@@ -317,6 +328,41 @@ pub(super) struct Attempt<'a> {
     pub(super) figures: Figures,
     pub(super) device: DeviceFigures,
     pub(super) device_bytes: u64,
+}
+
+impl Attempt<'_> {
+    /// Curves that were dropped, and segments without an edge.
+    pub(super) fn lost_curves(&self) -> usize {
+        self.curves.dropped().len() + self.built.segments.iter().filter(|edge| edge.is_none()).count()
+    }
+}
+
+/// What a result with fewer points may not lose.
+struct Soundness {
+    euler: i64,
+    components: usize,
+    boundary_loops: usize,
+    crossing: usize,
+    lost_curves: usize,
+}
+
+impl Soundness {
+    fn of(attempt: &Attempt<'_>, token: &Token) -> std::result::Result<Self, Stopped> {
+        let mesh = &attempt.built.mesh;
+        let found = topology_unless(mesh, &Adjacency::unless(mesh, token)?, token)?;
+        Ok(Self {
+            euler: found.euler,
+            components: found.components,
+            boundary_loops: found.boundary_loops,
+            crossing: crossing_facets(mesh, token)?.len(),
+            lost_curves: attempt.lost_curves(),
+        })
+    }
+
+    fn is_kept_from(&self, other: &Self) -> bool {
+        let topology = |of: &Self| (of.euler, of.components, of.boundary_loops);
+        topology(self) == topology(other) && self.crossing <= other.crossing && self.lost_curves <= other.lost_curves
+    }
 }
 
 impl<'a> Job<'a, '_> {

@@ -60,7 +60,7 @@ impl<'a> Job<'a, '_> {
             crossing = crossing_of(&next.built.mesh)?;
             lengths = next.plan.lengths(self.separated, self.token)?;
             shorten_near(&mut lengths, self.separated, (&next.built.mesh, &crossing), self.token)?;
-            if !next.is_whole || crossing.len() >= fewest || lost_curves(&next) > lost_curves(&best) {
+            if !next.is_whole || crossing.len() >= fewest || next.lost_curves() > best.lost_curves() {
                 best.figures.refine.evaluations += next.figures.passes();
                 // Of a bent wall, edges may have to be shorter still.
                 if is_divided && next.is_whole {
@@ -79,11 +79,6 @@ impl<'a> Job<'a, '_> {
         self.token.check()?;
         Ok(Some((best, fewest)))
     }
-}
-
-/// Curves that were dropped, and segments without an edge.
-fn lost_curves(of: &Attempt<'_>) -> usize {
-    of.curves.dropped().len() + of.built.segments.iter().filter(|edge| edge.is_none()).count()
 }
 
 /// Makes the lengths, one a vertex of `mesh`, shorter near the facets of a result that cross others.
