@@ -90,6 +90,23 @@ fn points_are_taken_away_where_the_bound_allows() {
 }
 
 #[test]
+fn shells_nearer_than_the_bound_do_not_cross() {
+    let ball = |radius: f64, facets: usize| {
+        let (positions, facets) = Shape::Sphere.build(facets).into_parts();
+        TriMesh::new(positions.into_iter().map(|p| radius * p.normalize()).collect(), facets).unwrap()
+    };
+    let (outer, inner) = (ball(1.0, 4000), ball(0.97, 3000));
+    let (mut positions, mut facets) = outer.into_parts();
+    let first = positions.len() as u32;
+    positions.extend(inner.positions());
+    facets.extend(inner.facets().iter().map(|&[a, b, c]| [first + a, first + c, first + b]));
+    let mesh = TriMesh::new(positions, facets).unwrap();
+    let done = bounded(&mesh, 1000, 1.0, 10_000);
+    assert_eq!(done.report.refine.ended, Some(RefineEnd::Reached));
+    assert_eq!(crossings(&done.mesh, &Token::default()).unwrap().count, 0);
+}
+
+#[test]
 fn flat_parts_come_down_to_their_corners() {
     for kind in [PartKind::Ribs, PartKind::Letters, PartKind::Slots, PartKind::Enclosure, PartKind::Frame] {
         let mesh = part(kind, 0.05, 3);

@@ -53,7 +53,9 @@ pub struct FeatureOptions {
 const FLAT_DEG: f64 = 0.1;
 /// An edge with a larger dihedral angle is one of the surface, and not of the facets that a round face was made of, degrees: nine facets
 /// around a cylinder have as much.
-const SHARP_DEG: f64 = 40.0;
+pub(crate) const SHARP_DEG: f64 = 40.0;
+/// Facets at an edge with a larger dihedral angle lie on each other, degrees.
+const FOLDED_DEG: f64 = 150.0;
 
 /// Curves may change by merging corners if chords as long as [`FeatureOptions::turn_reach`] leave them by less than this share
 /// of it, about as far as chords leave a smooth curve.
@@ -280,6 +282,8 @@ pub(crate) struct EdgeShares {
     pub(crate) flat: f64,
     /// Share of their length with a dihedral angle of more than [`SHARP_DEG`].
     pub(crate) sharp: f64,
+    /// Edges with a dihedral angle of more than [`FOLDED_DEG`].
+    pub(crate) folded: usize,
 }
 
 /// The shares of the length of edges between two facets.
@@ -287,7 +291,8 @@ pub(crate) fn edge_shares(mesh: &TriMesh, token: &Token) -> Result<EdgeShares, S
     let class = weld_unless(mesh, token)?;
     let facets = mesh.facets().iter().map(|t| t.map(|v| class[v as usize])).enumerate();
     let unit = |f: u32| normal(mesh.corners(f as usize)).normalize_or_zero();
-    let [least_flat, least_smooth] = [FLAT_DEG, SHARP_DEG].map(|angle: f64| angle.to_radians().cos());
+    let [least_flat, least_smooth, folded] =
+        [FLAT_DEG, SHARP_DEG, FOLDED_DEG].map(|angle: f64| angle.to_radians().cos());
     let (mut shares, mut all) = (EdgeShares::default(), 0.0);
     EdgeGroups::unless(class.len(), facets, token)?.for_each(|_, halves| {
         let [a, b] = halves else { return };
@@ -301,6 +306,7 @@ pub(crate) fn edge_shares(mesh: &TriMesh, token: &Token) -> Result<EdgeShares, S
         } else if cosine < least_smooth {
             shares.sharp += length;
         }
+        shares.folded += usize::from(cosine < folded);
     });
     shares.flat /= all.max(f64::MIN_POSITIVE);
     shares.sharp /= all.max(f64::MIN_POSITIVE);

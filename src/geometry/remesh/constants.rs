@@ -245,6 +245,8 @@ pub(super) const OTHER_SEEDS: u64 = 3;
 pub(super) const FEW_DEFECTS: f64 = 0.02;
 /// A divided surface whose result has more crossing facets than this share was not to be divided.
 pub(super) const MOST_CROSSING: f64 = 0.02;
+/// A folded result that is farther from the input than this, shares of an edge, has no room for its curves.
+pub(super) const FAR_DIVIDED: f64 = 0.25;
 /// A patch whose mean width is less has no seeds within, edges.
 pub(super) const NARROW_PATCH: f64 = 1.2;
 /// Distance of other seeds from a curve's seeds, share of their spacing: about where the cells of the curve end. A larger

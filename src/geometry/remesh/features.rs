@@ -73,8 +73,8 @@ pub(crate) struct Held<'a> {
     pub(crate) vertices: &'a [u32],
     /// Whether all boundaries have all of their edges, since something else meets them there.
     pub(crate) closes: bool,
-    /// Whether creases are dropped, for the sake of boundaries.
-    pub(crate) drops_creases: bool,
+    /// Creases of a smaller angle are dropped, degrees: all for the sake of boundaries, or those between the facets of round surfaces.
+    pub(crate) least_crease_deg: Option<f64>,
     /// Whether sheets were divided along creases that are close to others: the boundaries there get longer edges until there are points
     /// enough.
     pub(crate) crowded: bool,
@@ -113,7 +113,7 @@ impl KeptCurves {
         plan: &Plan<'_>,
         surface: &Surface,
         (options, by_error): (&RemeshOptions, bool),
-        Held { seams, rims, vertices, closes, drops_creases, crowded }: Held<'_>,
+        Held { seams, rims, vertices, closes, least_crease_deg, crowded }: Held<'_>,
         token: &Token,
     ) -> Result<Self, RemeshError> {
         Features::check(mesh, options.crease_angle_deg, &options.creases, token)?;
@@ -155,12 +155,14 @@ impl KeptCurves {
         let named = |curve: &Curve| dropped_curve(curve, &plan.mesh);
         let mut rims_alone = false;
         let mut is_crowded = false;
-        let all = criteria.clone();
-        if drops_creases {
+        if let Some(least) = least_crease_deg {
             let all = Features::find(&plan.mesh, surface.positions(), &criteria, token)?;
-            dropped.extend(all.curves.iter().filter(|c| c.kind == CurveKind::Crease).map(named));
-            criteria.crease_angle_deg = 0.0;
+            let is_less = |c: &&Curve| c.kind == CurveKind::Crease && c.angle_deg < least;
+            dropped.extend(all.curves.iter().filter(is_less).map(named));
+            // 0 seeks none.
+            criteria.crease_angle_deg = if least < 180.0 { least } else { 0.0 };
         }
+        let all = criteria.clone();
         loop {
             // What a search drops, the next one may find again.
             let dropped_before = dropped.len();

@@ -39,6 +39,7 @@ mod schedule;
 mod tips;
 mod tolerance;
 mod uncross;
+mod ways;
 
 use std::collections::HashMap;
 use std::time::Instant;
@@ -61,11 +62,12 @@ use crate::mesh::closest_point::{ClosestPoint, SurfacePoint};
 use crate::mesh::crossings::crossings;
 use crate::mesh::features::edge_shares;
 use crate::mesh::input::{draw_in, outliers};
-use crate::mesh::measure::{Quality, Topology, topology_unless};
+use crate::mesh::measure::{Topology, topology_unless};
 use crate::rvd::{Backend, RvdError, elapsed_ms, on_threads_of};
 use crate::token::{Stopped, Token};
 use prepare::{Asked, Prepared, prepare, with_source};
 use preprocess::{Separated, preprocess};
+use ways::{Outcome, Way};
 
 /// Remeshes `given` on `backend`.
 ///
@@ -146,6 +148,10 @@ pub fn remesh(
             None => RemeshError::CreasesBroken { curves: features.broken_curves, edges: features.missing_segments },
         });
     }
+    if !options.measure {
+        let result = &mut done.report.result;
+        (result.quality, result.lost, result.crossings) = (None, None, None);
+    }
     done.report.warnings = warnings::of(&done.report, options);
     if options.source_map
         && let Some(attributes) = &mut done.attributes
@@ -196,93 +202,25 @@ fn remesh_parts(
         }
         // Creases that end at a boundary may leave no room for its edges.
         Err(RemeshError::PeriodicLost { .. }) if options.crease_angle_deg > 0.0 => {
-            let held = Held { drops_creases: true, ..Held::default() };
+            let held = Held { least_crease_deg: Some(f64::INFINITY), ..Held::default() };
             run_stages((given, held), options, backend, observer, token)
         }
         done => done,
     })
 }
 
-/// On the present threads. Where few facets of a designed part cross, or a joint of its sheets lacks an edge, other random seeds are tried.
+/// On the present threads.
 fn run_stages(
-    part: (&TriMesh, Held<'_>),
+    (mesh, held): (&TriMesh, Held<'_>),
     options: &RemeshOptions,
     backend: &dyn Backend,
     observer: &mut dyn Observer,
     token: &Token,
 ) -> Result<Remesh, RemeshError> {
-    let mut best = run_ways(part, options, backend, observer, token)?;
-    for k in 1..=constants::OTHER_SEEDS {
-        let defects = best.report.defects(options.keep_non_manifold);
-        let (&Seeds::Sample { seed, .. } | &Seeds::Implied { seed }) = &options.seeds else { break };
-        let share = defects as f64 / best.mesh.facets().len() as f64;
-        // Where holes closed, points are too few, and other seeds do not help. A joint that lacks an edge is a hole itself.
-        let is_whole = options.keep_non_manifold || best.report.topology_changes.is_empty();
-        if defects == 0 || share > constants::FEW_DEFECTS || !is_whole || !best.report.features.is_designed {
-            break;
-        }
-        let mut other = options.clone();
-        if let Seeds::Sample { seed: own, .. } | Seeds::Implied { seed: own } = &mut other.seeds {
-            *own = seed.wrapping_add(k);
-        }
-        match run_ways(part, &other, backend, observer, token) {
-            Ok(done)
-                if done.report.defects(options.keep_non_manifold) < defects
-                    && done.report.topology_changes.len() <= best.report.topology_changes.len() =>
-            {
-                best = done;
-            }
-            _ => token.check()?,
-        }
-    }
-    Ok(best)
-}
-
-/// Undivided, or divided along the creases.
-fn run_ways(
-    part: (&TriMesh, Held<'_>),
-    options: &RemeshOptions,
-    backend: &dyn Backend,
-    observer: &mut dyn Observer,
-    token: &Token,
-) -> Result<Remesh, RemeshError> {
-    let mut way = Way::Free;
-    let (done, divisible) = loop {
-        match run_once(part, (options, way), backend, observer, token)? {
-            Outcome::Done(done, divisible) => break (*done, divisible),
-            Outcome::Again(other) => way = other,
-        }
+    let mut run = |held: Held<'_>, (options, way): (&RemeshOptions, Way)| {
+        run_once((mesh, held), (options, way), backend, &mut *observer, token)
     };
-    if !(divisible && done.report.lacks_curves()) {
-        return Ok(done);
-    }
-    let divided = run_once(part, (options, Way::Divided), backend, observer, token);
-    token.check()?;
-    Ok(match divided {
-        Ok(Outcome::Done(divided, _))
-            if divided.report.is_nearer_than(&done.report)
-                || options.strict_creases && divided.report.features.are_whole() =>
-        {
-            *divided
-        }
-        _ => done,
-    })
-}
-
-/// Whether a surface is divided along its creases: each patch then has cells of its own, and no crease is dropped.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Way {
-    /// Where creases would be dropped, or the surface is too thin for its cells.
-    Free,
-    Divided,
-    Undivided,
-}
-
-enum Outcome {
-    /// And whether the surface may be divided, and is not.
-    Done(Box<Remesh>, bool),
-    /// Another way is better.
-    Again(Way),
+    ways::run(held, options, &mut run, token)
 }
 
 fn run_once(
@@ -412,8 +350,10 @@ fn run_once(
     let (keep_thin, scales_seeds) = (keep_thin && !is_divided, scales_seeds && !is_divided);
     let wants_division = false;
     let mut job = Job {
+        clean,
+        apart: apart.as_ref(),
+        meet,
         separated,
-        patches: apart.as_ref().filter(|_| meet),
         asked,
         backend,
         token,
@@ -453,7 +393,7 @@ fn run_once(
     let mut none_crosses = false;
     if may_shorten {
         let crossing;
-        (attempt, crossing) = match job.uncross(attempt, (clean, apart.as_ref()), (divisible, is_divided), options)? {
+        (attempt, crossing) = match job.uncross(attempt, (divisible, is_divided), options)? {
             Some(found) => found,
             None => return Ok(Outcome::Again(Way::Divided)),
         };
@@ -536,18 +476,23 @@ fn run_once(
     }
 
     job.enter("measure");
-    let known = measured::Known { topology: of_result, none_crosses };
+    // Which of several ways a designed part goes depends on the figures.
+    let known = measured::Known { topology: of_result, none_crosses, measures: options.measure || is_designed };
     let mut measured = measured::measure(clean, input, options, attempt, known, job)?;
     // Too few points for the curves: without most of them, what is between has more.
     let edge = (4.0 / 3f64.sqrt() * measured.mesh.area() / measured.mesh.facets().len().max(1) as f64).sqrt();
-    let far = |quality: &Quality| quality.hausdorff_percent > 100.0 * edge / diagonal;
-    if is_divided && !options.strict_creases && measured.report.result.quality.as_ref().is_some_and(far) {
-        return Ok(Outcome::Again(Way::Undivided));
-    }
+    let edges_away =
+        measured.report.result.quality.as_ref().map_or(0.0, |of| of.hausdorff_percent * diagonal / 100.0 / edge);
+    let is_far = is_divided
+        && !options.strict_creases
+        && (edges_away > 1.0
+            || edges_away > constants::FAR_DIVIDED
+                && edge_shares(&measured.mesh, token)?.folded > edge_shares(clean, token)?.folded);
     let Carried { attributes, provenance, regions } = carried;
     (measured.report.result.regions, measured.report.result.periodic) = (regions, periodic);
     measured.report.features.is_designed = is_designed;
-    Ok(Outcome::Done(Box::new(Remesh { attributes, provenance, ..measured }), divisible))
+    let done = Box::new(Remesh { attributes, provenance, ..measured });
+    Ok(if is_far { Outcome::Far(done) } else { Outcome::Done(done, divisible) })
 }
 
 /// Whether a surface has flat or ruled faces between sharp edges, or edges that the caller named.
@@ -607,10 +552,13 @@ fn carry(
 }
 
 pub(super) struct Job<'a, 'b> {
-    /// The input, preprocessed, its sheets apart.
+    /// The input, preprocessed.
+    pub(super) clean: &'a TriMesh,
+    /// What was moved to have its sheets apart, if there are several, and whether they meet along curves.
+    pub(super) apart: Option<&'a Apart>,
+    pub(super) meet: bool,
+    /// `clean` with its sheets apart.
     pub(super) separated: &'a TriMesh,
-    /// The same with what was moved, if its sheets meet along curves.
-    pub(super) patches: Option<&'a Apart>,
     asked: Asked<'a>,
     pub(super) backend: &'b dyn Backend,
     pub(super) token: &'b Token,

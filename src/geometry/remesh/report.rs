@@ -75,15 +75,22 @@ impl Report {
         self.result.crossings.as_ref().map_or(0, |crossings| crossings.count) + missing
     }
 
-    /// Whether the result is no farther from the input than another one, has no more crossing facets, and a topology as near.
+    /// Whether no facets cross, and the topology is that of the input.
+    pub(crate) fn is_sound(&self) -> bool {
+        self.topology_changes.is_empty() && self.result.crossings.as_ref().is_none_or(|crossings| crossings.count == 0)
+    }
+
+    /// Whether the result is no farther from the input than another one, has no more crossing facets, and a topology as near. If it drops
+    /// more curves, it has to be twice as near.
     pub(crate) fn is_nearer_than(&self, other: &Self) -> bool {
         let of = |report: &Self| {
             let distance = report.result.quality.as_ref().map_or(f64::INFINITY, |quality| quality.hausdorff_percent);
             let crossings = report.result.crossings.as_ref().map_or(0, |crossings| crossings.count);
             (distance, crossings, report.topology_changes.len())
         };
+        let share = if self.features.dropped_length > other.features.dropped_length { 2.0 } else { 1.0 };
         let (own, other) = (of(self), of(other));
-        own.0 <= other.0 && own.1 <= other.1 && own.2 <= other.2
+        share * own.0 <= other.0 && own.1 <= other.1 && own.2 <= other.2
     }
 }
 

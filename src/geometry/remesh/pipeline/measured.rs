@@ -33,6 +33,8 @@ pub(super) fn compare(
 pub(super) struct Known {
     pub(super) topology: Option<Topology>,
     pub(super) none_crosses: bool,
+    /// Whether the result is compared with the surface, and crossing facets are counted.
+    pub(super) measures: bool,
 }
 
 /// Measures the result against `clean` and writes the report. Attributes and provenance are left empty.
@@ -48,10 +50,10 @@ pub(super) fn measure(
     let Figures { seed, asked, converged, last, rvd, iterations, refine } = figures;
     token.check()?;
     let result = &built.mesh;
-    let quality = || options.measure.then(|| compare(clean, closest, result, token)).transpose();
+    let quality = || known.measures.then(|| compare(clean, closest, result, token)).transpose();
     let crossings = || {
         let count = || if known.none_crosses { Ok(Crossings::default()) } else { crossings(result, token) };
-        options.measure.then(count).transpose()
+        known.measures.then(count).transpose()
     };
     // Only parts of one seed's cell, or of the surface, can be in one place.
     let touches = built.repair.extra_vertices > 0 || wanted.components > 1 || known.topology.is_some();

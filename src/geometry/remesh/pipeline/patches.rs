@@ -28,7 +28,7 @@ use crate::token::{Stopped, Token};
 const LEAST: [(f64, f64); 5] = [(0.5, 0.1), (0.5, 0.01), (0.5, 1e-6), (0.0, 0.0), (-1.0, -1.0)];
 /// A patch with more facets has room for cells of its own, but for what it is far from, as a shaft that is thinner than an edge.
 const MOST_FACETS: usize = 50;
-/// Patches with more facets that are replaced have at most this share of all: others would be missed elsewhere.
+/// Patches with more facets that are replaced have at most this share of all vertices within: others would be missed elsewhere.
 const MOST_REPLACED: f64 = 0.1;
 /// A vertex within a patch stays if the patch would be farther from it without, share of the edges of its curves.
 const FARTHEST: f64 = 0.25;
@@ -93,7 +93,7 @@ pub(super) fn mend(
     let narrow = curves.narrow();
     let at = |seed: u32| curves.corner(seed).map_or(seeds[seed as usize], |v| mesh.positions()[v as usize]);
     let closest = ClosestPoint::unless(&built.mesh, token)?;
-    let mut left = (MOST_REPLACED * built.mesh.facets().len() as f64) as usize;
+    let mut left = (MOST_REPLACED * built.mesh.positions().len() as f64) as usize;
     let mut all = true;
     let mut gone: HashSet<u32> = HashSet::new();
     let mut made: Vec<Simplified> = Vec::new();
@@ -121,8 +121,8 @@ pub(super) fn mend(
         }
         if !is_narrow && (is_whole || is_large) {
             let lengths = of().flat_map(|chain| chain.edges()).map(|ends| at(ends[0]).distance(at(ends[1])));
-            let may_replace = !is_large || patch.result.len() <= left;
-            if !may_replace || !is_far(&closest, patch, mesh, lengths.fold(0.0, f64::max)) {
+            let may_replace = !is_large || within.len() <= left;
+            if !may_replace || is_whole && !is_far(&closest, patch, mesh, lengths.fold(0.0, f64::max)) {
                 all &= is_whole;
                 continue;
             }
@@ -132,7 +132,7 @@ pub(super) fn mend(
         if let Some(new) = simplified((mesh, &facets), &chains, at, within.len(), token)? {
             gone.extend(&patch.result);
             made.push(new);
-            left -= if is_large { patch.result.len() } else { 0 };
+            left -= if is_large { within.len() } else { 0 };
         } else {
             all = false;
         }

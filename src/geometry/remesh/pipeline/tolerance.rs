@@ -20,6 +20,7 @@ use super::optimize::{Optimized, exact_dual};
 use super::patches;
 use super::prepare::{Metric, Prepared, prepare, with_source};
 use super::schedule::{Figures, Schedule};
+use super::uncross::shorten_near;
 use crate::cvt::density::{DensitySource, Plan};
 use crate::mesh::TriMesh;
 use crate::mesh::adjacency::Adjacency;
@@ -33,7 +34,6 @@ use crate::remesh::metric::Wanted;
 use crate::remesh::report::{DeviceFigures, RefineEnd};
 use crate::remesh::{Limits, Placement, Refine, RemeshOptions, Result, Seeds};
 use crate::rvd::{Lifted, RvdError};
-use crate::token::{Stopped, Token};
 
 struct Measured<'a> {
     attempt: Attempt<'a>,
@@ -121,6 +121,7 @@ pub(super) fn refine<'a>(
         from = Some(search.best.attempt.plan.lengths(search.job.separated, search.job.token)?);
     }
     if begins_anew(&options) {
+        search.uncross(random_seed)?;
         search.lengthen(random_seed)?;
     }
     Ok(search.end())
@@ -208,12 +209,51 @@ impl<'a, 'j, 'b> Search<'a, 'j, 'b> {
         Ok(())
     }
 
+    /// A result with these lengths of edges; `None` if they need too many points.
+    fn with_lengths(&mut self, lengths: Vec<f64>, random_seed: u64) -> Result<Option<Measured<'a>>> {
+        let options = RemeshOptions { refine: None, ..self.best.options.clone() };
+        let mut options = with_source(&options, DensitySource::Sizes(lengths));
+        options.density.max_points = self.limits.max_points;
+        options.seeds = Seeds::Implied { seed: random_seed };
+        let Some(prepared) = self.job.prepare_again(&options, None)? else { return Ok(None) };
+        attempt(self.job, &self.comparison, prepared, options, self.limits.tolerance).map(Some)
+    }
+
+    /// Once the tolerance is met: rounds with shorter edges where facets cross, as long as fewer do. Where facets of the input cross, nothing
+    /// changes.
+    fn uncross(&mut self, random_seed: u64) -> Result<()> {
+        if !self.is_done() {
+            return Ok(());
+        }
+        let token = self.job.token;
+        let mut crossing = self.job.crossing(&self.best.attempt.built.mesh)?;
+        if crossing.is_empty() || !crossing_facets(self.job.clean, token)?.is_empty() {
+            return Ok(());
+        }
+        for _ in 0..MAX_LENGTHENING_ROUNDS {
+            self.rounds += 1;
+            let mut lengths = self.best.attempt.plan.lengths(self.job.separated, token)?;
+            shorten_near(&mut lengths, self.job.separated, (&self.best.attempt.built.mesh, &crossing), token)?;
+            let Some(mut next) = self.with_lengths(lengths, random_seed)? else { break };
+            let of_next = self.job.crossing(&next.attempt.built.mesh)?;
+            let is_better = next.distances.missed == 0 && next.attempt.is_whole && of_next.len() < crossing.len();
+            if is_better {
+                std::mem::swap(&mut self.best, &mut next);
+                crossing = of_next;
+            }
+            self.passes_of_others += next.attempt.figures.passes();
+            if !is_better || crossing.is_empty() {
+                break;
+            }
+        }
+        Ok(())
+    }
+
     /// Once the tolerance is met: rounds with longer edges where the result is nearer than it has to be, as long as points are saved and
     /// the topology and the curves stay.
     fn lengthen(&mut self, random_seed: u64) -> Result<()> {
         let (separated, token) = (self.job.separated, self.job.token);
-        let Limits { tolerance, max_points } = self.limits;
-        let mut soundness = Soundness::of(&self.best.attempt, token)?;
+        let mut soundness = Soundness::of(&self.best.attempt, self.job)?;
         // How much of the way edges go to the lengths that are sought.
         let mut pace = 1.0;
         for _ in 0..MAX_LENGTHENING_ROUNDS {
@@ -224,30 +264,27 @@ impl<'a, 'j, 'b> Search<'a, 'j, 'b> {
             // At last all edges alike: the largest distance of a round is a matter of chance, too.
             let is_even = pace < LEAST_PACE;
             let mut lengths = self.best.attempt.plan.lengths(separated, token)?;
-            let aim = TOLERANCE_AIM * tolerance;
+            let aim = TOLERANCE_AIM * self.limits.tolerance;
             for (length, &d) in lengths.iter_mut().zip(&self.best.distances.by_vertex) {
                 let share = (aim / d.max(f64::MIN_POSITIVE)).sqrt().clamp(SHORTEST_SHARE, LONGEST_SHARE);
                 *length *= if is_even { EVEN_GROWTH } else { share.powf(pace) };
             }
-            let mut options = RemeshOptions { refine: None, ..self.best.options.clone() };
-            options = with_source(&options, DensitySource::Sizes(lengths));
-            options.density.max_points = max_points;
-            options.seeds = Seeds::Implied { seed: random_seed };
-            let Some(prepared) = self.job.prepare_again(&options, None)? else { break };
-            let mut next = match attempt(self.job, &self.comparison, prepared, options, tolerance) {
+            let next = self.with_lengths(lengths, random_seed);
+            token.check()?;
+            let mut next = match next {
+                Ok(Some(next)) => next,
                 // So few that a part or a patch has no room for its vertices.
-                Err(_) if token.check().is_ok() && !is_even => {
+                Err(_) if !is_even => {
                     pace *= 0.5;
                     continue;
                 }
-                Err(_) if token.check().is_ok() => break,
-                next => next?,
+                _ => break,
             };
             let saved = self.best.points() as f64 - next.points() as f64;
             let is_less = saved >= LEAST_SAVED * self.best.points() as f64;
             let mut is_better = saved > 0.0 && next.distances.missed == 0 && next.attempt.is_whole;
             if is_better {
-                let of_next = Soundness::of(&next.attempt, token)?;
+                let of_next = Soundness::of(&next.attempt, self.job)?;
                 is_better = of_next.is_kept_from(&soundness);
                 if is_better {
                     soundness = of_next;
@@ -347,14 +384,14 @@ struct Soundness {
 }
 
 impl Soundness {
-    fn of(attempt: &Attempt<'_>, token: &Token) -> std::result::Result<Self, Stopped> {
-        let mesh = &attempt.built.mesh;
+    fn of(attempt: &Attempt<'_>, job: &Job<'_, '_>) -> Result<Self> {
+        let (mesh, token) = (&attempt.built.mesh, job.token);
         let found = topology_unless(mesh, &Adjacency::unless(mesh, token)?, token)?;
         Ok(Self {
             euler: found.euler,
             components: found.components,
             boundary_loops: found.boundary_loops,
-            crossing: crossing_facets(mesh, token)?.len(),
+            crossing: job.crossing(mesh)?.len(),
             lost_curves: attempt.lost_curves(),
         })
     }
@@ -395,7 +432,7 @@ impl<'a> Job<'a, '_> {
             None => self.attempt_in::<DVec3>(prepared, options, tolerance),
             Some(_) => self.attempt_in::<Lifted>(prepared, options, tolerance),
         }?;
-        if let Some(apart) = self.patches {
+        if let Some(apart) = self.apart.filter(|_| self.meet) {
             let broken = |e| RvdError::Internal(format!("a surface was valid before: {e}"));
             let of = (&*done.plan.mesh, &done.curves, &done.seeds[..]);
             done.is_whole = patches::mend(&mut done.built, of, apart, self.token)?.map_err(broken)?;

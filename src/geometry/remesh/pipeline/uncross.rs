@@ -13,7 +13,6 @@ use super::prepare::with_source;
 use super::tolerance::Attempt;
 use crate::cvt::density::DensitySource;
 use crate::mesh::TriMesh;
-use crate::mesh::apart::Apart;
 use crate::mesh::closest_point::ClosestPoint;
 use crate::mesh::crossings::crossing_facets;
 use crate::remesh::constants::{CROSSING_REACH, CROSSING_SHORTER, MAX_CROSSING_ROUNDS, THIN_LONGEST};
@@ -23,23 +22,23 @@ use crate::rvd::RvdError;
 use crate::token::{Stopped, Token};
 
 impl<'a> Job<'a, '_> {
-    /// A result in place of `best` with fewer crossing facets, if there is one, and how many it has. Sheets of `clean` may be apart, as
-    /// where it `is_divided`. `None` if some cross and the surface is `divisible`: divided, it has room for its cells.
+    /// The facets of a result that cross others, its sheets in their places.
+    pub(super) fn crossing(&self, result: &TriMesh) -> Result<Vec<u32>> {
+        let Some(apart) = self.apart else { return Ok(crossing_facets(result, self.token)?) };
+        let broken = |e| RvdError::Internal(format!("a surface was valid where its parts were apart: {e}"));
+        Ok(crossing_facets(&apart.mesh_back(result, self.token)?.map_err(broken)?, self.token)?)
+    }
+
+    /// A result in place of `best` with fewer crossing facets, if there is one, and how many it has. `None` if some cross and the surface
+    /// is `divisible`: divided, it has room for its cells.
     pub(super) fn uncross(
         &mut self,
         mut best: Attempt<'a>,
-        (clean, apart): (&TriMesh, Option<&Apart>),
         (divisible, is_divided): (bool, bool),
         options: &RemeshOptions,
     ) -> Result<Option<(Attempt<'a>, usize)>> {
-        let token = self.token;
-        let crossing_of = |mesh: &TriMesh| -> Result<Vec<u32>> {
-            let Some(apart) = apart else { return Ok(crossing_facets(mesh, token)?) };
-            let broken = |e| RvdError::Internal(format!("a surface was valid where its parts were apart: {e}"));
-            Ok(crossing_facets(&apart.mesh_back(mesh, token)?.map_err(broken)?, token)?)
-        };
-        let mut crossing = crossing_of(&best.built.mesh)?;
-        if crossing.is_empty() || !crossing_facets(clean, self.token)?.is_empty() {
+        let mut crossing = self.crossing(&best.built.mesh)?;
+        if crossing.is_empty() || !crossing_facets(self.clean, self.token)?.is_empty() {
             return Ok(Some((best, crossing.len())));
         }
         if divisible {
@@ -57,7 +56,7 @@ impl<'a> Job<'a, '_> {
                 break;
             }
             let Ok(mut next) = self.attempt(prepared, &options, None) else { break };
-            crossing = crossing_of(&next.built.mesh)?;
+            crossing = self.crossing(&next.built.mesh)?;
             lengths = next.plan.lengths(self.separated, self.token)?;
             shorten_near(&mut lengths, self.separated, (&next.built.mesh, &crossing), self.token)?;
             if !next.is_whole || crossing.len() >= fewest || next.lost_curves() > best.lost_curves() {
@@ -82,7 +81,7 @@ impl<'a> Job<'a, '_> {
 }
 
 /// Makes the lengths, one a vertex of `mesh`, shorter near the facets of a result that cross others.
-fn shorten_near(
+pub(super) fn shorten_near(
     lengths: &mut [f64],
     mesh: &TriMesh,
     (result, crossing): (&TriMesh, &[u32]),
