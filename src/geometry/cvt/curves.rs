@@ -8,6 +8,7 @@
 //! surface: the weight w of a surface is w^(3/4) on its curves. Lengths are those of the unit frame.
 //! Must not know: how curves were found, backends.
 
+mod beside;
 mod chords;
 mod path;
 mod shared;
@@ -16,6 +17,7 @@ use std::collections::{BTreeSet, HashMap};
 
 use glam::DVec3;
 
+use beside::Placed;
 use path::Path;
 use rayon::prelude::*;
 pub(crate) use shared::Twin;
@@ -115,9 +117,37 @@ impl CurveSeeds {
     /// Seeds for all curves, about `edge` (where the weight is 1) apart; `None` if these are more than `most`.
     pub fn place(
         surface: &Surface,
+        curves: (&Features, &[f64]),
+        edge: f64,
+        most: usize,
+        token: &Token,
+    ) -> Result<Option<Self>, Stopped> {
+        Self::place_each(surface, curves, edge, most, |places, _, _, _| places, token)
+    }
+
+    /// The same with the seeds of bent curves beside those of curves near them. Parts of the surface were moved, each curve by what `moved`
+    /// says, unit frame.
+    pub fn place_beside(
+        surface: &Surface,
+        features: &Features,
+        edge: f64,
+        (most, moved): (usize, &[DVec3]),
+        token: &Token,
+    ) -> Result<Option<Self>, Stopped> {
+        let mut placed = Placed::new(edge);
+        let beside = |places, path: &Path, number: u32, least| {
+            placed.beside(places, path, (number, moved[number as usize], least))
+        };
+        Self::place_each(surface, (features, &[]), edge, most, beside, token)
+    }
+
+    /// `change` returns other arc lengths for a curve's seeds: the path, its number, and the fewest edges it may have.
+    fn place_each(
+        surface: &Surface,
         (features, stretch): (&Features, &[f64]),
         edge: f64,
         most: usize,
+        mut change: impl FnMut(Vec<f64>, &Path, u32, usize) -> Vec<f64>,
         token: &Token,
     ) -> Result<Option<Self>, Stopped> {
         let at = |v: u32| surface.positions()[v as usize];
@@ -151,7 +181,7 @@ impl CurveSeeds {
             if count > most.saturating_sub(all.seeds.len()) {
                 return Ok(None);
             }
-            let places = path.tessellate(count, least, token)?;
+            let places = change(path.tessellate(count, least, token)?, &path, number as u32, least);
             let first = all.seeds.len() as u32;
             all.seeds.extend(places.iter().map(|&s| path.at(s)));
             let inner = (0..places.len() as u32).map(|k| first + k);

@@ -78,6 +78,8 @@ pub(crate) struct Held<'a> {
     /// Whether sheets were divided along creases that are close to others: the boundaries there get longer edges until there are points
     /// enough.
     pub(crate) crowded: bool,
+    /// Whether seeds of bent curves of a divided surface are beside those of curves near them.
+    pub(crate) beside: bool,
 }
 
 #[derive(Clone, Debug, Default)]
@@ -113,7 +115,7 @@ impl KeptCurves {
         plan: &Plan<'_>,
         surface: &Surface,
         (options, by_error): (&RemeshOptions, bool),
-        Held { seams, rims, vertices, closes, least_crease_deg, crowded }: Held<'_>,
+        Held { seams, rims, vertices, closes, least_crease_deg, crowded, beside }: Held<'_>,
         token: &Token,
     ) -> Result<Self, RemeshError> {
         Features::check(mesh, options.crease_angle_deg, &options.creases, token)?;
@@ -186,7 +188,14 @@ impl KeptCurves {
             // Close curves are dropped next, but do not make room for more than this.
             let most = points.saturating_mul(MOST_SEEDS).saturating_add(SPARE_SEEDS);
             if crowded {
-                let of = Of { surface, mesh: &plan.mesh, features: &features, seams, points, most, token };
+                let before = |curve: &Curve| {
+                    let known =
+                        seams.and_then(|seams| curve.vertices.iter().find_map(|&v| Some((v, seams.before(v)?))));
+                    known.map_or(DVec3::ZERO, |(v, p)| surface.positions()[v as usize] - surface.frame().to_unit(p))
+                };
+                let moved: Option<Vec<DVec3>> = beside.then(|| features.curves.iter().map(before).collect());
+                let moved = moved.as_deref();
+                let of = Of { surface, mesh: &plan.mesh, features: &features, seams, moved, points, most, token };
                 let found = of.fitted(edge)?;
                 let Some(Crowded { seeds, joints, copies, narrow, .. }) = found else { return Ok(Self::default()) };
                 let stays = staying(&seeds, &features);

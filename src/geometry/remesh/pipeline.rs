@@ -25,6 +25,7 @@
 mod adapt;
 mod bends;
 mod connect;
+mod crossing;
 mod extract;
 mod join;
 mod kept;
@@ -275,8 +276,7 @@ fn run_once(
         // Flat patches then come down to their corners.
         Ok(prepared)
             if may_divide
-                && (way == Way::Divided
-                    || way == Way::Free && (prepared.curves.is_crowded || options.refine.is_some())) =>
+                && (way.divides() || way == Way::Free && (prepared.curves.is_crowded || options.refine.is_some())) =>
         {
             let Prepared { curves, plan, surface, .. } = prepared;
             let apart = undivided.apart.as_ref();
@@ -293,7 +293,7 @@ fn run_once(
             .filter(|of| of.joined.is_some() || options.keep_non_manifold && of.apart.is_some()),
     };
     if let Some(divided) = &divided {
-        let again = divided.asked(Asked { held: Held { crowded: true, ..held }, ..first });
+        let again = divided.asked(Asked { held: Held { crowded: true, beside: way == Way::Beside, ..held }, ..first });
         let mesh = divided.apart.as_ref().map_or(clean, |apart| &apart.mesh);
         let options = divided.options.as_ref().unwrap_or(options);
         let mut of = prepare(mesh, options, again, None, token);
@@ -310,7 +310,7 @@ fn run_once(
         }
     }
     let is_divided = divided.as_ref().is_some_and(|divided| std::ptr::eq(separated, divided));
-    if way == Way::Divided && !is_divided {
+    if way.divides() && !is_divided {
         return Ok(Outcome::Again(Way::Undivided));
     }
     let Separated { apart, options: adapted, topology, joined, seams, figures, .. } = separated;

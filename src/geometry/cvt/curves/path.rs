@@ -139,6 +139,16 @@ impl Path {
         self.smooth[self.smooth.len() - 1]
     }
 
+    pub(super) fn is_closed(&self) -> bool {
+        self.closed
+    }
+
+    /// How far two arc lengths are apart, the shorter way round a closed curve.
+    pub(super) fn apart(&self, s: f64, t: f64) -> f64 {
+        let apart = (s - t).abs();
+        if self.closed { apart.min((self.length() - apart).abs()) } else { apart }
+    }
+
     pub(super) fn total(&self) -> f64 {
         self.edges[self.edges.len() - 1]
     }
@@ -277,7 +287,7 @@ impl Path {
     }
 
     /// How far the curve from s to t leaves the line through both.
-    fn deviation(&self, s: f64, t: f64) -> f64 {
+    pub(super) fn deviation(&self, s: f64, t: f64) -> f64 {
         let (a, b) = (self.at(s), self.at(t));
         let way = (b - a).normalize_or_zero();
         let off = |p: DVec3| (p - a - way * way.dot(p - a)).length();

@@ -7,6 +7,8 @@
 use std::collections::HashMap;
 use std::sync::Arc;
 
+use glam::DVec3;
+
 use super::seams::{Joint, Seams};
 use crate::cvt::curves::CurveSeeds;
 use crate::mesh::TriMesh;
@@ -22,6 +24,8 @@ pub(super) struct Of<'a> {
     pub(super) mesh: &'a TriMesh,
     pub(super) features: &'a Features,
     pub(super) seams: Option<&'a Arc<Seams>>,
+    /// By how much each curve was moved when sheets were, unit frame, if seeds are to be beside those of other curves.
+    pub(super) moved: Option<&'a [DVec3]>,
     /// Vertices that were asked for.
     pub(super) points: usize,
     /// Seeds of curves, copies included, at most.
@@ -68,8 +72,12 @@ impl Of<'_> {
 
     /// Seeds with edges of this length; patches are wide or narrow by another one. `None` if they are too many.
     fn place(&self, edge: f64, of_patches: f64) -> Result<Option<Crowded>, Stopped> {
-        let &Self { surface, mesh, features, seams, most, token, .. } = self;
-        let Some(mut seeds) = CurveSeeds::place(surface, (features, &[]), edge, most, token)? else { return Ok(None) };
+        let &Self { surface, mesh, features, seams, moved, most, token, .. } = self;
+        let placed = match moved {
+            Some(moved) => CurveSeeds::place_beside(surface, features, edge, (most, moved), token)?,
+            None => CurveSeeds::place(surface, (features, &[]), edge, most, token)?,
+        };
+        let Some(mut seeds) = placed else { return Ok(None) };
         seeds.split_by_deviation(f64::INFINITY, token)?;
         let patches = Patches::of(features, (mesh, surface), of_patches);
         seeds.split_between_others((|curve| patches.beside_wide[curve as usize], |_| false), token)?;

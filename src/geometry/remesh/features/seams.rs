@@ -46,6 +46,8 @@ pub(crate) struct Seams {
     /// For each vertex of the sheets apart, the lowest one that was in its place; `u32::MAX` where no facet has one. Vertices that divide
     /// facets are behind them.
     class: Vec<u32>,
+    /// Where the vertices were, by `class`.
+    places: Vec<DVec3>,
     /// Edges at which sheets met, by these.
     edges: HashSet<[u32; 2]>,
     /// Vertices of such edges.
@@ -72,10 +74,12 @@ struct Key {
 }
 
 impl Seams {
-    pub(crate) fn new(class: Vec<u32>, edges: &[[u32; 2]], joints: Joints) -> Self {
+    /// `places` are those of the vertices before sheets were moved.
+    pub(crate) fn new((class, places): (Vec<u32>, &[DVec3]), edges: &[[u32; 2]], joints: Joints) -> Self {
         let vertices = edges.iter().flatten().copied().collect();
         let edges = edges.iter().copied().map(undirected).collect();
-        Self { class, edges, vertices, touching: HashSet::new(), joints, periods: None }
+        let places = places.to_vec();
+        Self { class, places, edges, vertices, touching: HashSet::new(), joints, periods: None }
     }
 
     /// The same with places in which sheets touch, by the lowest vertices there.
@@ -117,6 +121,11 @@ impl Seams {
     /// The lowest vertex in the place of a vertex.
     pub(crate) fn class(&self, v: u32) -> Option<u32> {
         self.class.get(v as usize).copied()
+    }
+
+    /// Where a vertex was before sheets were moved.
+    pub(crate) fn before(&self, v: u32) -> Option<DVec3> {
+        self.class(v).and_then(|class| self.places.get(class as usize).copied())
     }
 
     /// All vertices that are in the place of a corner at which sheets meet, ascending.

@@ -240,7 +240,8 @@ impl Preprocessed {
                 let adjacency = Adjacency::with(&apart.mesh, vertices.clone(), token)?;
                 separated.joined = Some(topology_unless(&apart.mesh, &adjacency, token)?);
             }
-            separated.seams = Some(Arc::new(Seams::new(class, &seams, joints).with_touching(touching)));
+            separated.seams =
+                Some(Arc::new(Seams::new((class, clean.positions()), &seams, joints).with_touching(touching)));
         }
         if let Some(pairs) = &self.pairs {
             let seams = match separated.seams.take().map(Arc::unwrap_or_clone) {
@@ -250,7 +251,7 @@ impl Preprocessed {
                         Some(apart) => places_before(clean, apart, token)?.0,
                         None => weld_unless(clean, token)?,
                     };
-                    Seams::new(class, &[], Joints::All)
+                    Seams::new((class, clean.positions()), &[], Joints::All)
                 }
             };
             separated.seams = Some(Arc::new(seams.with_periods(Periods::new(pairs, &options.periodic))));

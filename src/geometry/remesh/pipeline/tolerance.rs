@@ -15,12 +15,12 @@ use glam::DVec3;
 
 use super::Job;
 use super::adapt;
+use super::crossing::shorten_near;
 use super::extract::{Built, Draft, Extraction, Missed};
 use super::optimize::{Optimized, exact_dual};
 use super::patches;
 use super::prepare::{Metric, Prepared, prepare, with_source};
 use super::schedule::{Figures, Schedule};
-use super::uncross::shorten_near;
 use crate::cvt::density::{DensitySource, Plan};
 use crate::mesh::TriMesh;
 use crate::mesh::adjacency::Adjacency;

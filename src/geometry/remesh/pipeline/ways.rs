@@ -5,7 +5,7 @@
 //! Must not know: what a stage does, meshes.
 
 use super::super::features::Held;
-use super::super::{Remesh, RemeshOptions, Result, Seeds, constants};
+use super::super::{Remesh, RemeshError, RemeshOptions, Result, Seeds, constants};
 use crate::mesh::features::SHARP_DEG;
 use crate::rvd::RvdError;
 use crate::token::Token;
@@ -16,7 +16,15 @@ pub(super) enum Way {
     /// Where creases would be dropped, or the surface is too thin for its cells.
     Free,
     Divided,
+    /// Divided, with seeds of bent curves beside those of curves near them.
+    Beside,
     Undivided,
+}
+
+impl Way {
+    pub(super) fn divides(self) -> bool {
+        matches!(self, Self::Divided | Self::Beside)
+    }
 }
 
 pub(super) enum Outcome {
@@ -87,7 +95,8 @@ fn of_ways(held: Held<'_>, options: &RemeshOptions, stages: &mut Stages<'_>, tok
     })
 }
 
-/// The nearest of `divided`, if there is one, a result with the sharper creases alone, and one that is not divided.
+/// The nearest of `divided`, if there is one, a result with seeds beside each other, one with the sharper creases alone, and one that is
+/// not divided.
 fn nearest(
     divided: Option<Remesh>,
     (held, options): (Held<'_>, &RemeshOptions),
@@ -95,6 +104,9 @@ fn nearest(
     token: &Token,
 ) -> Result<Remesh> {
     let mut best = divided;
+    if consider(&mut best, stages(held, (options, Way::Beside)), token)? {
+        return best.ok_or_else(no_result);
+    }
     // The facets of round surfaces have creases between them, which need more vertices than the edges of a part.
     let coarse = Held { least_crease_deg: Some(SHARP_DEG), ..held };
     let has_weaker = options.crease_angle_deg < SHARP_DEG && !options.strict_creases;
@@ -104,10 +116,14 @@ fn nearest(
             undivided => _ = consider(&mut best, undivided, token)?,
         }
     }
-    Ok(best.ok_or_else(|| RvdError::Internal("a surface that is not divided was to be".to_owned()))?)
+    best.ok_or_else(no_result)
 }
 
-/// Takes another result in place of the best if it is nearer. Returns whether it has no defect.
+fn no_result() -> RemeshError {
+    RvdError::Internal("a surface that is not divided was to be".to_owned()).into()
+}
+
+/// Takes another result in place of the best if it is nearer, or has no defect and as many curves. Returns whether it has no defect.
 fn consider(best: &mut Option<Remesh>, outcome: Result<Outcome>, token: &Token) -> Result<bool> {
     token.check()?;
     let (other, is_near) = match outcome {
@@ -116,7 +132,11 @@ fn consider(best: &mut Option<Remesh>, outcome: Result<Outcome>, token: &Token) 
         _ => return Ok(false),
     };
     let is_sound = is_near && other.report.is_sound();
-    if best.as_ref().is_none_or(|best| other.report.is_nearer_than(&best.report)) {
+    let is_better = |best: &Remesh| {
+        let keeps = other.report.features.dropped_length <= best.report.features.dropped_length;
+        is_sound && keeps || other.report.is_nearer_than(&best.report)
+    };
+    if best.as_ref().is_none_or(is_better) {
         *best = Some(*other);
     }
     Ok(is_sound)
