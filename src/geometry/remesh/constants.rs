@@ -247,6 +247,8 @@ pub(super) const FEW_DEFECTS: f64 = 0.02;
 pub(super) const MOST_CROSSING: f64 = 0.02;
 /// A folded result that is farther from the input than this, shares of an edge, has no room for its curves.
 pub(super) const FAR_DIVIDED: f64 = 0.25;
+/// Facets may cross in a result that is nearer by this factor: the other one lacks a part of the surface.
+pub(super) const MUCH_NEARER: f64 = 8.0;
 /// A patch whose mean width is less has no seeds within, edges.
 pub(super) const NARROW_PATCH: f64 = 1.2;
 /// Distance of other seeds from a curve's seeds, share of their spacing: about where the cells of the curve end. A larger

@@ -80,13 +80,17 @@ impl Report {
         self.topology_changes.is_empty() && self.result.crossings.as_ref().is_none_or(|crossings| crossings.count == 0)
     }
 
+    /// Hausdorff distance, percent of the diagonal; infinite where it was not measured.
+    pub(crate) fn distance(&self) -> f64 {
+        self.result.quality.as_ref().map_or(f64::INFINITY, |quality| quality.hausdorff_percent)
+    }
+
     /// Whether the result is no farther from the input than another one, has no more crossing facets, and a topology as near. If it drops
     /// more curves, it has to be twice as near.
     pub(crate) fn is_nearer_than(&self, other: &Self) -> bool {
         let of = |report: &Self| {
-            let distance = report.result.quality.as_ref().map_or(f64::INFINITY, |quality| quality.hausdorff_percent);
             let crossings = report.result.crossings.as_ref().map_or(0, |crossings| crossings.count);
-            (distance, crossings, report.topology_changes.len())
+            (report.distance(), crossings, report.topology_changes.len())
         };
         let share = if self.features.dropped_length > other.features.dropped_length { 2.0 } else { 1.0 };
         let (own, other) = (of(self), of(other));

@@ -123,7 +123,8 @@ fn no_result() -> RemeshError {
     RvdError::Internal("a surface that is not divided was to be".to_owned()).into()
 }
 
-/// Takes another result in place of the best if it is nearer, or has no defect and as many curves. Returns whether it has no defect.
+/// Takes another result in place of the best if it is nearer, or has no defect, as many curves and at most twice the distance. One that
+/// is much nearer may have facets that cross. Returns whether it was taken and has no defect.
 fn consider(best: &mut Option<Remesh>, outcome: Result<Outcome>, token: &Token) -> Result<bool> {
     token.check()?;
     let (other, is_near) = match outcome {
@@ -133,11 +134,16 @@ fn consider(best: &mut Option<Remesh>, outcome: Result<Outcome>, token: &Token) 
     };
     let is_sound = is_near && other.report.is_sound();
     let is_better = |best: &Remesh| {
-        let keeps = other.report.features.dropped_length <= best.report.features.dropped_length;
-        is_sound && keeps || other.report.is_nearer_than(&best.report)
+        let (own, others) = (&other.report, &best.report);
+        let keeps = own.features.dropped_length <= others.features.dropped_length;
+        let keeps_topology = own.topology_changes.len() <= others.topology_changes.len();
+        is_sound && keeps && own.distance() <= 2.0 * others.distance()
+            || keeps_topology && constants::MUCH_NEARER * own.distance() < others.distance()
+            || own.is_nearer_than(others)
     };
-    if best.as_ref().is_none_or(is_better) {
+    let is_taken = best.as_ref().is_none_or(is_better);
+    if is_taken {
         *best = Some(*other);
     }
-    Ok(is_sound)
+    Ok(is_sound && is_taken)
 }
