@@ -1,7 +1,8 @@
 //! Several runs of all stages, of which the best result is taken.
 //!
 //! Purpose: [`run`] chooses whether a designed part is divided along its creases, which creases are kept, and the random seeds.
-//! Invariant: a result is replaced only by one with fewer defects, or by a nearer one with as few.
+//! Invariant: a result is replaced by a nearer one with as few defects, by one with fewer that is not much farther, or by one that is much
+//! nearer.
 //! Must not know: what a stage does, meshes.
 
 use super::super::features::Held;
