@@ -32,8 +32,8 @@ pub(super) const SCORE_MARGIN: f64 = 2.0;
 /// isotropic remesh has smallest angles of about 37°.
 pub(super) const POOR_SCORE: f64 = 37.0;
 pub(super) const POOR_ANGLE: f64 = 92.5;
-/// Score below which a facet costs something where distances are not measured: a margin of three degrees.
-pub(super) const UNMEASURED_SCORE: f64 = POOR_SCORE + 3.0;
+/// Where distances are not measured, a facet costs something from this many degrees above the wanted score on.
+pub(super) const UNMEASURED_MARGIN: f64 = 3.0;
 pub(super) const UNMEASURED_ANGLE: f64 = POOR_ANGLE - 3.0;
 /// Missing degrees of score that cost 1, as much as the largest distance allowed.
 pub(super) const SCORE_SCALE: f64 = 3.0;
@@ -151,7 +151,11 @@ pub(super) const LEAST_SCORE_GAIN: f64 = 0.3;
 pub(super) const MAX_POOR: usize = 20;
 pub(super) const MAX_POOR_SHARE: f64 = 0.006;
 /// Where the distance is this share of an edge, they stay: none of their neighbours may become as far.
-pub(super) const POOR_FAR: f64 = 0.2;
+pub(super) const POOR_FAR: f64 = 0.3;
+/// By how much the distance may grow there where no facet gets better without, and up to which share of the largest anywhere: patches
+/// do not see all of the input.
+pub(super) const POOR_FARTHER: f64 = 2.0;
+pub(super) const POOR_FARTHEST: f64 = 0.7;
 /// Distance that is allowed there, share of an edge: on planes all distances are rounding.
 pub(super) const POOR_DISTANCE: f64 = 1e-9;
 /// Vertices whose valence is improved, at most.
@@ -247,8 +251,6 @@ pub(super) const FEW_DEFECTS: f64 = 0.02;
 pub(super) const MOST_CROSSING: f64 = 0.02;
 /// A folded result that is farther from the input than this, shares of an edge, has no room for its curves.
 pub(super) const FAR_DIVIDED: f64 = 0.25;
-/// Facets may cross in a result that is nearer by this factor: the other one lacks a part of the surface.
-pub(super) const MUCH_NEARER: f64 = 8.0;
 /// A patch whose mean width is less has no seeds within, edges.
 pub(super) const NARROW_PATCH: f64 = 1.2;
 /// Distance of other seeds from a curve's seeds, share of their spacing: about where the cells of the curve end. A larger
@@ -423,6 +425,9 @@ pub(super) const THIN_LONGEST: f64 = 1.4;
 pub(super) const MAX_CROSSING_ROUNDS: usize = 3;
 pub(super) const CROSSING_SHORTER: f64 = std::f64::consts::FRAC_1_SQRT_2;
 pub(super) const CROSSING_REACH: f64 = 1.0;
+/// Rounds in which edges of facets that still cross are divided, at most, and vertices that it takes, share of all.
+pub(super) const DIVIDING_ROUNDS: usize = 4;
+pub(super) const MOST_DIVIDED: f64 = 0.01;
 /// Edges around a bore or a pin of a part that is divided, in its radii: about eight go around. Bends with a smaller radius than the
 /// second, in edges, are left to patches without vertices within; no edge is shorter than the third, in edges.
 pub(super) const BEND_EDGE: f64 = 0.8;

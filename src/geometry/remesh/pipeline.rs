@@ -61,14 +61,14 @@ use crate::mesh::apart::Apart;
 use crate::mesh::attributes::Attributes;
 use crate::mesh::closest_point::{ClosestPoint, SurfacePoint};
 use crate::mesh::crossings::crossings;
-use crate::mesh::features::edge_shares;
+use crate::mesh::features::{EdgeShares, edge_shares};
 use crate::mesh::input::{draw_in, outliers};
 use crate::mesh::measure::{Topology, topology_unless};
 use crate::rvd::{Backend, RvdError, elapsed_ms, on_threads_of};
 use crate::token::{Stopped, Token};
 use prepare::{Asked, Prepared, prepare, with_source};
 use preprocess::{Separated, preprocess};
-use ways::{Outcome, Way};
+use ways::{Division, Outcome, Way};
 
 /// Remeshes `given` on `backend`.
 ///
@@ -151,7 +151,7 @@ pub fn remesh(
     }
     if !options.measure {
         let result = &mut done.report.result;
-        (result.quality, result.lost, result.crossings) = (None, None, None);
+        (result.quality, result.lost, result.crossings, result.folded_edges) = (None, None, None, None);
     }
     done.report.warnings = warnings::of(&done.report, options);
     if options.source_map
@@ -263,7 +263,7 @@ fn run_once(
         prepared = prepare(mesh, undivided.options.as_ref().unwrap_or(options), asked, None, token);
     }
     let seeks_creases = matches!(&prepared, Ok(prepared) if prepared.curves.seeks_creases());
-    let is_designed = seeks_creases && is_designed(clean, options, token)?;
+    let designed = if seeks_creases { designed(clean, options, token)? } else { None };
     let may_divide = options.keep_boundaries
         && isotropic
         && !in_metric
@@ -271,7 +271,7 @@ fn run_once(
         && options.periodic.is_empty()
         && held.rims.is_empty()
         && held.vertices.is_empty()
-        && is_designed;
+        && designed.is_some();
     let creases = match &prepared {
         // Flat patches then come down to their corners.
         Ok(prepared)
@@ -477,29 +477,24 @@ fn run_once(
 
     job.enter("measure");
     // Which of several ways a designed part goes depends on the figures.
-    let known = measured::Known { topology: of_result, none_crosses, measures: options.measure || is_designed };
+    let measures = options.measure || designed.is_some();
+    let known = measured::Known { topology: of_result, none_crosses, measures, designed };
     let mut measured = measured::measure(clean, input, options, attempt, known, job)?;
-    // Too few points for the curves: without most of them, what is between has more.
-    let edge = (4.0 / 3f64.sqrt() * measured.mesh.area() / measured.mesh.facets().len().max(1) as f64).sqrt();
-    let edges_away =
-        measured.report.result.quality.as_ref().map_or(0.0, |of| of.hausdorff_percent * diagonal / 100.0 / edge);
-    let is_far = is_divided
-        && !options.strict_creases
-        && (edges_away > 1.0
-            || edges_away > constants::FAR_DIVIDED
-                && edge_shares(&measured.mesh, token)?.folded > edge_shares(clean, token)?.folded);
     let Carried { attributes, provenance, regions } = carried;
     (measured.report.result.regions, measured.report.result.periodic) = (regions, periodic);
-    measured.report.features.is_designed = is_designed;
-    let done = Box::new(Remesh { attributes, provenance, ..measured });
-    Ok(if is_far { Outcome::Far(done) } else { Outcome::Done(done, divisible) })
+    let division = match (is_divided, divisible) {
+        (true, _) => Division::Made,
+        (false, true) => Division::Possible,
+        (false, false) => Division::Impossible,
+    };
+    Ok(Outcome::Done(Box::new(Remesh { attributes, provenance, ..measured }), division))
 }
 
-/// Whether a surface has flat or ruled faces between sharp edges, or edges that the caller named.
-fn is_designed(mesh: &TriMesh, options: &RemeshOptions, token: &Token) -> Result<bool, Stopped> {
+/// The edges of a surface that has flat or ruled faces between sharp edges, or edges that the caller named.
+fn designed(mesh: &TriMesh, options: &RemeshOptions, token: &Token) -> Result<Option<EdgeShares>, Stopped> {
     let shares = edge_shares(mesh, token)?;
     let has_creases = shares.sharp >= constants::LEAST_SHARP || !options.creases.is_empty();
-    Ok(shares.flat >= constants::LEAST_FLAT && has_creases)
+    Ok(Some(shares).filter(|shares| shares.flat >= constants::LEAST_FLAT && has_creases))
 }
 
 /// How near a vertex is to a mirror plane, or a boundary to the image of another, to be in it; caller's units.

@@ -4,10 +4,12 @@
 //! Invariant: a name that scripts read does not change.
 //! Must not know: how the figures came about.
 
+use std::cmp::Ordering;
 use std::fmt;
 
 use serde::Serialize;
 
+use super::constants::FAR_DIVIDED;
 use crate::cvt::density::DensityFigures;
 pub use crate::cvt::figures::{DeviceFigures, FinalFigures, IterationFigures};
 pub use crate::mesh::comparison::{LostPart, LostParts, LostReason};
@@ -65,36 +67,64 @@ pub struct Report {
 impl Report {
     /// Whether curves were dropped or broken, or facets cross.
     pub(crate) fn lacks_curves(&self) -> bool {
-        let crosses = self.result.crossings.as_ref().is_some_and(|crossings| crossings.count > 0);
-        !self.features.are_whole() || self.features.creases > 0 && crosses
+        !self.features.are_whole() || self.features.creases > 0 && self.crossing() > 0
     }
 
-    /// Facets that cross, and edges of joints that are missing where sheets are joined.
-    pub(crate) fn defects(&self, joined: bool) -> usize {
-        let missing = if joined { self.features.missing_segments } else { 0 };
-        self.result.crossings.as_ref().map_or(0, |crossings| crossings.count) + missing
+    fn crossing(&self) -> usize {
+        self.result.crossings.as_ref().map_or(0, |crossings| crossings.count)
     }
 
-    /// Whether no facets cross, and the topology is that of the input.
+    fn folded(&self) -> usize {
+        self.result.folded_edges.unwrap_or(0)
+    }
+
+    /// Whether no facets cross, no edge is folded, and the topology is that of the input.
     pub(crate) fn is_sound(&self) -> bool {
-        self.topology_changes.is_empty() && self.result.crossings.as_ref().is_none_or(|crossings| crossings.count == 0)
+        self.topology_changes.is_empty() && self.crossing() + self.folded() == 0
     }
 
-    /// Hausdorff distance, percent of the diagonal; infinite where it was not measured.
-    pub(crate) fn distance(&self) -> f64 {
-        self.result.quality.as_ref().map_or(f64::INFINITY, |quality| quality.hausdorff_percent)
+    /// Whether patches have no room for their edges: it lacks a part, or is folded and far from the input.
+    pub(crate) fn has_no_room(&self) -> bool {
+        let away = self.result.edges_away;
+        away > 1.0 || away > FAR_DIVIDED && self.folded() > 0
     }
 
-    /// Whether the result is no farther from the input than another one, has no more crossing facets, and a topology as near. If it drops
-    /// more curves, it has to be twice as near.
-    pub(crate) fn is_nearer_than(&self, other: &Self) -> bool {
-        let of = |report: &Self| {
-            let crossings = report.result.crossings.as_ref().map_or(0, |crossings| crossings.count);
-            (report.distance(), crossings, report.topology_changes.len())
+    /// What decides between it and other results of the same input. `joined`: whether its sheets are.
+    pub(crate) fn standing(&self, joined: bool) -> Standing {
+        let missing = if joined { self.features.missing_segments } else { 0 };
+        Standing {
+            topology_changes: self.topology_changes.len(),
+            is_lost: self.result.edges_away > 1.0,
+            defects: self.crossing() + self.folded() + missing,
+            dropped_length: self.features.dropped_length,
+            distance: self.result.quality.as_ref().map_or(f64::INFINITY, |of| of.hausdorff_percent),
+        }
+    }
+}
+
+/// How good a result is: the first difference decides.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Standing {
+    pub(crate) topology_changes: usize,
+    /// Whether it lacks a part: a place of the input is farther away than an edge is long.
+    pub(crate) is_lost: bool,
+    /// Facets that cross, edges that are folded, and edges of joints that are missing.
+    pub(crate) defects: usize,
+    dropped_length: f64,
+    distance: f64,
+}
+
+impl Standing {
+    /// A result that drops more curves has to be twice as near.
+    pub(crate) fn is_better_than(&self, other: &Self) -> bool {
+        let first = |of: &Self| (of.topology_changes, of.is_lost, of.defects);
+        let distance = |of: &Self, beside: &Self| {
+            if of.dropped_length > beside.dropped_length { 2.0 * of.distance } else { of.distance }
         };
-        let share = if self.features.dropped_length > other.features.dropped_length { 2.0 } else { 1.0 };
-        let (own, other) = (of(self), of(other));
-        share * own.0 <= other.0 && own.1 <= other.1 && own.2 <= other.2
+        match first(self).cmp(&first(other)) {
+            Ordering::Equal => distance(self, other) < distance(other, self),
+            order => order.is_lt(),
+        }
     }
 }
 
@@ -338,6 +368,12 @@ pub struct ResultFigures {
     pub lost: Option<LostParts>,
     /// Facets that cross others; absent if not measured.
     pub crossings: Option<Crossings>,
+    /// Edges whose facets turn by more than 150° where the input has none; absent if not measured, and for all but designed parts.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub folded_edges: Option<usize>,
+    /// Hausdorff distance over the length of an edge; infinite if not measured.
+    #[serde(skip)]
+    pub(crate) edges_away: f64,
     /// What the repair had to do.
     pub repair: RepairFigures,
 }

@@ -245,6 +245,9 @@ fn of_shape(report: &Report, all: &mut Vec<Warning>) {
         let places = crossings.places.clone();
         all.push(Warning { places, ..Warning::new("crossing_facets", Some(crossings.count), text) });
     }
+    let folded =
+        "edges of the result are folded over 150°, and none of the input is there; more points give its creases room";
+    counted(all, "folded_edges", report.result.folded_edges.unwrap_or(0), folded);
     let refine = &report.refine;
     let why = match refine.ended {
         Some(RefineEnd::Budget) => "all points are used; a larger `max_points` brings the result nearer",

@@ -118,7 +118,8 @@ impl Placed {
             found |= !near.is_empty();
             let usual: Vec<f64> = stops.iter().copied().filter(|stop| (low..=last).contains(stop)).collect();
             let next = nearest(&near, target).or_else(|| nearest(&usual, target)).unwrap_or(target);
-            if end - next < SPACING[0] * gap {
+            // Two stops in one place would be gone on from for ever.
+            if end - next < SPACING[0] * gap || next <= at {
                 break;
             }
             put(self, next);
@@ -169,4 +170,66 @@ fn beside(path: &Path, point: DVec3, from: f64, step: f64) -> Option<(f64, f64)>
         }
     }
     Some((s, path.at(s).distance(point)))
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+
+    use std::f64::consts::TAU;
+
+    use glam::DVec3;
+
+    use super::super::CurveSeeds;
+    use crate::mesh::TriMesh;
+    use crate::mesh::features::{FeatureOptions, Features};
+    use crate::rvd::Surface;
+    use crate::token::Token;
+
+    /// The two rims of a flat ring, whose vertices are in other directions.
+    fn ring(width: f64) -> TriMesh {
+        const VERTICES: u32 = 90;
+        let rim = |radius: f64, turn: f64| {
+            (0..VERTICES).map(move |k| {
+                let (sin, cos) = ((f64::from(k) + turn) / f64::from(VERTICES) * TAU).sin_cos();
+                radius * DVec3::new(cos, sin, 0.0)
+            })
+        };
+        let positions = rim(1.0, 0.4).chain(rim(1.0 + width, 0.0)).collect();
+        let facets = (0..VERTICES).flat_map(|k| {
+            let next = (k + 1) % VERTICES;
+            [[k, VERTICES + k, VERTICES + next], [k, VERTICES + next, next]]
+        });
+        TriMesh::new(positions, facets.collect()).unwrap()
+    }
+
+    /// How far the seeds of the outer rim are from the directions of those of the inner one, at most, degrees.
+    fn off(width: f64) -> f64 {
+        let (mesh, token) = (ring(width), Token::default());
+        let surface = Surface::new(&mesh, None).unwrap();
+        let edge = 0.6 * surface.frame().scale;
+        let options = FeatureOptions { turn_reach: 0.5 * edge, ..FeatureOptions::default() };
+        let features = Features::find(&mesh, surface.positions(), &options, &token).unwrap();
+        assert!(features.corners.is_empty() && features.curves.len() == 2);
+        let moved = [DVec3::ZERO; 2];
+        let seeds = CurveSeeds::place_beside(&surface, &features, edge, (100, &moved), &token).unwrap().unwrap();
+        let middle = surface.frame().to_unit(DVec3::ZERO);
+        let directions = |curve: u32| {
+            let own = seeds.segments.iter().filter(move |segment| segment.curve == curve);
+            own.map(|segment| (seeds.seeds[segment.ends[0] as usize] - middle).normalize())
+        };
+        assert!(directions(0).count() >= 8 && directions(1).count() >= 8);
+        let nearest = |p: DVec3| directions(0).map(|q| p.angle_between(q).to_degrees()).fold(f64::INFINITY, f64::min);
+        directions(1).map(nearest).fold(0.0, f64::max)
+    }
+
+    #[test]
+    fn seeds_of_a_curve_are_beside_those_of_one_that_is_nearer_than_chords() {
+        assert!(off(0.02) < 0.01, "{}", off(0.02));
+    }
+
+    #[test]
+    fn seeds_of_curves_with_room_between_them_stay() {
+        assert!(off(0.4) > 1.0, "{}", off(0.4));
+    }
 }

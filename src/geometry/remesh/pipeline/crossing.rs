@@ -1,16 +1,21 @@
 //! Facets of a result that cross each other.
 //!
-//! Purpose: [`Job::crossing`] finds them, and [`shorten_near`] makes edges shorter there.
-//! Invariant: nothing changes where no facets cross. Must not know: how a result is made.
+//! Purpose: [`Job::crossing`] finds them, [`shorten_near`] makes edges shorter there, and [`Job::divide_crossing`] divides their edges.
+//! Invariant: nothing changes where no facets cross, and edges of curves stay. Must not know: how a result is made.
+
+use std::collections::{BTreeSet, HashSet};
 
 use rayon::prelude::*;
 
 use super::Job;
+use super::extract::Built;
 use crate::mesh::TriMesh;
 use crate::mesh::closest_point::ClosestPoint;
 use crate::mesh::crossings::crossing_facets;
+use crate::mesh::edges::{sides, undirected};
 use crate::remesh::Result;
-use crate::remesh::constants::{CROSSING_REACH, CROSSING_SHORTER};
+use crate::remesh::constants::{CROSSING_REACH, CROSSING_SHORTER, DIVIDING_ROUNDS, MOST_DIVIDED};
+use crate::remesh::manifold::LocalMesh;
 use crate::remesh::triangle::longest_side;
 use crate::rvd::RvdError;
 use crate::token::{Stopped, Token};
@@ -21,6 +26,55 @@ impl Job<'_, '_> {
         let Some(apart) = self.apart else { return Ok(crossing_facets(result, self.token)?) };
         let broken = |e| RvdError::Internal(format!("a surface was valid where its parts were apart: {e}"));
         Ok(crossing_facets(&apart.mesh_back(result, self.token)?.map_err(broken)?, self.token)?)
+    }
+
+    /// Puts vertices at places of the surface into the longest edges of the few facets that cross, as long as fewer do. Returns how many
+    /// cross then.
+    pub(super) fn divide_crossing(&self, built: &mut Built, crossing: Vec<u32>) -> Result<usize> {
+        let mut most = (MOST_DIVIDED * built.mesh.positions().len() as f64) as usize;
+        let (mut now, mut best) = (built.mesh.clone(), crossing.len());
+        let mut crossing = crossing;
+        if crossing.is_empty() || most == 0 {
+            return Ok(best);
+        }
+        let closest = ClosestPoint::unless(self.separated, self.token)?;
+        let curves: HashSet<[u32; 2]> = built.curve_edges.iter().map(|&edge| undirected(edge)).collect();
+        for _ in 0..DIVIDING_ROUNDS {
+            let mut mesh = LocalMesh::new(now.positions().to_vec(), now.facets().to_vec(), curves.clone());
+            let at = |v: u32| now.positions()[v as usize];
+            let may_divide = |edge: &[u32; 2]| !mesh.is_curve(*edge) && mesh.beside(*edge).len() == 2;
+            let length = |edge: &[u32; 2]| at(edge[0]).distance(at(edge[1]));
+            let longest = |&f: &u32| {
+                let sides = sides(now.facets()[f as usize]).map(undirected).into_iter();
+                sides.filter(may_divide).max_by(|a, b| length(a).total_cmp(&length(b)).then(b.cmp(a)))
+            };
+            let edges: BTreeSet<[u32; 2]> = crossing.iter().filter_map(longest).collect();
+            let mut edges: Vec<[u32; 2]> = edges.into_iter().collect();
+            edges.sort_by(|a, b| length(b).total_cmp(&length(a)));
+            edges.truncate(most);
+            if edges.is_empty() {
+                break;
+            }
+            most -= edges.len();
+            for ends in edges {
+                mesh.split(ends, closest.project(at(ends[0]).midpoint(at(ends[1]))).position);
+            }
+            let (positions, facets) = mesh.into_parts();
+            // A place of the surface may be in the line of an edge beside it.
+            let Ok(divided) = TriMesh::new(positions, facets) else { break };
+            crossing = self.crossing(&divided)?;
+            now = divided;
+            if crossing.len() < best {
+                best = crossing.len();
+                let last = built.vertex_seed.last().copied().unwrap_or(0);
+                built.vertex_seed.resize(now.positions().len(), last);
+                built.mesh = now.clone();
+            }
+            if crossing.is_empty() {
+                break;
+            }
+        }
+        Ok(best)
     }
 }
 

@@ -12,8 +12,11 @@ use crate::mesh::adjacency::Adjacency;
 use crate::mesh::closest_point::ClosestPoint;
 use crate::mesh::comparison::{LostParts, lost_parts};
 use crate::mesh::crossings::{Crossings, crossings};
+use crate::mesh::features::{EdgeShares, edge_shares};
 use crate::mesh::measure::{Quality, Topology, coincident_vertices, quality_and_distances, topology_unless};
-use crate::remesh::report::{CountFigures, CountReason, InputFigures, MemoryFigures, Report, ResultFigures};
+use crate::remesh::report::{
+    CountFigures, CountReason, FeatureFigures, InputFigures, MemoryFigures, Report, ResultFigures,
+};
 use crate::remesh::{Remesh, RemeshError, RemeshOptions};
 use crate::rvd::elapsed_ms;
 use crate::token::{Stopped, Token};
@@ -35,6 +38,8 @@ pub(super) struct Known {
     pub(super) none_crosses: bool,
     /// Whether the result is compared with the surface, and crossing facets are counted.
     pub(super) measures: bool,
+    /// The edges of the input, if it is a designed part.
+    pub(super) designed: Option<EdgeShares>,
 }
 
 /// Measures the result against `clean` and writes the report. Attributes and provenance are left empty.
@@ -44,7 +49,7 @@ pub(super) fn measure(
     options: &RemeshOptions,
     attempt: Attempt<'_>,
     known: Known,
-    Job { backend, token, mut laps, topology: wanted, .. }: Job<'_, '_>,
+    Job { backend, token, mut laps, topology: wanted, diagonal, .. }: Job<'_, '_>,
 ) -> Result<Remesh, RemeshError> {
     let Attempt { plan, curves, closest, built, seeds, figures, device, device_bytes, .. } = attempt;
     let Figures { seed, asked, converged, last, rvd, iterations, refine } = figures;
@@ -70,6 +75,14 @@ pub(super) fn measure(
     let ((topology, coincident_vertices), (quality, lost)) = (topology?, quality?.unzip());
     let (vertices, facets) = (result.positions().len(), result.facets().len());
     let (repair, metric) = (built.repair, built.metric);
+    let edge = (4.0 / 3f64.sqrt() * built.mesh.area() / facets.max(1) as f64).sqrt();
+    let edges_away = quality.as_ref().map_or(f64::INFINITY, |of| of.hausdorff_percent / 100.0 * diagonal / edge);
+    let folded_edges = match &known.designed {
+        // The edge of a thin wedge is divided in the result.
+        Some(input) if input.folded > 0 => Some(0),
+        Some(_) => Some(edge_shares(&built.mesh, token)?.folded),
+        None => None,
+    };
     let regions = Vec::new();
     let result = ResultFigures {
         vertices,
@@ -84,6 +97,8 @@ pub(super) fn measure(
         periodic: None,
         lost,
         crossings,
+        folded_edges,
+        edges_away,
         repair,
     };
     laps.end(|t| &mut t.measure);
@@ -106,7 +121,7 @@ pub(super) fn measure(
         converged,
         topology_changes: wanted.changes(&result.topology),
         input,
-        features: curves.figures(&built.segments),
+        features: FeatureFigures { is_designed: known.designed.is_some(), ..curves.figures(&built.segments) },
         rvd,
         device,
         iterations,

@@ -63,6 +63,10 @@ impl<'a> Job<'a, '_> {
             }
         }
         self.token.check()?;
+        if fewest > 0 {
+            crossing = self.crossing(&best.built.mesh)?;
+            fewest = self.divide_crossing(&mut best.built, crossing)?;
+        }
         Ok(Some((best, fewest)))
     }
 }

@@ -1,12 +1,12 @@
 //! Several runs of all stages, of which the best result is taken.
 //!
 //! Purpose: [`run`] chooses whether a designed part is divided along its creases, which creases are kept, and the random seeds.
-//! Invariant: a result is replaced by a nearer one with as few defects, by one with fewer that is not much farther, or by one that is much
-//! nearer.
+//! Invariant: of several results the best is taken, in one order (`Report::standing`). A sound result that is near is the only one.
 //! Must not know: what a stage does, meshes.
 
 use super::super::features::Held;
-use super::super::{Remesh, RemeshError, RemeshOptions, Result, Seeds, constants};
+use super::super::report::Standing;
+use super::super::{Remesh, RemeshOptions, Result, Seeds, constants};
 use crate::mesh::features::SHARP_DEG;
 use crate::rvd::RvdError;
 use crate::token::Token;
@@ -28,28 +28,36 @@ impl Way {
     }
 }
 
+/// What a run of all stages comes to.
 pub(super) enum Outcome {
-    /// And whether the surface may be divided, and is not.
-    Done(Box<Remesh>, bool),
-    /// Divided, and so far from the input that it may be nearer undivided.
-    Far(Box<Remesh>),
+    Done(Box<Remesh>, Division),
     /// Another way is better.
     Again(Way),
+}
+
+/// Of the surface along its creases.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Division {
+    Impossible,
+    Possible,
+    Made,
 }
 
 /// All stages once.
 type Stages<'a> = dyn FnMut(Held<'_>, (&RemeshOptions, Way)) -> Result<Outcome> + 'a;
 
-/// Where few facets of a designed part cross, or a joint of its sheets lacks an edge, other random seeds are tried.
+/// Where few facets of a designed part are defects, a joint of its sheets lacks an edge, or a part is lost, other random seeds are tried.
 pub(super) fn run(held: Held<'_>, options: &RemeshOptions, stages: &mut Stages<'_>, token: &Token) -> Result<Remesh> {
     let mut best = of_ways(held, options, stages, token)?;
     for k in 1..=constants::OTHER_SEEDS {
-        let defects = best.report.defects(options.keep_non_manifold);
+        let report = &best.report;
+        let Standing { is_lost, defects, .. } = report.standing(options.keep_non_manifold);
         let (&Seeds::Sample { seed, .. } | &Seeds::Implied { seed }) = &options.seeds else { break };
         let share = defects as f64 / best.mesh.facets().len() as f64;
         // Where holes closed, points are too few, and other seeds do not help. A joint that lacks an edge is a hole itself.
-        let is_whole = options.keep_non_manifold || best.report.topology_changes.is_empty();
-        if defects == 0 || share > constants::FEW_DEFECTS || !is_whole || !best.report.features.is_designed {
+        let is_whole = options.keep_non_manifold || report.topology_changes.is_empty();
+        let is_sound = defects == 0 && !is_lost;
+        if is_sound || share > constants::FEW_DEFECTS || !is_whole || !report.features.is_designed {
             break;
         }
         let mut other = options.clone();
@@ -57,94 +65,75 @@ pub(super) fn run(held: Held<'_>, options: &RemeshOptions, stages: &mut Stages<'
             *own = seed.wrapping_add(k);
         }
         match of_ways(held, &other, stages, token) {
-            Ok(done)
-                if done.report.defects(options.keep_non_manifold) < defects
-                    && done.report.topology_changes.len() <= best.report.topology_changes.len() =>
-            {
-                best = done;
-            }
-            _ => token.check()?,
+            // All vertices are those of curves, and none is drawn.
+            Ok(done) if done.mesh == best.mesh => break,
+            Ok(done) => take_better(&mut best, done, options),
+            Err(_) => token.check()?,
         }
     }
     Ok(best)
 }
 
-/// Undivided, or divided along the creases. Where patches have no room for their edges, or the result is far, the nearest of several ways.
+/// Undivided, or divided along the creases. Where patches have no room for their edges, or the result is far, the best of several ways.
 fn of_ways(held: Held<'_>, options: &RemeshOptions, stages: &mut Stages<'_>, token: &Token) -> Result<Remesh> {
     let mut way = Way::Free;
-    let (done, divisible) = loop {
+    let (mut done, division) = loop {
         match stages(held, (options, way))? {
-            Outcome::Done(done, divisible) => break (*done, divisible),
-            Outcome::Far(divided) => return nearest(Some(*divided), (held, options), stages, token),
-            Outcome::Again(Way::Undivided) => return nearest(None, (held, options), stages, token),
+            Outcome::Done(done, division) => break (*done, division),
+            Outcome::Again(Way::Undivided) => return of_others(None, (held, options), stages, token),
             Outcome::Again(other) => way = other,
         }
     };
-    if !(divisible && done.report.lacks_curves()) {
-        return Ok(done);
-    }
-    let divided = stages(held, (options, Way::Divided));
-    token.check()?;
-    Ok(match divided {
-        Ok(Outcome::Done(divided, _))
-            if divided.report.is_nearer_than(&done.report)
-                || options.strict_creases && divided.report.features.are_whole() =>
-        {
-            *divided
+    match division {
+        Division::Made if !options.strict_creases && done.report.has_no_room() => {
+            of_others(Some(done), (held, options), stages, token)
         }
-        _ => done,
-    })
+        Division::Possible if done.report.lacks_curves() => {
+            match stages(held, (options, Way::Divided)) {
+                Ok(Outcome::Done(divided, _)) if options.strict_creases && divided.report.features.are_whole() => {
+                    done = *divided;
+                }
+                Ok(Outcome::Done(divided, _)) => take_better(&mut done, *divided, options),
+                _ => token.check()?,
+            }
+            Ok(done)
+        }
+        _ => Ok(done),
+    }
 }
 
-/// The nearest of `divided`, if there is one, a result with seeds beside each other, one with the sharper creases alone, and one that is
-/// not divided.
-fn nearest(
+/// The best of `divided`, if there is one, a result with seeds beside each other, one with the sharper creases alone, and one that is not
+/// divided. What is sound and has room is taken at once.
+fn of_others(
     divided: Option<Remesh>,
     (held, options): (Held<'_>, &RemeshOptions),
     stages: &mut Stages<'_>,
     token: &Token,
 ) -> Result<Remesh> {
-    let mut best = divided;
-    if consider(&mut best, stages(held, (options, Way::Beside)), token)? {
-        return best.ok_or_else(no_result);
-    }
     // The facets of round surfaces have creases between them, which need more vertices than the edges of a part.
     let coarse = Held { least_crease_deg: Some(SHARP_DEG), ..held };
     let has_weaker = options.crease_angle_deg < SHARP_DEG && !options.strict_creases;
-    if !(has_weaker && consider(&mut best, stages(coarse, (options, Way::Divided)), token)?) {
-        match stages(held, (options, Way::Undivided)) {
-            Err(error) if best.is_none() => return Err(error),
-            undivided => _ = consider(&mut best, undivided, token)?,
+    let coarse = has_weaker.then_some((coarse, Way::Divided));
+    let mut best = divided;
+    for (held, way) in [Some((held, Way::Beside)), coarse, Some((held, Way::Undivided))].into_iter().flatten() {
+        match (stages(held, (options, way)), &mut best) {
+            (Ok(Outcome::Done(done, _)), Some(best)) => take_better(best, *done, options),
+            (Ok(Outcome::Done(done, _)), None) => best = Some(*done),
+            (Err(error), None) if way == Way::Undivided => return Err(error),
+            _ => token.check()?,
+        }
+        let is_sound = |of: &Remesh| of.report.is_sound() && !of.report.has_no_room();
+        if best.as_ref().is_some_and(is_sound) {
+            break;
         }
     }
-    best.ok_or_else(no_result)
+    best.ok_or_else(|| RvdError::Internal("a surface that is not divided was to be".to_owned()).into())
 }
 
-fn no_result() -> RemeshError {
-    RvdError::Internal("a surface that is not divided was to be".to_owned()).into()
-}
-
-/// Takes another result in place of the best if it is nearer, or has no defect, as many curves and at most twice the distance. One that
-/// is much nearer may have facets that cross. Returns whether it was taken and has no defect.
-fn consider(best: &mut Option<Remesh>, outcome: Result<Outcome>, token: &Token) -> Result<bool> {
-    token.check()?;
-    let (other, is_near) = match outcome {
-        Ok(Outcome::Done(other, _)) => (other, true),
-        Ok(Outcome::Far(other)) => (other, false),
-        _ => return Ok(false),
-    };
-    let is_sound = is_near && other.report.is_sound();
-    let is_better = |best: &Remesh| {
-        let (own, others) = (&other.report, &best.report);
-        let keeps = own.features.dropped_length <= others.features.dropped_length;
-        let keeps_topology = own.topology_changes.len() <= others.topology_changes.len();
-        is_sound && keeps && own.distance() <= 2.0 * others.distance()
-            || keeps_topology && constants::MUCH_NEARER * own.distance() < others.distance()
-            || own.is_nearer_than(others)
-    };
-    let is_taken = best.as_ref().is_none_or(is_better);
-    if is_taken {
-        *best = Some(*other);
+/// Takes another result in place of the best, if it is better.
+fn take_better(best: &mut Remesh, other: Remesh, options: &RemeshOptions) {
+    let standing = |of: &Remesh| of.report.standing(options.keep_non_manifold);
+    if standing(&other).is_better_than(&standing(best)) {
+        *best = other;
     }
-    Ok(is_sound && is_taken)
 }
