@@ -106,9 +106,8 @@ fn rims_of_a_thin_wall_have_their_vertices_side_by_side() {
     // The wall is a twentieth of an edge thick.
     let mesh = part(PartKind::Cup, 0.005, 248);
     let done = run(&mesh, 500, 2);
-    let result = &done.report.result;
     assert!(sharp(&done.mesh, 150.0).is_empty() && kept(&mesh, &done.mesh) > 0.995);
-    assert_eq!((result.folded_edges, result.crossings.as_ref().unwrap().count), (Some(0), 0));
+    assert_eq!(done.report.result.folded_edges, Some(0));
     assert_eq!(done.report.features.dropped_curves, 0);
     // Which way a part goes does not depend on what the report is to have.
     let options = RemeshOptions::new(Seeds::Sample { points: 500, seed: 0 }).with_measure(false);

@@ -32,8 +32,8 @@ pub(super) const SCORE_MARGIN: f64 = 2.0;
 /// isotropic remesh has smallest angles of about 37°.
 pub(super) const POOR_SCORE: f64 = 37.0;
 pub(super) const POOR_ANGLE: f64 = 92.5;
-/// Where distances are not measured, a facet costs something from this many degrees above the wanted score on.
-pub(super) const UNMEASURED_MARGIN: f64 = 3.0;
+/// Score below which a facet costs something where distances are not measured: a margin of three degrees.
+pub(super) const UNMEASURED_SCORE: f64 = POOR_SCORE + 3.0;
 pub(super) const UNMEASURED_ANGLE: f64 = POOR_ANGLE - 3.0;
 /// Missing degrees of score that cost 1, as much as the largest distance allowed.
 pub(super) const SCORE_SCALE: f64 = 3.0;
@@ -151,11 +151,7 @@ pub(super) const LEAST_SCORE_GAIN: f64 = 0.3;
 pub(super) const MAX_POOR: usize = 20;
 pub(super) const MAX_POOR_SHARE: f64 = 0.006;
 /// Where the distance is this share of an edge, they stay: none of their neighbours may become as far.
-pub(super) const POOR_FAR: f64 = 0.3;
-/// By how much the distance may grow there where no facet gets better without, and up to which share of the largest anywhere: patches
-/// do not see all of the input.
-pub(super) const POOR_FARTHER: f64 = 2.0;
-pub(super) const POOR_FARTHEST: f64 = 0.7;
+pub(super) const POOR_FAR: f64 = 0.2;
 /// Distance that is allowed there, share of an edge: on planes all distances are rounding.
 pub(super) const POOR_DISTANCE: f64 = 1e-9;
 /// Vertices whose valence is improved, at most.

@@ -78,9 +78,9 @@ impl Report {
         self.result.folded_edges.unwrap_or(0)
     }
 
-    /// Whether no facets cross, no edge is folded, and the topology is that of the input.
+    /// Whether no facets cross, and the topology is that of the input.
     pub(crate) fn is_sound(&self) -> bool {
-        self.topology_changes.is_empty() && self.crossing() + self.folded() == 0
+        self.topology_changes.is_empty() && self.crossing() == 0
     }
 
     /// Whether patches have no room for their edges: it lacks a part, or is folded and far from the input.
@@ -92,10 +92,12 @@ impl Report {
     /// What decides between it and other results of the same input. `joined`: whether its sheets are.
     pub(crate) fn standing(&self, joined: bool) -> Standing {
         let missing = if joined { self.features.missing_segments } else { 0 };
+        // Near the input, a narrow facet that turns over is no loss.
+        let folded = if self.has_no_room() { self.folded() } else { 0 };
         Standing {
             topology_changes: self.topology_changes.len(),
             is_lost: self.result.edges_away > 1.0,
-            defects: self.crossing() + self.folded() + missing,
+            defects: self.crossing() + folded + missing,
             dropped_length: self.features.dropped_length,
             distance: self.result.quality.as_ref().map_or(f64::INFINITY, |of| of.hausdorff_percent),
         }
@@ -108,7 +110,7 @@ pub(crate) struct Standing {
     pub(crate) topology_changes: usize,
     /// Whether it lacks a part: a place of the input is farther away than an edge is long.
     pub(crate) is_lost: bool,
-    /// Facets that cross, edges that are folded, and edges of joints that are missing.
+    /// Facets that cross, edges that are folded far from the input, and edges of joints that are missing.
     pub(crate) defects: usize,
     dropped_length: f64,
     distance: f64,

@@ -30,10 +30,9 @@ impl ShapeCost {
         Self { wanted: Wanted::new(wanted, 180.0), power: 2, quality_weight }
     }
 
-    /// Where they are not, and this score is wanted. Cubes, so that the worse of two facets gains at the other's cost.
-    pub(super) fn unmeasured(score: f64) -> Self {
-        let wanted = Wanted::new(score + UNMEASURED_MARGIN, UNMEASURED_ANGLE);
-        Self { wanted, power: 3, quality_weight: QUALITY_WEIGHT }
+    /// Where they are not. Cubes, so that the worse of two facets gains at the other's cost.
+    pub(super) fn unmeasured() -> Self {
+        Self { wanted: Wanted::new(UNMEASURED_SCORE, UNMEASURED_ANGLE), power: 3, quality_weight: QUALITY_WEIGHT }
     }
 
     pub(super) fn of(&self, corners: [DVec3; 3]) -> f64 {

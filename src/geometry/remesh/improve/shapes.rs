@@ -41,10 +41,10 @@ pub(crate) struct MotionBounds<'a> {
     pub(crate) off_curve: f64,
 }
 
-/// Improves the facets below this score. Ends early where `token` is stopped.
-pub(crate) fn improve_shapes(mesh: &mut LocalMesh, bounds: MotionBounds<'_>, score: f64, token: &Token) {
+/// Improves the worst facets. Ends early where `token` is stopped.
+pub(crate) fn improve_shapes(mesh: &mut LocalMesh, bounds: MotionBounds<'_>, token: &Token) {
     mesh.mark();
-    let wanted = Wanted::new(score, POOR_ANGLE);
+    let wanted = Wanted::new(POOR_SCORE, POOR_ANGLE);
     let poor = (0..mesh.facets().len() as u32).into_par_iter().filter(|&f| wanted.is_lacking(mesh.corners(f)));
     let poor: Vec<u32> = poor.flat_map_iter(|f| mesh.facets()[f as usize]).collect();
     // Their neighbours make room.
@@ -57,7 +57,7 @@ pub(crate) fn improve_shapes(mesh: &mut LocalMesh, bounds: MotionBounds<'_>, sco
         mesh,
         bounds,
         wanted,
-        cost: ShapeCost::unmeasured(score),
+        cost: ShapeCost::unmeasured(),
         steps: Steps::new(count),
         queue: Queue::new(),
         latest: vec![f64::NAN; count],
@@ -304,7 +304,7 @@ mod tests {
             mobility[0] = hub;
             let mut mesh = wheel.clone();
             let bounds = MotionBounds { mobility: &mobility, envelope: &envelope, off_curve };
-            improve_shapes(&mut mesh, bounds, POOR_SCORE, &Token::default());
+            improve_shapes(&mut mesh, bounds, &Token::default());
             mesh
         };
         let farthest =

@@ -17,7 +17,7 @@ use crate::mesh::crossings::crossing_facets;
 use crate::mesh::csr::Csr;
 use crate::mesh::edges::undirected;
 use crate::mesh::features::CurveKind;
-use crate::remesh::constants::{CORNER_ROUNDING, GOOD_SCORE, OFF_CURVE_SHARE, POOR_SCORE};
+use crate::remesh::constants::{CORNER_ROUNDING, OFF_CURVE_SHARE};
 use crate::remesh::distance::{HausdorffEstimate, InputSamples, Reference, SurfaceSample, missed_places};
 use crate::remesh::features::KeptCurves;
 use crate::remesh::features::envelope::CurveEnvelope;
@@ -162,7 +162,7 @@ impl<'a> Extraction<'a> {
         let held = mobility.iter_mut().filter(|m| hold_curves && **m != Mobility::Free);
         held.for_each(|m| *m = Mobility::Fixed);
         let off_curve = self.tolerance.map_or(f64::INFINITY, |tolerance| OFF_CURVE_SHARE * tolerance);
-        improve_shapes(mesh, MotionBounds { mobility: &mobility, envelope, off_curve }, POOR_SCORE, self.token);
+        improve_shapes(mesh, MotionBounds { mobility: &mobility, envelope, off_curve }, self.token);
     }
 
     /// Where the dual's vertices go, caller's coordinates. A cell in one piece has its vertex at its seed, which is on the
@@ -378,13 +378,13 @@ impl<'a> Extraction<'a> {
                 fitted.distances = HausdorffEstimate::of(&fitted.mesh, input, self.tolerance, self.token).by_vertex;
             }
         }
-        let Fitted { mesh, target, reference, distances, envelope } = fitted;
+        let Fitted { mesh, target, reference, distances, .. } = fitted;
         let mobility = mobility(&mesh.positions, &draft.curve_edges, &target.fixed);
         let mut editor = MeshEditor::new(mesh, &mobility, self.shapes, reference, self.token);
         let mut improved = improve(&mut editor, distances);
         let is_even = !self.adds && self.tolerance.is_none() && self.surface.is_uniform();
         if is_even && self.shapes == Shapes::Round {
-            improved += self.round_off(mesh, &mobility, (&target.input, reference), envelope)?;
+            improved += self.round_off(mesh, &mobility, reference)?;
         }
         let before = draft.missed.places.len();
         let mut missed = before;
@@ -403,54 +403,19 @@ impl<'a> Extraction<'a> {
         Ok(missed)
     }
 
-    /// Vertices of boundaries slide along them where facets are poor, unless the result is farther from the input then. Returns whether
-    /// anything changed.
-    fn slide_boundaries(
-        &self,
-        mesh: &mut LocalMesh,
-        mobility: &[Mobility],
-        input: &InputSamples,
-        envelope: &CurveEnvelope,
-    ) -> bool {
-        let slides = |(v, &own): (u32, &Mobility)| match own {
-            Mobility::Along(_) if mesh.is_on_boundary(v) => own,
-            _ => Mobility::Fixed,
-        };
-        let mobility: Vec<Mobility> = (0..).zip(mobility).map(slides).collect();
-        if mobility.iter().all(|own| *own == Mobility::Fixed) {
-            return false;
-        }
-        let farthest = |mesh: &LocalMesh| HausdorffEstimate::of(mesh, input, self.tolerance, self.token).largest;
-        let before = mesh.clone();
-        let bounds = MotionBounds { mobility: &mobility, envelope, off_curve: f64::INFINITY };
-        improve_shapes(mesh, bounds, GOOD_SCORE, self.token);
-        if mesh.positions == before.positions {
-            return false;
-        }
-        let is_near = farthest(mesh) <= farthest(&before);
-        if !is_near {
-            *mesh = before;
-        }
-        is_near
-    }
-
     /// As [`round_off`], unless more facets cross others then.
     fn round_off(
         &self,
         mesh: &mut LocalMesh,
         mobility: &[Mobility],
-        (input, reference): (&InputSamples, &Reference<'_>),
-        envelope: &CurveEnvelope,
+        reference: &Reference<'_>,
     ) -> Result<usize, Stopped> {
         let crossing = |mesh: &LocalMesh| {
             let now = TriMesh::new(mesh.positions.clone(), mesh.facets().to_vec());
             now.map_or(Ok(0), |now| crossing_facets(&now, self.token).map(|facets| facets.len()))
         };
         let before = mesh.clone();
-        let slid = self.slide_boundaries(mesh, mobility, input, envelope);
-        let farthest = HausdorffEstimate::of(mesh, input, self.tolerance, self.token).largest;
-        let mut editor = MeshEditor::new(mesh, mobility, self.shapes, reference, self.token);
-        let improved = round_off(&mut editor, farthest) + usize::from(slid);
+        let improved = round_off(&mut MeshEditor::new(mesh, mobility, self.shapes, reference, self.token));
         if improved > 0 {
             let crossed = crossing(mesh)?;
             if crossed > 0 && crossed > crossing(&before)? {
