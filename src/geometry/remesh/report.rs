@@ -4,7 +4,6 @@
 //! Invariant: a name that scripts read does not change.
 //! Must not know: how the figures came about.
 
-use std::cmp::Ordering;
 use std::fmt;
 
 use serde::Serialize;
@@ -104,6 +103,9 @@ impl Report {
     }
 }
 
+/// Distances below this are rounding, % of the diagonal: those of planes.
+const ROUNDED: f64 = 1e-6;
+
 /// How good a result is: the first difference decides.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Standing {
@@ -121,12 +123,11 @@ impl Standing {
     pub(crate) fn is_better_than(&self, other: &Self) -> bool {
         let first = |of: &Self| (of.topology_changes, of.is_lost, of.defects);
         let distance = |of: &Self, beside: &Self| {
-            if of.dropped_length > beside.dropped_length { 2.0 * of.distance } else { of.distance }
+            let share = if of.dropped_length > beside.dropped_length { 2.0 } else { 1.0 };
+            share * of.distance.max(ROUNDED)
         };
-        match first(self).cmp(&first(other)) {
-            Ordering::Equal => distance(self, other) < distance(other, self),
-            order => order.is_lt(),
-        }
+        let order = first(self).cmp(&first(other));
+        order.then_with(|| distance(self, other).total_cmp(&distance(other, self))).is_lt()
     }
 }
 
