@@ -118,7 +118,7 @@ impl Placed {
             found |= !near.is_empty();
             let usual: Vec<f64> = stops.iter().copied().filter(|stop| (low..=last).contains(stop)).collect();
             let next = nearest(&near, target).or_else(|| nearest(&usual, target)).unwrap_or(target);
-            // Two stops in one place would be gone on from for ever.
+            // A gap between two stops in one place takes it no farther.
             if end - next < SPACING[0] * gap || next <= at {
                 break;
             }

@@ -122,7 +122,8 @@ fn of_others(
             (Err(error), None) if way == Way::Undivided => return Err(error),
             _ => token.check()?,
         }
-        let is_sound = |of: &Remesh| of.report.is_sound() && !of.report.has_no_room();
+        // Another way may drop creases.
+        let is_sound = |of: &Remesh| of.report.is_sound() && (options.strict_creases || !of.report.has_no_room());
         if best.as_ref().is_some_and(is_sound) {
             break;
         }
