@@ -83,7 +83,7 @@ fn windows_and_capacities_change_no_bit() {
     let uneven: Vec<f64> = (0..mesh.positions().len()).map(|v| 0.2 + (v % 5) as f64).collect();
     for (weights, share) in [(None, 0.1), (Some(&uneven[..]), 0.5)] {
         let surface = lifted(&mesh, weights, share);
-        let seeds = seeds_on(&surface, 1000, 7);
+        let seeds = seeds_on(&surface, 500, 7);
         let mut first: Option<(CellSums<Lifted>, PieceBatch)> = None;
         let usual = Capacities::default();
         let cases = [

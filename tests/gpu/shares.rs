@@ -39,7 +39,7 @@ fn the_number_of_devices_changes_no_bit() {
     let tiny = Capacities::new().with_neighbours(5).with_polygon(5).with_cells(2).with_pairs_percent(10);
     let usual = Capacities::default();
     for (name, facets, n, weighted, capacities) in
-        [("even", 6000, 900, false, usual), ("graded", 6000, 900, true, tiny), ("coarse", 60, 700, false, usual)]
+        [("even", 2500, 400, false, usual), ("graded", 2500, 400, true, tiny), ("coarse", 60, 400, false, usual)]
     {
         let surface = surface(facets, weighted);
         let seeds = seeds(&surface, n, 1);
@@ -85,8 +85,8 @@ fn a_remesh_is_the_same_on_two_devices() {
 fn records_that_are_sent_in_turn_change_no_bit() {
     let Some([whole, ..]) = three() else { return };
     for weighted in [false, true] {
-        let surface = surface(40_000, weighted);
-        let n = 500;
+        let surface = surface(12_000, weighted);
+        let n = 200;
         let seeds = seeds(&surface, n, 1);
         let options = SessionOptions::new(n);
         let all = on(&**whole, &surface, &seeds, options);

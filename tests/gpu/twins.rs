@@ -15,6 +15,7 @@
 //! What makes arguments (`enqueue`, `indirect_arguments`, `overflow`) has no twin: it decides when pairs are clipped. The whole
 //! pass has the same bits whichever ran: `common/conformance`, and `strategies.rs`.
 
+use std::collections::HashSet;
 use std::sync::Arc;
 
 use ::gpu::Device;
@@ -74,9 +75,13 @@ fn record(place: [f64; 3]) -> Seed {
 /// All other seeds, nearest first; of those in one place the first alone.
 fn others(seeds: &[Seed], i: usize) -> Vec<u32> {
     let key = |j: u32| seeds[i].key(&seeds[j as usize]);
-    let is_first = |j: usize| !seeds[..j].iter().any(|earlier| earlier.position() == seeds[j].position());
-    let mut row: Vec<u32> = (0..seeds.len()).filter(|&j| j != i && is_first(j)).map(|j| j as u32).collect();
-    row.sort_by(|&a, &b| key(a).total_cmp(&key(b)).then(a.cmp(&b)));
+    let mut places = HashSet::new();
+    // Zeros of both signs are one place.
+    let mut is_first = |j: usize| places.insert(seeds[j].position().map(|x| (x + 0.0).to_bits()));
+    let firsts = (0..seeds.len()).filter(|&j| is_first(j));
+    let mut row: Vec<u32> = firsts.filter(|&j| j != i).map(|j| j as u32).collect();
+    // Squares are in the order of their bits.
+    row.sort_by_cached_key(|&j| (key(j).to_bits(), j));
     row
 }
 

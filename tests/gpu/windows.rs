@@ -98,10 +98,10 @@ pub(super) fn same(name: &str, a: &Outcome, b: &Outcome) {
 fn windows_change_no_bit() {
     let [small, whole] = require_gpu!();
     let tiny = Capacities::new().with_neighbours(5).with_polygon(5).with_cells(2).with_pairs_percent(10);
-    // Records of 2.9 MB: three windows, at first.
+    // Records of 1.2 MB: two windows, at first.
     for weighted in [false, true] {
-        let surface = surface(30_000, weighted);
-        for (name, n, capacities) in [("usual", 3000, Capacities::default()), ("tiny", 3000, tiny), ("few", 7, tiny)] {
+        let surface = surface(12_000, weighted);
+        for (name, n, capacities) in [("usual", 1200, Capacities::default()), ("tiny", 1200, tiny), ("few", 7, tiny)] {
             let seeds = seeds(&surface, n, 1);
             let options = SessionOptions::new(n).with_capacities(capacities);
             let (a, b) = (run(small, &surface, &seeds, options), run(whole, &surface, &seeds, options));
