@@ -85,7 +85,7 @@ fn a_remesh_is_the_same_on_two_devices() {
 fn records_that_are_sent_in_turn_change_no_bit() {
     let Some([whole, ..]) = three() else { return };
     for weighted in [false, true] {
-        let surface = surface(12_000, weighted);
+        let surface = surface(16_000, weighted);
         let n = 200;
         let seeds = seeds(&surface, n, 1);
         let options = SessionOptions::new(n);
