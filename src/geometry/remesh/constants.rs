@@ -151,12 +151,7 @@ pub(super) const LEAST_SCORE_GAIN: f64 = 0.3;
 pub(super) const MAX_POOR: usize = 20;
 pub(super) const MAX_POOR_SHARE: f64 = 0.006;
 /// Where the distance is this share of an edge, they stay: none of their neighbours may become as far.
-pub(super) const POOR_FAR: f64 = 0.3;
-pub(super) const POOR_FAR_AT_CREASES: f64 = 0.2;
-/// By how much the distance may grow there where no facet gets better without, and up to which share of the largest anywhere: patches
-/// do not see all of the input.
-pub(super) const POOR_FARTHER: f64 = 4.0;
-pub(super) const POOR_FARTHEST: f64 = 0.7;
+pub(super) const POOR_FAR: f64 = 0.2;
 /// Distance that is allowed there, share of an edge: on planes all distances are rounding.
 pub(super) const POOR_DISTANCE: f64 = 1e-9;
 /// Vertices whose valence is improved, at most.

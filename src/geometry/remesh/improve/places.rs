@@ -16,7 +16,7 @@ use super::trial::{Goal, Measure, Trial, best};
 use super::{Context, MeshEditor, Place, Queue, distance_at};
 use crate::mesh::facet_set::squared_distance;
 use crate::remesh::constants::*;
-use crate::remesh::manifold::{Flip, LocalMesh};
+use crate::remesh::manifold::Flip;
 use crate::remesh::triangle::{Shapes, score};
 
 /// What is wrong at a place. The later ones come first.
@@ -58,13 +58,13 @@ pub(crate) fn improve(editor: &mut MeshEditor<'_>, estimates: &[f64]) -> usize {
     run.improved
 }
 
-/// Makes the worst facets of an even result better, which is `farthest` from the input. Returns how many places it improved.
-pub(crate) fn round_off(editor: &mut MeshEditor<'_>, farthest: f64) -> usize {
+/// Makes the worst facets of an even result better. Returns how many places it improved.
+pub(crate) fn round_off(editor: &mut MeshEditor<'_>) -> usize {
     let mut poor: Vec<Place<Defect>> = poor(&editor.context()).collect();
     poor.sort_unstable_by(|a, b| b.cmp(a));
     let vertices = editor.context().mesh.positions.len();
     poor.truncate(MAX_POOR + (MAX_POOR_SHARE * vertices as f64) as usize);
-    let mut run = Run { queue: poor.into(), farthest, ..Run::default() };
+    let mut run = Run { queue: poor.into(), ..Run::default() };
     run.take_all(editor);
     run.improved
 }
@@ -123,8 +123,6 @@ struct Run {
     far_left: usize,
     failures_left: usize,
     improved: usize,
-    /// What poor places may be from the input, at most.
-    farthest: f64,
     /// Outcomes of far places that are not the next ones, each with the number of edits by then.
     ahead: HashMap<Place<Defect>, (u32, Outcome)>,
 }
@@ -179,7 +177,7 @@ impl Run {
         let Some(patch) = Patch::around(&context, vertex) else { return Outcome::Fine };
         match place.kind {
             Defect::Irregular => attempt_irregular(&patch, place.badness()),
-            Defect::Poor => attempt_poor(patch, place.badness(), self.farthest),
+            Defect::Poor => attempt_poor(patch, place.badness()),
             Defect::Far => attempt_far(&patch, place.badness()),
         }
     }
@@ -297,10 +295,8 @@ fn attempt_far(patch: &Patch, before: f64) -> Outcome {
     }
 }
 
-/// Tries to make the worst facet around a vertex better, and none worse than that. Where nothing is better at the distance that the patch
-/// has, it may grow, but not beyond `farthest`: a plane stays one. Not where a crease is near, across which a patch has few points of the
-/// input.
-fn attempt_poor(mut patch: Patch, before: f64, farthest: f64) -> Outcome {
+/// Tries to make the worst facet around a vertex better, and none worse than that.
+fn attempt_poor(mut patch: Patch, before: f64) -> Outcome {
     let [centre, rest] = patch.worst_scores();
     let lack = GOOD_SCORE - centre;
     if lack <= 0.0 {
@@ -310,43 +306,31 @@ fn attempt_poor(mut patch: Patch, before: f64, farthest: f64) -> Outcome {
         return Outcome::Less(lack);
     }
     let largest = patch.start_distance.largest();
-    let is_at_crease = (0..patch.vertices.len() as u32).any(|v| is_on_crease(&patch.mesh, v));
-    let too_far = if is_at_crease { POOR_FAR_AT_CREASES } else { POOR_FAR };
-    if largest > too_far * patch.mean_edge {
+    if largest > POOR_FAR * patch.mean_edge {
         return Outcome::Failed(lack);
     }
+    let allowed = largest.max(POOR_DISTANCE * patch.mean_edge);
     let better = (centre + LEAST_SCORE_GAIN).min(GOOD_SCORE);
-    let (scores, cosine) = ([better, rest.min(better)], patch.sharpest_cosine());
+    let goal =
+        Goal { centre: allowed, rest: allowed, scores: [better, rest.min(better)], cosine: patch.sharpest_cosine() };
     patch.wanted_score = GOOD_SCORE + SCORE_MARGIN;
-    let within = |allowed: f64| {
-        let goal = Goal { centre: allowed, rest: allowed, scores, cosine };
-        let measure = Measure { distance: allowed, floor: 1.0, score: patch.wanted_score };
-        // Flips are tried where a relocation is not enough.
-        best(&patch, &[Trial::Relocate], &goal, measure).or_else(|| {
-            let trials: Vec<Trial> = patch.flips(VALENCES).into_iter().map(|flip| Trial::Flip(vec![flip])).collect();
-            best(&patch, &trials, &goal, measure)
-        })
+    let measure = Measure { distance: allowed, floor: 1.0, score: patch.wanted_score };
+    // Flips are tried where a relocation is not enough.
+    let flipped = || {
+        let trials: Vec<Trial> = patch.flips(VALENCES).into_iter().map(|flip| Trial::Flip(vec![flip])).collect();
+        best(&patch, &trials, &goal, measure)
     };
-    let near = largest.max(POOR_DISTANCE * patch.mean_edge);
-    let far = (POOR_FARTHER * largest).min(POOR_FARTHEST * farthest);
-    let may_grow = far > near && !is_at_crease;
-    match within(near).or_else(|| may_grow.then(|| within(far)).flatten()) {
+    match best(&patch, &[Trial::Relocate], &goal, measure).or_else(flipped) {
         Some(better) => Outcome::Better(Box::new(better)),
         None => Outcome::Failed(lack),
     }
 }
 
-/// On a curve that is no boundary.
-fn is_on_crease(mesh: &LocalMesh, v: u32) -> bool {
-    mesh.is_on_curve(v) && !mesh.is_on_boundary(v)
-}
-
-/// Vertices of no curve that may move, have a facet that could be better, and no neighbour on a crease.
+/// Vertices that may move, have a facet that could be better, and no neighbour on a curve.
 fn poor<'a>(context: &Context<'a>) -> impl Iterator<Item = Place<Defect>> + use<'a> {
     let Context { mesh, movable, .. } = *context;
     let worst = move |v: u32| mesh.ring(v).iter().map(|&f| score(mesh.corners(f))).fold(f64::INFINITY, f64::min);
-    let is_beside = move |v: u32| mesh.neighbours(v).into_iter().any(|u| is_on_crease(mesh, u));
-    let is_apart = move |v: u32| !mesh.is_on_curve(v) && !is_beside(v);
+    let is_apart = move |v: u32| !mesh.neighbours(v).into_iter().any(|u| mesh.is_on_curve(u));
     let all = (0..mesh.positions.len() as u32).filter(move |&v| movable[v as usize] && is_apart(v));
     let lacks = all.map(move |v| (v, GOOD_SCORE - worst(v))).filter(|(_, lack)| *lack > 0.0);
     lacks.map(|(v, lack)| Place::new(Defect::Poor, v, lack))
@@ -395,6 +379,7 @@ mod tests {
     use crate::mesh::csr::Csr;
     use crate::remesh::distance::Reference;
     use crate::remesh::improve::shapes::Mobility;
+    use crate::remesh::manifold::LocalMesh;
     use crate::rvd::Surface;
     use crate::token::Token;
     use glam::DVec3;

@@ -384,7 +384,7 @@ impl<'a> Extraction<'a> {
         let mut improved = improve(&mut editor, distances);
         let is_even = !self.adds && self.tolerance.is_none() && self.surface.is_uniform();
         if is_even && self.shapes == Shapes::Round {
-            improved += self.round_off(mesh, &mobility, (&target.input, reference))?;
+            improved += self.round_off(mesh, &mobility, reference)?;
         }
         let before = draft.missed.places.len();
         let mut missed = before;
@@ -403,23 +403,22 @@ impl<'a> Extraction<'a> {
         Ok(missed)
     }
 
-    /// As [`round_off`], unless more facets cross others or the result is farther from the input then.
+    /// As [`round_off`], unless more facets cross others then.
     fn round_off(
         &self,
         mesh: &mut LocalMesh,
         mobility: &[Mobility],
-        (input, reference): (&InputSamples, &Reference<'_>),
+        reference: &Reference<'_>,
     ) -> Result<usize, Stopped> {
         let crossing = |mesh: &LocalMesh| {
             let now = TriMesh::new(mesh.positions.clone(), mesh.facets().to_vec());
             now.map_or(Ok(0), |now| crossing_facets(&now, self.token).map(|facets| facets.len()))
         };
-        let distance = |mesh: &LocalMesh| HausdorffEstimate::of(mesh, input, self.tolerance, self.token).largest;
-        let (before, farthest) = (mesh.clone(), distance(mesh));
-        let improved = round_off(&mut MeshEditor::new(mesh, mobility, self.shapes, reference, self.token), farthest);
+        let before = mesh.clone();
+        let improved = round_off(&mut MeshEditor::new(mesh, mobility, self.shapes, reference, self.token));
         if improved > 0 {
             let crossed = crossing(mesh)?;
-            if distance(mesh) > farthest || crossed > 0 && crossed > crossing(&before)? {
+            if crossed > 0 && crossed > crossing(&before)? {
                 *mesh = before;
                 return Ok(0);
             }
