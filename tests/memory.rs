@@ -406,7 +406,7 @@ fn changed(original: &[u8], rng: &mut ChaCha8Rng) -> Vec<u8> {
 }
 
 /// How often each file is changed.
-const CHANGES: usize = 100;
+const CHANGES: usize = 200;
 
 /// What reading may take beside the surface, in lengths of the file.
 const MOST: f64 = 8.0;

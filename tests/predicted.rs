@@ -490,17 +490,14 @@ const TIMES: f64 = 3.0;
 const SLACK_S: f64 = 0.5;
 
 /// Rows that take long, or differ little from others: with `TESSERA_PREDICTED=all` alone.
-const LONG: [&str; 13] = [
+const LONG: [&str; 10] = [
     "edge length without points",
     "facets of a packed text",
     "facets of a text",
-    "facets of arrays",
     "feature size",
     "points",
-    "points as a share",
     "points by facets",
     "seeds",
-    "seeds of a text",
     "sizes",
     "creases",
     "scalars of arrays",

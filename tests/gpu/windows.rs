@@ -98,9 +98,9 @@ pub(super) fn same(name: &str, a: &Outcome, b: &Outcome) {
 fn windows_change_no_bit() {
     let [small, whole] = require_gpu!();
     let tiny = Capacities::new().with_neighbours(5).with_polygon(5).with_cells(2).with_pairs_percent(10);
-    // Records of 1.2 MB: two windows, at first.
+    // Records of 2.3 MB: three windows, at first.
     for weighted in [false, true] {
-        let surface = surface(12_000, weighted);
+        let surface = surface(24_000, weighted);
         for (name, n, capacities) in [("usual", 1200, Capacities::default()), ("tiny", 1200, tiny), ("few", 7, tiny)] {
             let seeds = seeds(&surface, n, 1);
             let options = SessionOptions::new(n).with_capacities(capacities);

@@ -125,7 +125,6 @@ async fn files_of_every_format_are_taken_and_given() {
         for bytes in [gzip(&bytes), bytes] {
             let digest = client.put(&bytes).await;
             let mut spec = remesh(&digest, 40, 1);
-            spec.backend = BackendChoice::Serial.into();
             let file = MeshFile { digest, format: format.number(), attributes: None };
             spec.mesh = Some(JobMesh { source: Some(job_mesh::Source::File(file)) });
             spec.result = Some(ResultFormat { form: Some(result_format::Form::File(format.number())) });
