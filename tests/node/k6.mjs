@@ -16,12 +16,12 @@ const script = new URL('../../deploy/load/k6.mjs', import.meta.url);
 const added = new Map();
 const add = (name, value) => added.set(name, [...(added.get(name) ?? []), value]);
 
-/** Times as JSON writes them. */
+/** Times as JSON writes them. At a whole second the loader leaves out `nanos`. */
 function shown(value) {
   if (Array.isArray(value)) return value.map(shown);
   if (value === null || typeof value !== 'object') return value;
-  if (Object.keys(value).sort().join() === 'nanos,seconds') {
-    return new Date(Number(value.seconds) * 1000 + value.nanos / 1e6).toISOString();
+  if (['nanos,seconds', 'seconds'].includes(Object.keys(value).sort().join())) {
+    return new Date(Number(value.seconds) * 1000 + (value.nanos ?? 0) / 1e6).toISOString();
   }
   return Object.fromEntries(Object.entries(value).map(([key, inner]) => [key, shown(inner)]));
 }

@@ -8,6 +8,7 @@ use tessera::mesh::closest_point::distance_to_segment;
 use tessera::mesh::measure::topology;
 use tessera::mesh::shapes::Shape;
 use tessera::mesh::shapes::parts::{PartKind, part};
+use tessera::remesh::report::CountReason;
 use tessera::remesh::{Anisotropy, Remesh, RemeshError, RemeshOptions, Seeds, remesh};
 use tessera::rvd::Parallel;
 use tessera::token::Token;
@@ -87,18 +88,32 @@ fn strips_narrower_than_an_edge_have_the_edges_of_their_curves() {
     assert_eq!(done.report.features.dropped_curves, 0);
 }
 
+/// A thread of 20 turns, whose chords leave it by more than its depth; a plate of 36 holes, whose corners alone are more than the points; a
+/// bent plate and a cup of a thirtieth of an edge.
 #[test]
-fn parts_without_room_for_their_edges_are_not_folded() {
-    let is_sound = |done: &Remesh| {
-        done.report.topology_changes.is_empty() && done.report.result.crossings.as_ref().unwrap().count == 0
-    };
-    // A thread of 20 turns, whose chords leave it by more than its depth.
-    let done = run(&part(PartKind::Thread, 0.01, 32), 500, 2);
-    assert!(sharp(&done.mesh, 150.0).is_empty() && is_sound(&done));
-    assert_eq!(done.report.features.dropped_curves, 0);
-    // A plate of 36 holes whose corners alone are more than the points: those of the round holes are left out.
-    let done = run(&part(PartKind::Perforated, 0.005, 77), 500, 2);
-    assert!(done.report.features.dropped_curves > 0 && is_sound(&done));
+fn parts_without_room_for_their_edges_get_more_points() {
+    let cases = [
+        (PartKind::Thread, 0.01, 32),
+        (PartKind::Perforated, 0.005, 77),
+        (PartKind::Bracket, 0.005, 238),
+        (PartKind::Cup, 0.005, 80),
+    ];
+    for (kind, feature, seed) in cases {
+        let mesh = part(kind, feature, seed);
+        let done = run(&mesh, 500, 2);
+        let (count, result) = (done.report.vertex_count, &done.report.result);
+        assert_eq!((count.asked, count.reason), (500, Some(CountReason::FewPoints)), "{kind}");
+        assert!((500..=2_040).contains(&result.vertices), "{kind}: {}", result.vertices);
+        assert!(sharp(&done.mesh, 150.0).is_empty() && done.report.topology_changes.is_empty(), "{kind}");
+        assert_eq!(result.crossings.as_ref().map(|found| found.count), Some(0), "{kind}");
+        assert!(kept(&mesh, &done.mesh) > 0.95, "{kind}");
+        assert!(done.report.warnings.iter().any(|warning| warning.code == "vertex_count"), "{kind}");
+    }
+    // What is strict takes no more points.
+    let mesh = part(PartKind::Thread, 0.01, 32);
+    let options = RemeshOptions::new(Seeds::Sample { points: 500, seed: 0 }).with_strict_creases(true);
+    let strict = remesh(&mesh, &options, &Parallel::new(Some(2)).unwrap(), &mut (), &Token::default());
+    assert!(strict.is_ok_and(|done| done.mesh.positions().len() <= 510));
 }
 
 #[test]
@@ -249,6 +264,27 @@ fn needles_keep_their_length() {
         let quality = done.report.result.quality.as_ref().unwrap();
         assert!(quality.hausdorff_percent < 1.0, "{feature}: {quality:?}");
     }
+}
+
+/// A prism with an angle of `degrees` between two of its sides.
+fn prism(degrees: f64) -> TriMesh {
+    let (sin, cos) = degrees.to_radians().sin_cos();
+    let below = [DVec3::ZERO, DVec3::X, DVec3::new(cos, sin, 0.0)];
+    let facets = vec![[0, 2, 1], [3, 4, 5], [0, 1, 4], [0, 4, 3], [1, 2, 5], [1, 5, 4], [2, 0, 3], [2, 3, 5]];
+    TriMesh::new(below.into_iter().chain(below.map(|p| p + DVec3::Z)).collect(), facets).unwrap()
+}
+
+#[test]
+fn a_report_has_the_smallest_angle_that_corners_leave() {
+    for (degrees, expected) in [(15.0, 15.0), (35.0, 35.0), (90.0, 45.0)] {
+        let report = run(&prism(degrees), 400, 2).report;
+        let (bound, least) = (report.features.angle_bound_deg.unwrap(), report.result.quality.unwrap().theta_min_deg);
+        assert!((bound - expected).abs() < 1e-6, "{degrees}: {bound}");
+        // The best that there is: nothing else about a prism is narrower.
+        assert!(least <= bound + 1e-6 && least > bound.min(30.0) - 1e-6, "{degrees}: {least} of {bound}");
+    }
+    let sphere = Shape::Sphere.build(5_000);
+    assert_eq!(run(&sphere, 400, 2).report.features.angle_bound_deg, None);
 }
 
 /// With an anisotropy parts are not divided, and the rims of small holes are shorter than eight edges.

@@ -74,8 +74,10 @@ impl Told<'_> {
         if let Some([q_min, q_mean, least, mean]) =
             all(&["q_min", "q_avg", "theta_min_deg", "theta_avg_deg"]).as_deref()
         {
+            let bound = self.at("/features/angle_bound_deg").as_f64();
+            let bound = bound.map(|of| format!(" (corners leave {of:.2}°)")).unwrap_or_default();
             lines.push(format!(
-                "quality     Q min {q_min:.4}, mean {q_mean:.4}; angle min {least:.2}°, mean {mean:.2}°"
+                "quality     Q min {q_min:.4}, mean {q_mean:.4}; angle min {least:.2}°{bound}, mean {mean:.2}°"
             ));
         }
         if let Some([under, valence]) = all(&["under_30_percent", "v567_percent"]).as_deref() {

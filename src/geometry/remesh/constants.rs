@@ -243,6 +243,14 @@ pub(super) const LEAST_SHARP: f64 = 0.01;
 pub(super) const OTHER_SEEDS: u64 = 3;
 /// Few defects, share of the facets: with more, points are too few, and other seeds do not help.
 pub(super) const FEW_DEFECTS: f64 = 0.02;
+/// With at most so many points, a designed part with defects gets these multiples of them until it has none. With more, points are not
+/// what is lacking.
+pub(super) const FEW_POINTS: usize = 10_000;
+pub(super) const MORE_POINTS: [usize; 2] = [2, 4];
+/// What points are enough for: the share of the length of curves that may be dropped, and how far the farthest place of the input may be,
+/// edges. Threads whose creases are half an edge from the result are at 0.46 to 0.7, parts with all creases below 0.44.
+pub(super) const ENOUGH_DROPPED: f64 = 0.05;
+pub(super) const ENOUGH_AWAY: f64 = 0.45;
 /// A divided surface whose result has more crossing facets than this share was not to be divided.
 pub(super) const MOST_CROSSING: f64 = 0.02;
 /// A folded result that is farther from the input than this, shares of an edge, has no room for its curves.

@@ -9,6 +9,7 @@ mod crowded;
 pub(super) mod envelope;
 pub(super) mod polyline;
 pub(super) mod seams;
+mod sectors;
 mod tips;
 
 use std::collections::{HashMap, HashSet};
@@ -627,7 +628,12 @@ impl KeptCurves {
         (seed as usize) < self.seeds.len()
     }
 
-    /// What the report says; `edges` are those of [`KeptCurves::edges_in`].
+    /// As [`sectors::angle_bound_deg`], for a result with the seeds of its vertices.
+    pub(crate) fn angle_bound_deg(&self, mesh: &TriMesh, edges: &[[u32; 2]], vertex_seed: &[u32]) -> Option<f64> {
+        sectors::angle_bound_deg(mesh, edges, |v| self.is_corner(vertex_seed[v as usize]))
+    }
+
+    /// What the report says but for that; `edges` are those of [`KeptCurves::edges_in`].
     pub(crate) fn figures(&self, edges: &[Option<[u32; 2]>]) -> FeatureFigures {
         // Where sheets are joined again, their boundaries are none of the result.
         let kind = |(k, c): (u32, &Curve)| match c.kind {
@@ -665,7 +671,9 @@ impl KeptCurves {
             dropped_length,
             dropped,
             short_crease_edges: self.features.left_out,
+            angle_bound_deg: None,
             is_designed: false,
+            kept_length: 0.0,
         }
     }
 }

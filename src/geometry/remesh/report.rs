@@ -8,7 +8,7 @@ use std::fmt;
 
 use serde::Serialize;
 
-use super::constants::FAR_DIVIDED;
+use super::constants::{ENOUGH_AWAY, ENOUGH_DROPPED, FAR_DIVIDED};
 use crate::cvt::density::DensityFigures;
 pub use crate::cvt::figures::{DeviceFigures, FinalFigures, IterationFigures};
 pub use crate::mesh::comparison::{LostPart, LostParts, LostReason};
@@ -86,6 +86,14 @@ impl Report {
     pub(crate) fn has_no_room(&self) -> bool {
         let away = self.result.edges_away;
         away > 1.0 || away > FAR_DIVIDED && self.folded() > 0
+    }
+
+    /// Whether it is a designed part with defects, far from the input, or without some of the creases.
+    pub(crate) fn lacks_points(&self) -> bool {
+        let FeatureFigures { is_designed, dropped_length, kept_length, .. } = self.features;
+        let is_far = self.result.edges_away > ENOUGH_AWAY;
+        let lacks_curves = dropped_length > ENOUGH_DROPPED * (dropped_length + kept_length);
+        is_designed && (!self.is_sound() || self.folded() > 0 || is_far || lacks_curves)
     }
 
     /// What decides between it and other results of the same input. `joined`: whether its sheets are.
@@ -246,6 +254,8 @@ pub enum CountReason {
     NoThickness,
     /// Patches between creases are narrower than an edge, and take no vertices within.
     NarrowPatches,
+    /// A designed part with so few points would be folded, cross itself, be far from the input or lack creases.
+    FewPoints,
     /// Edges cannot have the lengths that the metric asks for with so many vertices.
     Metric,
 }
@@ -290,9 +300,16 @@ pub struct FeatureFigures {
     pub dropped: Vec<DroppedCurve>,
     /// Edges bent enough for a crease in stretches too short for one.
     pub short_crease_edges: usize,
+    /// The largest that the smallest angle of the result can be, degrees: what is left between curves at corners. Absent where that is
+    /// 60 degrees.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub angle_bound_deg: Option<f64>,
     /// Whether these are no noise: the surface has flat or ruled faces between sharp edges.
     #[serde(skip)]
     pub(crate) is_designed: bool,
+    /// Length of the edges that follow curves, caller's units.
+    #[serde(skip)]
+    pub(crate) kept_length: f64,
 }
 
 impl FeatureFigures {

@@ -113,6 +113,7 @@ pub(super) fn measure(
         _ => optimize::count_reason((vertices, result.topology.components), asked, &options.seeds, &wanted),
     };
     let vertex_count = CountFigures { asked, seeds: seeds.len(), reason };
+    let at = |v: u32| built.mesh.positions()[v as usize];
     let report = Report {
         backend: backend.kind().name().into(),
         adapter: backend.adapter(),
@@ -121,7 +122,12 @@ pub(super) fn measure(
         converged,
         topology_changes: wanted.changes(&result.topology),
         input,
-        features: FeatureFigures { is_designed: known.designed.is_some(), ..curves.figures(&built.segments) },
+        features: FeatureFigures {
+            is_designed: known.designed.is_some(),
+            kept_length: built.curve_edges.iter().map(|&[a, b]| at(a).distance(at(b))).sum(),
+            angle_bound_deg: curves.angle_bound_deg(&built.mesh, &built.curve_edges, &built.vertex_seed),
+            ..curves.figures(&built.segments)
+        },
         rvd,
         device,
         iterations,

@@ -1,11 +1,12 @@
 //! Several runs of all stages, of which the best result is taken.
 //!
-//! Purpose: [`run`] chooses whether a designed part is divided along its creases, which creases are kept, and the random seeds.
+//! Purpose: [`run`] chooses whether a designed part is divided along its creases, which creases are kept, the random seeds, and
+//! whether it needs more points.
 //! Invariant: of several results the best is taken, in one order (`Report::standing`). A sound result that is near is the only one.
 //! Must not know: what a stage does, meshes.
 
 use super::super::features::Held;
-use super::super::report::Standing;
+use super::super::report::{CountReason, Standing};
 use super::super::{Remesh, RemeshOptions, Result, Seeds, constants};
 use crate::mesh::features::SHARP_DEG;
 use crate::rvd::RvdError;
@@ -68,6 +69,33 @@ pub(super) fn run(held: Held<'_>, options: &RemeshOptions, stages: &mut Stages<'
             // All vertices are those of curves, and none is drawn.
             Ok(done) if done.mesh == best.mesh => break,
             Ok(done) => take_better(&mut best, done, options),
+            Err(_) => token.check()?,
+        }
+    }
+    if best.report.lacks_points() { with_more_points(best, (held, options), stages, token) } else { Ok(best) }
+}
+
+/// With more points if they take all defects away, else `best`. Few are too few for the edges of some designed parts.
+fn with_more_points(
+    best: Remesh,
+    (held, options): (Held<'_>, &RemeshOptions),
+    stages: &mut Stages<'_>,
+    token: &Token,
+) -> Result<Remesh> {
+    let &Seeds::Sample { points, seed } = &options.seeds else { return Ok(best) };
+    // A tolerance adds points itself, and what is strict is refused.
+    if options.refine.is_some() || options.strict_creases || points > constants::FEW_POINTS {
+        return Ok(best);
+    }
+    for times in constants::MORE_POINTS {
+        let more = RemeshOptions { seeds: Seeds::Sample { points: times * points, seed }, ..options.clone() };
+        match of_ways(held, &more, stages, token) {
+            Ok(mut done) if !done.report.lacks_points() => {
+                done.report.vertex_count.asked = points;
+                done.report.vertex_count.reason = Some(CountReason::FewPoints);
+                return Ok(done);
+            }
+            Ok(_) => {}
             Err(_) => token.check()?,
         }
     }
