@@ -5,12 +5,13 @@ use std::collections::BTreeSet;
 use ::gpu::diagram::Gpu;
 use geometry::mesh::adjacency::{Adjacency, EdgeKind};
 use geometry::mesh::features::FeatureError;
-use glam::DVec3;
+use glam::{DQuat, DVec3};
 use needs::needs;
 use tessera::cvt::{DensityOptions, DensitySource};
 use tessera::mesh::TriMesh;
 use tessera::mesh::measure::topology;
 use tessera::mesh::shapes::Shape;
+use tessera::remesh::report::CountReason;
 use tessera::remesh::{Placement, Remesh, RemeshError, RemeshOptions, Seeds, remesh};
 use tessera::rvd::Backend;
 use tessera::rvd::Parallel;
@@ -303,12 +304,16 @@ fn ringed_tube() -> (TriMesh, Vec<[u32; 2]>) {
 }
 
 /// With few points, creases get longer edges. If they need more points than there are, they go before boundaries, and the remesh is still
-/// one.
+/// one. A tube whose rings are turned has no flat edges, as a designed part has, which gets more points.
 #[test]
 fn too_few_points_give_curves_up() {
     let (mesh, creases) = ringed_tube();
-    for (points, dropped_curves, creases_kept) in [(60, 0, 11), (20, 11, 0)] {
-        let out = run(&mesh, &options(points).with_creases(creases.clone())).unwrap();
+    let turned =
+        |(k, p): (usize, &DVec3)| DQuat::from_rotation_z(-((k / 48) as f64) * std::f64::consts::PI / 48.0) * *p;
+    let turned =
+        TriMesh::new(mesh.positions().iter().enumerate().map(turned).collect(), mesh.facets().to_vec()).unwrap();
+    for (mesh, points, dropped_curves, creases_kept) in [(&mesh, 60, 0, 11), (&turned, 20, 11, 0)] {
+        let out = run(mesh, &options(points).with_creases(creases.clone())).unwrap();
         let figures = &out.report.features;
         assert_eq!(
             (figures.dropped_curves, figures.creases, figures.boundaries),
@@ -329,9 +334,13 @@ fn too_few_points_give_curves_up() {
         let warned = out.report.warnings.iter().find(|warning| warning.code == "dropped_curves");
         assert_eq!(warned.map_or(0, |warning| warning.places.len()), figures.dropped.len());
     }
-    let out = run(&mesh, &options(1200).with_creases(creases)).unwrap();
-    let figures = &out.report.features;
-    assert_eq!((figures.dropped_curves, figures.creases, figures.missing_segments), (0, 11, 0), "{figures:?}");
+    for points in [20, 1200] {
+        let out = run(&mesh, &options(points).with_creases(creases.clone())).unwrap();
+        let figures = &out.report.features;
+        assert_eq!((figures.dropped_curves, figures.creases, figures.missing_segments), (0, 11, 0), "{figures:?}");
+        assert_eq!(out.report.vertex_count.reason == Some(CountReason::FewPoints), points == 20);
+        assert!(out.mesh.positions().len() <= points.max(80));
+    }
 }
 
 /// Where creases are strict, there is a result with all curves or none at all.

@@ -9,7 +9,7 @@ use tessera::mesh::measure::topology;
 use tessera::mesh::shapes::Shape;
 use tessera::mesh::shapes::parts::{PartKind, part};
 use tessera::remesh::report::CountReason;
-use tessera::remesh::{Anisotropy, Remesh, RemeshError, RemeshOptions, Seeds, remesh};
+use tessera::remesh::{Anisotropy, Observer, Remesh, RemeshError, RemeshOptions, Seeds, remesh};
 use tessera::rvd::Parallel;
 use tessera::token::Token;
 
@@ -114,6 +114,31 @@ fn parts_without_room_for_their_edges_get_more_points() {
     let options = RemeshOptions::new(Seeds::Sample { points: 500, seed: 0 }).with_strict_creases(true);
     let strict = remesh(&mesh, &options, &Parallel::new(Some(2)).unwrap(), &mut (), &Token::default());
     assert!(strict.is_ok_and(|done| done.mesh.positions().len() <= 510));
+}
+
+/// How often the stages are run.
+struct Runs(usize);
+
+impl Observer for Runs {
+    fn stage(&mut self, name: &'static str) {
+        self.0 += usize::from(name == "prepare");
+    }
+}
+
+/// Where facets of the input cross, those of any result do.
+#[test]
+fn parts_that_pass_through_each_other_are_not_tried_again() {
+    let (one, other) = (prism(90.0), prism(60.0));
+    let count = one.positions().len() as u32;
+    let positions = other.positions().iter().map(|&p| p + DVec3::new(0.3, 0.2, 0.4));
+    let positions = one.positions().iter().copied().chain(positions).collect();
+    let facets = other.facets().iter().map(|t| t.map(|v| v + count));
+    let mesh = TriMesh::new(positions, one.facets().iter().copied().chain(facets).collect()).unwrap();
+    let (options, mut runs) = (RemeshOptions::new(Seeds::Sample { points: 400, seed: 0 }), Runs(0));
+    let done = remesh(&mesh, &options, &Parallel::new(Some(2)).unwrap(), &mut runs, &Token::default()).unwrap();
+    assert!(done.report.result.crossings.as_ref().unwrap().count > 0);
+    assert!((392..=408).contains(&done.mesh.positions().len()) && done.report.vertex_count.reason.is_none());
+    assert!(runs.0 <= 2, "{}", runs.0);
 }
 
 #[test]

@@ -230,6 +230,9 @@ pub(super) const SPARE_SEEDS: usize = 1000;
 /// is halved.
 pub(super) const MOST_CROWDED: f64 = 40.0;
 pub(super) const CROWDED_STEPS: usize = 16;
+/// With this multiple of the seeds that are wanted, curves have too many. Where they bend, as many are planned as chords of 0.6 edges need,
+/// and chords of 1.5 edges may be enough.
+pub(super) const MOST_CUT: f64 = 2.5;
 /// Dropped curves that are named, at most.
 pub(super) const MOST_DROPPED_NAMED: usize = 8;
 /// With fewer vertices than this share of those that were asked for, curves alone get more seeds.
@@ -244,8 +247,8 @@ pub(super) const OTHER_SEEDS: u64 = 3;
 /// Few defects, share of the facets: with more, points are too few, and other seeds do not help.
 pub(super) const FEW_DEFECTS: f64 = 0.02;
 /// With at most so many points, a designed part with defects gets these multiples of them until it has none. With more, points are not
-/// what is lacking.
-pub(super) const FEW_POINTS: usize = 10_000;
+/// what is lacking, and memory that was planned for them is not enough.
+pub(super) const FEW_POINTS: usize = 2_500;
 pub(super) const MORE_POINTS: [usize; 2] = [2, 4];
 /// What points are enough for: the share of the length of curves that may be dropped, and how far the farthest place of the input may be,
 /// edges. Threads whose creases are half an edge from the result are at 0.46 to 0.7, parts with all creases below 0.44.

@@ -49,6 +49,11 @@ fn staying(seeds: &CurveSeeds, features: &Features) -> Vec<bool> {
     stays
 }
 
+/// How many seeds corners and curves have, with so many between the ends of each curve.
+fn all_seeds(features: &Features, counts: &[usize]) -> usize {
+    counts.iter().fold(features.corners.len(), |sum, &count| sum.saturating_add(count))
+}
+
 /// A curve as a report has it.
 fn dropped_curve(curve: &Curve, mesh: &TriMesh) -> DroppedCurve {
     let at = |v: u32| mesh.positions()[v as usize];
@@ -216,7 +221,11 @@ impl KeptCurves {
                     criteria: all,
                 });
             }
-            let mut placed = CurveSeeds::place(surface, (&features, &[]), edge, most, token)?;
+            let place = |features: &Features| {
+                let fits = |counts: &[usize]| all_seeds(features, counts) <= most;
+                CurveSeeds::place(surface, (features, &[]), edge, &fits, token)
+            };
+            let mut placed = place(&features)?;
             while let Some(seeds) = &placed {
                 let too_close = seeds.too_close(&features, token)?;
                 if too_close.is_empty() {
@@ -225,7 +234,7 @@ impl KeptCurves {
                 is_crowded = true;
                 dropped.extend(too_close.iter().map(|&k| named(&features.curves[k as usize])));
                 features.retain(|k, _| !too_close.contains(&(k as u32)));
-                placed = CurveSeeds::place(surface, (&features, &[]), edge, most, token)?;
+                placed = place(&features)?;
             }
             if let Some(mut seeds) = placed {
                 seeds.split_by_deviation(f64::INFINITY, token)?;
@@ -396,7 +405,8 @@ impl KeptCurves {
         let features = &self.features;
         let edge = edge_length(surface, (features, stretch), root_mass, points, token)?;
         let most = (LARGEST_SHARE * points as f64) as usize;
-        if let Some(mut seeds) = CurveSeeds::place(surface, (features, stretch), edge, most, token)? {
+        let fits = |counts: &[usize]| all_seeds(features, counts) <= most;
+        if let Some(mut seeds) = CurveSeeds::place(surface, (features, stretch), edge, &fits, token)? {
             let even = edge_length(surface, (&Features::default(), &[]), surface.area(), points, token)?;
             seeds.split_by_deviation(LIFTED_CHORD_EDGE * even, token)?;
             let share = |seams: &Arc<Seams>| seams.share(&mut seeds, features, surface.positions());

@@ -88,12 +88,23 @@ impl Report {
         away > 1.0 || away > FAR_DIVIDED && self.folded() > 0
     }
 
+    /// Facets that cross others, but where some of the input do.
+    fn new_crossing(&self) -> usize {
+        if self.result.input_crosses { 0 } else { self.crossing() }
+    }
+
+    /// The defects of its [`Standing`], but for crossing facets that the input has as well.
+    pub(crate) fn new_defects(&self, joined: bool) -> usize {
+        self.standing(joined).defects - self.crossing() + self.new_crossing()
+    }
+
     /// Whether it is a designed part with defects, far from the input, or without some of the creases.
     pub(crate) fn lacks_points(&self) -> bool {
         let FeatureFigures { is_designed, dropped_length, kept_length, .. } = self.features;
         let is_far = self.result.edges_away > ENOUGH_AWAY;
         let lacks_curves = dropped_length > ENOUGH_DROPPED * (dropped_length + kept_length);
-        is_designed && (!self.is_sound() || self.folded() > 0 || is_far || lacks_curves)
+        let has_defects = !self.topology_changes.is_empty() || self.new_crossing() + self.folded() > 0;
+        is_designed && (has_defects || is_far || lacks_curves)
     }
 
     /// What decides between it and other results of the same input. `joined`: whether its sheets are.
@@ -254,7 +265,7 @@ pub enum CountReason {
     NoThickness,
     /// Patches between creases are narrower than an edge, and take no vertices within.
     NarrowPatches,
-    /// A designed part with so few points would be folded, cross itself, be far from the input or lack creases.
+    /// A designed part with so few points would be folded, cross itself, have another topology, be far from the input or lack creases.
     FewPoints,
     /// Edges cannot have the lengths that the metric asks for with so many vertices.
     Metric,
@@ -394,6 +405,9 @@ pub struct ResultFigures {
     /// Hausdorff distance over the length of an edge; infinite if not measured.
     #[serde(skip)]
     pub(crate) edges_away: f64,
+    /// Whether facets of the input cross; known where some of the result do and the input is a designed part.
+    #[serde(skip)]
+    pub(crate) input_crosses: bool,
     /// What the repair had to do.
     pub repair: RepairFigures,
 }
@@ -489,4 +503,33 @@ pub struct RepairFigures {
     pub seeds_without_vertex: usize,
     /// See `seeds_without_vertex`.
     pub extra_vertices: usize,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const SOUND: Standing =
+        Standing { topology_changes: 0, is_lost: false, defects: 0, dropped_length: 0.0, distance: 1.0 };
+
+    #[test]
+    fn defects_decide_before_distances_and_distances_before_dropped_curves() {
+        let worse = [
+            Standing { topology_changes: 1, distance: 0.1, ..SOUND },
+            Standing { is_lost: true, distance: 0.1, ..SOUND },
+            Standing { defects: 1, distance: 0.1, ..SOUND },
+            Standing { distance: 1.1, ..SOUND },
+            // As near, and less than twice as near.
+            Standing { dropped_length: 1.0, ..SOUND },
+            Standing { dropped_length: 1.0, distance: 0.6, ..SOUND },
+        ];
+        for other in worse {
+            assert!(SOUND.is_better_than(&other) && !other.is_better_than(&SOUND), "{other:?}");
+        }
+        let nearer = Standing { dropped_length: 1.0, distance: 0.4, ..SOUND };
+        assert!(nearer.is_better_than(&SOUND) && !SOUND.is_better_than(&nearer));
+        // Distances of planes are rounding.
+        let flat = |distance: f64, dropped_length: f64| Standing { distance, dropped_length, ..SOUND };
+        assert!(flat(1e-9, 0.0).is_better_than(&flat(1e-12, 1.0)));
+    }
 }

@@ -106,7 +106,7 @@ fn of_count(report: &Report, all: &mut Vec<Warning>) {
             CountReason::NoThickness => "parts of the input have no thickness",
             CountReason::NarrowPatches => "what lies between its creases is narrower than an edge",
             CountReason::FewPoints => {
-                "with so few points it would be folded, cross itself, be far from the input or lack creases"
+                "with so few points it would be folded, cross itself, have another topology, be far from the input or lack creases"
             }
             CountReason::Metric => "edges of the metric's lengths need another number",
         };

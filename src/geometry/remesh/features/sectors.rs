@@ -9,8 +9,9 @@ use std::collections::{HashMap, HashSet};
 use crate::mesh::TriMesh;
 use crate::mesh::edges::{DisjointSets, undirected};
 
-/// The largest smallest angle that no sector prevents, degrees.
+/// The largest smallest angle that no sector prevents, degrees, and what rounding takes from it.
 const FREE_DEG: f64 = 60.0;
+const ROUNDING_DEG: f64 = 1e-6;
 
 /// The facets about a corner that no curve edge separates.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -79,7 +80,7 @@ pub(super) fn angle_bound_deg(mesh: &TriMesh, edges: &[[u32; 2]], is_corner: imp
         sectors(mesh, around[0].0, &facets, &curves)
     });
     let bound = bounds.map(Sector::bound).fold(FREE_DEG, f64::min);
-    (bound < FREE_DEG).then_some(bound)
+    (bound < FREE_DEG - ROUNDING_DEG).then_some(bound)
 }
 
 #[cfg(test)]

@@ -11,7 +11,7 @@ use crate::mesh::TriMesh;
 use crate::mesh::adjacency::Adjacency;
 use crate::mesh::closest_point::ClosestPoint;
 use crate::mesh::comparison::{LostParts, lost_parts};
-use crate::mesh::crossings::{Crossings, crossings};
+use crate::mesh::crossings::{Crossings, crossing_facets, crossings};
 use crate::mesh::features::{EdgeShares, edge_shares};
 use crate::mesh::measure::{Quality, Topology, coincident_vertices, quality_and_distances, topology_unless};
 use crate::remesh::report::{
@@ -83,6 +83,8 @@ pub(super) fn measure(
         Some(_) => Some(edge_shares(&built.mesh, token)?.folded),
         None => None,
     };
+    let crosses = known.designed.is_some() && crossings.as_ref().is_some_and(|found| found.count > 0);
+    let input_crosses = crosses && !crossing_facets(clean, token)?.is_empty();
     let regions = Vec::new();
     let result = ResultFigures {
         vertices,
@@ -99,6 +101,7 @@ pub(super) fn measure(
         crossings,
         folded_edges,
         edges_away,
+        input_crosses,
         repair,
     };
     laps.end(|t| &mut t.measure);

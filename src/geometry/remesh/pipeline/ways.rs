@@ -6,8 +6,10 @@
 //! Must not know: what a stage does, meshes.
 
 use super::super::features::Held;
-use super::super::report::{CountReason, Standing};
+use super::super::report::{CountFigures, CountReason, Standing};
 use super::super::{Remesh, RemeshOptions, Result, Seeds, constants};
+use super::optimize::is_near;
+use crate::cvt::density::DensitySource;
 use crate::mesh::features::SHARP_DEG;
 use crate::rvd::RvdError;
 use crate::token::Token;
@@ -52,11 +54,12 @@ pub(super) fn run(held: Held<'_>, options: &RemeshOptions, stages: &mut Stages<'
     let mut best = of_ways(held, options, stages, token)?;
     for k in 1..=constants::OTHER_SEEDS {
         let report = &best.report;
-        let Standing { is_lost, defects, .. } = report.standing(options.keep_non_manifold);
+        let joined = options.keep_non_manifold;
+        let (defects, Standing { is_lost, .. }) = (report.new_defects(joined), report.standing(joined));
         let (&Seeds::Sample { seed, .. } | &Seeds::Implied { seed }) = &options.seeds else { break };
         let share = defects as f64 / best.mesh.facets().len() as f64;
         // Where holes closed, points are too few, and other seeds do not help. A joint that lacks an edge is a hole itself.
-        let is_whole = options.keep_non_manifold || report.topology_changes.is_empty();
+        let is_whole = joined || report.topology_changes.is_empty();
         let is_sound = defects == 0 && !is_lost;
         if is_sound || share > constants::FEW_DEFECTS || !is_whole || !report.features.is_designed {
             break;
@@ -83,19 +86,25 @@ fn with_more_points(
     token: &Token,
 ) -> Result<Remesh> {
     let &Seeds::Sample { points, seed } = &options.seeds else { return Ok(best) };
-    // A tolerance adds points itself, and what is strict is refused.
-    if options.refine.is_some() || options.strict_creases || points > constants::FEW_POINTS {
+    // A tolerance adds points itself, a metric has lengths of its own, and what is strict is refused.
+    let in_metric = matches!(options.density.source, DensitySource::Metric(_));
+    let is_fixed = options.refine.is_some() || in_metric || options.strict_creases;
+    if is_fixed || points > constants::FEW_POINTS {
         return Ok(best);
     }
+    let standing = |of: &Remesh| of.report.standing(options.keep_non_manifold);
     for times in constants::MORE_POINTS {
         let more = RemeshOptions { seeds: Seeds::Sample { points: times * points, seed }, ..options.clone() };
         match of_ways(held, &more, stages, token) {
             Ok(mut done) if !done.report.lacks_points() => {
-                done.report.vertex_count.asked = points;
-                done.report.vertex_count.reason = Some(CountReason::FewPoints);
+                let reason = (!is_near(done.report.result.vertices, points)).then_some(CountReason::FewPoints);
+                let seeds = done.report.vertex_count.seeds;
+                done.report.vertex_count = CountFigures { asked: points, seeds, reason };
                 return Ok(done);
             }
-            Ok(_) => {}
+            Ok(done) if standing(&done).is_better_than(&standing(&best)) => {}
+            // More do not help.
+            Ok(_) => break,
             Err(_) => token.check()?,
         }
     }
