@@ -312,7 +312,7 @@ fn too_few_points_give_curves_up() {
         |(k, p): (usize, &DVec3)| DQuat::from_rotation_z(-((k / 48) as f64) * std::f64::consts::PI / 48.0) * *p;
     let turned =
         TriMesh::new(mesh.positions().iter().enumerate().map(turned).collect(), mesh.facets().to_vec()).unwrap();
-    for (mesh, points, dropped_curves, creases_kept) in [(&mesh, 60, 0, 11), (&turned, 20, 11, 0)] {
+    for (mesh, points, dropped_curves, creases_kept) in [(&mesh, 120, 0, 11), (&turned, 20, 11, 0)] {
         let out = run(mesh, &options(points).with_creases(creases.clone())).unwrap();
         let figures = &out.report.features;
         assert_eq!(
@@ -356,7 +356,7 @@ fn strict_creases_are_kept_or_refused() {
     assert!(length > 10.0 * ring && length < 11.0 * ring, "{length}");
     assert!((place.x.hypot(place.y) - 1.0).abs() < 1e-9, "{place}");
     assert!(error.to_string().starts_with("11 of the creases and boundaries could not be kept"), "{error}");
-    for points in [60, 1200] {
+    for points in [120, 1200] {
         let (strict, other) = (run(points, true).unwrap(), run(points, false).unwrap());
         assert_eq!(strict.report.features.dropped_curves, 0, "{points} points");
         assert_eq!(strict.mesh.positions(), other.mesh.positions(), "{points} points");

@@ -86,9 +86,11 @@ fn with_more_points(
     token: &Token,
 ) -> Result<Remesh> {
     let &Seeds::Sample { points, seed } = &options.seeds else { return Ok(best) };
-    // A tolerance adds points itself, a metric has lengths of its own, and what is strict is refused.
+    // A tolerance adds points itself, a metric has lengths of its own, and what is strict is refused. A part of a surface is not all of
+    // what was asked for.
     let in_metric = matches!(options.density.source, DensitySource::Metric(_));
-    let is_fixed = options.refine.is_some() || in_metric || options.strict_creases;
+    let is_part = held.closes || !held.rims.is_empty() || !held.vertices.is_empty();
+    let is_fixed = options.refine.is_some() || in_metric || options.strict_creases || is_part;
     if is_fixed || points > constants::FEW_POINTS {
         return Ok(best);
     }
