@@ -94,7 +94,6 @@ fn with_more_points(
     if is_fixed || points > constants::FEW_POINTS {
         return Ok(best);
     }
-    let standing = |of: &Remesh| of.report.standing(options.keep_non_manifold);
     for times in constants::MORE_POINTS {
         let more = RemeshOptions { seeds: Seeds::Sample { points: times * points, seed }, ..options.clone() };
         match of_ways(held, &more, stages, token) {
@@ -104,9 +103,13 @@ fn with_more_points(
                 done.report.vertex_count = CountFigures { asked: points, seeds, reason };
                 return Ok(done);
             }
-            Ok(done) if standing(&done).is_better_than(&standing(&best)) => {}
             // More do not help.
-            Ok(_) => break,
+            Ok(done) => {
+                let changes = done.report.topology_changes;
+                if !changes.is_empty() && changes == best.report.topology_changes {
+                    break;
+                }
+            }
             Err(_) => token.check()?,
         }
     }
