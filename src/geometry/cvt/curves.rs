@@ -113,19 +113,16 @@ pub(crate) fn edge_length(
     Ok(1.0 / u)
 }
 
-/// Whether curves may have about so many seeds between their ends.
-pub(crate) type Fits<'a> = &'a dyn Fn(&[usize]) -> bool;
-
 impl CurveSeeds {
-    /// Seeds for all curves, about `edge` (where the weight is 1) apart; `None` if these do not fit.
+    /// Seeds for all curves, about `edge` (where the weight is 1) apart; `None` if these are more than `most`.
     pub fn place(
         surface: &Surface,
         curves: (&Features, &[f64]),
         edge: f64,
-        fits: Fits<'_>,
+        most: usize,
         token: &Token,
     ) -> Result<Option<Self>, Stopped> {
-        Self::place_each(surface, curves, edge, fits, |places, _, _, _| places, token)
+        Self::place_each(surface, curves, edge, most, |places, _, _, _| places, token)
     }
 
     /// The same with the seeds of bent curves beside those of curves near them. Parts of the surface were moved, each curve by what `moved`
@@ -134,14 +131,14 @@ impl CurveSeeds {
         surface: &Surface,
         features: &Features,
         edge: f64,
-        (fits, moved): (Fits<'_>, &[DVec3]),
+        (most, moved): (usize, &[DVec3]),
         token: &Token,
     ) -> Result<Option<Self>, Stopped> {
         let mut placed = Placed::new(edge);
         let beside = |places, path: &Path, number: u32, least| {
             placed.beside(places, path, (number, moved[number as usize], least))
         };
-        Self::place_each(surface, (features, &[]), edge, fits, beside, token)
+        Self::place_each(surface, (features, &[]), edge, most, beside, token)
     }
 
     /// `change` returns other arc lengths for a curve's seeds: the path, its number, and the fewest edges it may have.
@@ -149,7 +146,7 @@ impl CurveSeeds {
         surface: &Surface,
         (features, stretch): (&Features, &[f64]),
         edge: f64,
-        fits: Fits<'_>,
+        most: usize,
         mut change: impl FnMut(Vec<f64>, &Path, u32, usize) -> Vec<f64>,
         token: &Token,
     ) -> Result<Option<Self>, Stopped> {
@@ -164,7 +161,6 @@ impl CurveSeeds {
         let mut pairs: Vec<(u32, u32)> = features.curves.iter().filter(|c| !c.closed).map(ends).collect();
         pairs.sort_unstable();
         token.check()?;
-        let mut planned: Vec<[usize; 2]> = Vec::new();
         for (number, curve) in features.curves.iter().enumerate() {
             token.check()?;
             let path = Path::new(surface, curve, stretch, edge);
@@ -181,17 +177,10 @@ impl CurveSeeds {
                 false => 1,
             };
             let count = (total.round() as usize).max((total / MAX_SEGMENT).ceil() as usize).max(least);
-            planned.push([count, least]);
-        }
-        // Before anything of that size is made.
-        let inner = |(&[count, _], curve): (&[usize; 2], &Curve)| count - usize::from(!curve.closed);
-        if !fits(&planned.iter().zip(&features.curves).map(inner).collect::<Vec<usize>>()) {
-            return Ok(None);
-        }
-        for (number, (curve, [count, least])) in features.curves.iter().zip(planned).enumerate() {
-            token.check()?;
-            // All of them would take much memory.
-            let path = Path::new(surface, curve, stretch, edge);
+            // Before anything of that size is made.
+            if count > most.saturating_sub(all.seeds.len()) {
+                return Ok(None);
+            }
             let places = change(path.tessellate(count, least, token)?, &path, number as u32, least);
             let first = all.seeds.len() as u32;
             all.seeds.extend(places.iter().map(|&s| path.at(s)));

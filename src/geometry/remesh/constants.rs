@@ -230,9 +230,6 @@ pub(super) const SPARE_SEEDS: usize = 1000;
 /// is halved.
 pub(super) const MOST_CROWDED: f64 = 40.0;
 pub(super) const CROWDED_STEPS: usize = 16;
-/// With this multiple of the seeds that are wanted, curves have too many. Where they bend, as many are planned as chords of 0.6 edges need,
-/// and chords of 1.5 edges may be enough.
-pub(super) const MOST_CUT: f64 = 2.5;
 /// Dropped curves that are named, at most.
 pub(super) const MOST_DROPPED_NAMED: usize = 8;
 /// With fewer vertices than this share of those that were asked for, curves alone get more seeds.
@@ -250,8 +247,8 @@ pub(super) const FEW_DEFECTS: f64 = 0.02;
 /// what is lacking, and memory that was planned for them is not enough.
 pub(super) const FEW_POINTS: usize = 2_500;
 pub(super) const MORE_POINTS: [usize; 2] = [2, 4];
-/// What points are enough for: the share of the length of curves that may be dropped, and how far the farthest place of the input may be,
-/// edges. Threads whose creases are half an edge from the result are at 0.46 to 0.7, parts with all creases below 0.44.
+/// Points are enough if no larger share of the length of curves is dropped, and no place of the input is so many edges away. Threads whose
+/// creases are half an edge from the result are at 0.46 to 0.7, parts with all creases below 0.44.
 pub(super) const ENOUGH_DROPPED: f64 = 0.05;
 pub(super) const ENOUGH_AWAY: f64 = 0.45;
 /// A divided surface whose result has more crossing facets than this share was not to be divided.

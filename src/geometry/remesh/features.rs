@@ -49,11 +49,6 @@ fn staying(seeds: &CurveSeeds, features: &Features) -> Vec<bool> {
     stays
 }
 
-/// How many seeds corners and curves have, with so many between the ends of each curve.
-fn all_seeds(features: &Features, counts: &[usize]) -> usize {
-    counts.iter().fold(features.corners.len(), |sum, &count| sum.saturating_add(count))
-}
-
 /// A curve as a report has it.
 fn dropped_curve(curve: &Curve, mesh: &TriMesh) -> DroppedCurve {
     let at = |v: u32| mesh.positions()[v as usize];
@@ -221,11 +216,7 @@ impl KeptCurves {
                     criteria: all,
                 });
             }
-            let place = |features: &Features| {
-                let fits = |counts: &[usize]| all_seeds(features, counts) <= most;
-                CurveSeeds::place(surface, (features, &[]), edge, &fits, token)
-            };
-            let mut placed = place(&features)?;
+            let mut placed = CurveSeeds::place(surface, (&features, &[]), edge, most, token)?;
             while let Some(seeds) = &placed {
                 let too_close = seeds.too_close(&features, token)?;
                 if too_close.is_empty() {
@@ -234,7 +225,7 @@ impl KeptCurves {
                 is_crowded = true;
                 dropped.extend(too_close.iter().map(|&k| named(&features.curves[k as usize])));
                 features.retain(|k, _| !too_close.contains(&(k as u32)));
-                placed = place(&features)?;
+                placed = CurveSeeds::place(surface, (&features, &[]), edge, most, token)?;
             }
             if let Some(mut seeds) = placed {
                 seeds.split_by_deviation(f64::INFINITY, token)?;
@@ -405,8 +396,7 @@ impl KeptCurves {
         let features = &self.features;
         let edge = edge_length(surface, (features, stretch), root_mass, points, token)?;
         let most = (LARGEST_SHARE * points as f64) as usize;
-        let fits = |counts: &[usize]| all_seeds(features, counts) <= most;
-        if let Some(mut seeds) = CurveSeeds::place(surface, (features, stretch), edge, &fits, token)? {
+        if let Some(mut seeds) = CurveSeeds::place(surface, (features, stretch), edge, most, token)? {
             let even = edge_length(surface, (&Features::default(), &[]), surface.area(), points, token)?;
             seeds.split_by_deviation(LIFTED_CHORD_EDGE * even, token)?;
             let share = |seams: &Arc<Seams>| seams.share(&mut seeds, features, surface.positions());

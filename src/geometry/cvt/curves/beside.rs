@@ -212,7 +212,7 @@ mod tests {
         let features = Features::find(&mesh, surface.positions(), &options, &token).unwrap();
         assert!(features.corners.is_empty() && features.curves.len() == 2);
         let moved = [DVec3::ZERO; 2];
-        let seeds = CurveSeeds::place_beside(&surface, &features, edge, (&|_| true, &moved), &token).unwrap().unwrap();
+        let seeds = CurveSeeds::place_beside(&surface, &features, edge, (100, &moved), &token).unwrap().unwrap();
         let middle = surface.frame().to_unit(DVec3::ZERO);
         let directions = |curve: u32| {
             let own = seeds.segments.iter().filter(move |segment| segment.curve == curve);

@@ -37,16 +37,11 @@ impl Line<'_> {
         let (a, b) = (at(i), at(j));
         let chord = b - a;
         let squared = chord.length_squared();
-        let off = |p: &DVec3| {
+        let off = |p: DVec3| {
             let t = if squared > 0.0 { ((p - a).dot(chord) / squared).clamp(0.0, 1.0) } else { 0.0 };
             p.distance_squared(a + t * chord)
         };
-        let largest = |points: &[DVec3]| points.iter().map(off).fold(0.0, f64::max);
-        // Up to the end of the points, and from their second one on.
-        let (first, end) = (i + 1, j.max(i + 1));
-        let before = largest(&self.points[first.min(n + 1)..end.min(n + 1)]);
-        let behind = largest(&self.points[first.max(n + 1) - n..end.max(n + 1) - n]);
-        before.max(behind).sqrt()
+        (i + 1..j).map(|k| off(at(k))).fold(0.0, f64::max).sqrt()
     }
 
     /// The cost of the chord from point `i` to point `j`, if it may be.

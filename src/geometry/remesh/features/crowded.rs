@@ -9,13 +9,12 @@ use std::sync::Arc;
 
 use glam::DVec3;
 
-use super::all_seeds;
 use super::seams::{Joint, Seams};
 use crate::cvt::curves::CurveSeeds;
 use crate::mesh::TriMesh;
 use crate::mesh::edges::undirected;
 use crate::mesh::features::Features;
-use crate::remesh::constants::{CROWDED_ENOUGH, CROWDED_STEPS, MOST_CROWDED, MOST_CUT, NARROW_PATCH};
+use crate::remesh::constants::{CROWDED_ENOUGH, CROWDED_STEPS, MOST_CROWDED, NARROW_PATCH};
 use crate::rvd::Surface;
 use crate::token::{Stopped, Token};
 
@@ -38,12 +37,11 @@ impl Of<'_> {
     /// Seeds with which a result has as many vertices as was asked for, or fewer; `None` where even the longest edges need more. `edge` is the length without curves.
     pub(super) fn fitted(&self, edge: f64) -> Result<Option<Crowded>, Stopped> {
         let range = [edge / MOST_CROWDED, edge * MOST_CROWDED];
-        let copies = self.copies();
-        let found = self.search(range, None, &copies)?;
+        let found = self.search(range, None)?;
         // Patches may all become wide at one length: then curves alone get more seeds.
         let alone = match &found {
             Some((length, found)) if found.expected < CROWDED_ENOUGH * self.points as f64 => {
-                self.search([range[0], *length], Some(*length), &copies)?
+                self.search([range[0], *length], Some(*length))?
             }
             _ => None,
         };
@@ -55,12 +53,11 @@ impl Of<'_> {
         &self,
         [mut low, mut high]: [f64; 2],
         of_patches: Option<f64>,
-        copies: &[usize],
     ) -> Result<Option<(f64, Crowded)>, Stopped> {
         let mut best: Option<(f64, Crowded)> = None;
         for _ in 0..CROWDED_STEPS {
             let middle = (low * high).sqrt();
-            match self.place(middle, of_patches.unwrap_or(middle), copies)? {
+            match self.place(middle, of_patches.unwrap_or(middle))? {
                 Some(found) if found.expected <= self.points as f64 => {
                     high = middle;
                     if best.as_ref().is_none_or(|(_, best)| found.expected >= best.expected) {
@@ -73,27 +70,12 @@ impl Of<'_> {
         Ok(best)
     }
 
-    /// For each curve, how many copies there are of it.
-    fn copies(&self) -> Vec<usize> {
-        let mut copies = vec![1; self.features.curves.len()];
-        let groups = self.seams.map(|seams| seams.twins(self.features, self.surface.positions(), false));
-        for group in groups.into_iter().flatten() {
-            group.iter().for_each(|twin| copies[twin.curve as usize] = group.len());
-        }
-        copies
-    }
-
     /// Seeds with edges of this length; patches are wide or narrow by another one. `None` if they are too many.
-    fn place(&self, edge: f64, of_patches: f64, copies: &[usize]) -> Result<Option<Crowded>, Stopped> {
-        let &Self { surface, mesh, features, seams, moved, points, most, token } = self;
-        let fits = |counts: &[usize]| {
-            let own = |(&count, &copies): (&usize, &usize)| count as f64 / copies as f64;
-            let vertices: f64 = counts.iter().zip(copies).map(own).sum();
-            all_seeds(features, counts) <= most && vertices <= MOST_CUT * points as f64
-        };
+    fn place(&self, edge: f64, of_patches: f64) -> Result<Option<Crowded>, Stopped> {
+        let &Self { surface, mesh, features, seams, moved, most, token, .. } = self;
         let placed = match moved {
-            Some(moved) => CurveSeeds::place_beside(surface, features, edge, (&fits, moved), token)?,
-            None => CurveSeeds::place(surface, (features, &[]), edge, &fits, token)?,
+            Some(moved) => CurveSeeds::place_beside(surface, features, edge, (most, moved), token)?,
+            None => CurveSeeds::place(surface, (features, &[]), edge, most, token)?,
         };
         let Some(mut seeds) = placed else { return Ok(None) };
         seeds.split_by_deviation(f64::INFINITY, token)?;

@@ -202,7 +202,7 @@ impl Seams {
 
     /// Curves that are copies of each other, in groups of at least two; with `moved`, also where a motion takes one to the other.
     /// `positions` are those of the vertices, unit frame.
-    pub(super) fn twins(&self, features: &Features, positions: &[DVec3], moved: bool) -> Vec<Vec<Twin>> {
+    fn twins(&self, features: &Features, positions: &[DVec3], moved: bool) -> Vec<Vec<Twin>> {
         let mut groups: BTreeMap<(bool, Vec<Step>), Vec<Twin>> = BTreeMap::new();
         let periods = self.periods.as_ref().filter(|_| moved);
         for (curve, number) in features.curves.iter().zip(0..) {
