@@ -16,10 +16,17 @@ import urllib.request
 Server = collections.namedtuple("Server", "endpoint admin http process")
 
 
+# Sockets that hold ports, as long as this process lives.
+HELD = []
+
+
 def free_port():
-    with socket.socket() as place:
-        place.bind(("127.0.0.1", 0))
-        return place.getsockname()[1]
+    """A port for a server. A socket that is bound and does not listen keeps it from all but a server that names it."""
+    held = socket.socket()
+    held.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    held.bind(("127.0.0.1", 0))
+    HELD.append(held)
+    return held.getsockname()[1]
 
 
 def get(url, headers=None):

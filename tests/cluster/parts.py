@@ -77,6 +77,9 @@ class Folder:
         finally:
             self._running.pop(process.pid, None)
 
+    def tail(self, log: str, lines: int) -> str:
+        return "\n".join((self.path / log).read_text(errors="replace").splitlines()[-lines:])
+
     def small_disk(self, name: str) -> Path:
         """A folder that is a small file system of its own. Root alone may make one."""
         path = self.path / name
@@ -101,13 +104,19 @@ class Folder:
         shutil.rmtree(self.path, ignore_errors=True)
 
 
+# Sockets that hold ports, as long as this process lives.
+HELD: list[socket.socket] = []
+
+
 def free_ports(count: int) -> list[int]:
-    """Ports that nothing listens on."""
-    sockets = [socket.create_server(("127.0.0.1", 0)) for _ in range(count)]
-    ports = [one.getsockname()[1] for one in sockets]
-    for one in sockets:
-        one.close()
-    return ports
+    """Ports for servers. A socket that is bound and does not listen keeps each from all but a server that names it: the system
+    gives it to no other, and no connection begins there, also while the server starts or is down."""
+    for _ in range(count):
+        held = socket.socket()
+        held.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        held.bind(("127.0.0.1", 0))
+        HELD.append(held)
+    return [held.getsockname()[1] for held in HELD[len(HELD) - count :]]
 
 
 def wait_for(what: str, is_so: Callable[[], object], patience: float = 60, pause: float = 0.05) -> float:
@@ -282,8 +291,14 @@ class Bucket:
         self.begin()
 
     def make(self) -> None:
-        """Waits until it answers, and makes the bucket."""
-        self.await_ready()
+        """Waits until it answers, and makes the bucket. A start that comes to nothing says why, and is tried once more: the
+        trial is of Tessera, not of this server."""
+        try:
+            self.await_ready()
+        except RuntimeError as error:
+            print(error, file=sys.stderr)
+            self.stop_immediate()
+            self.start()
         made = urllib.request.Request(f"http://127.0.0.1:{self.ports[4]}/buckets/{BUCKET}/", method="POST")
         urllib.request.urlopen(made, timeout=10).close()
 
@@ -308,13 +323,18 @@ class Bucket:
         self.await_ready()
 
     def await_ready(self) -> None:
-        wait_for("the S3 server answers", self.is_ready)
+        try:
+            wait_for("the S3 server answers", self.is_ready)
+        except RuntimeError as error:
+            raise RuntimeError(f"{error}: {self.folder.tail('bucket.log', 60)}") from None
 
     def signal_all(self, what: signal.Signals) -> None:
         self.process.send_signal(what)
 
     def is_ready(self) -> bool:
         """Whether a file can be written and read."""
+        if self.process.poll() is not None:
+            raise RuntimeError(f"the S3 server ended with {self.process.returncode}")
         url = f"http://127.0.0.1:{self.ports[4]}/probe"
         try:
             urllib.request.urlopen(urllib.request.Request(url, b"probe", method="PUT"), timeout=2).close()
@@ -397,7 +417,7 @@ class Server:
         return f"% process {self.process.pid} %"
 
     def tail(self, lines: int = 20) -> str:
-        return "\n".join((self.folder.path / self.log).read_text(errors="replace").splitlines()[-lines:])
+        return self.folder.tail(self.log, lines)
 
     def ends(self) -> int:
         """How many jobs it brought to an end, in all its lives."""

@@ -127,7 +127,7 @@ impl Cluster {
             .output()
             .unwrap();
         assert!(made.status.success(), "{}", String::from_utf8_lossy(&made.stderr));
-        let port = std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
+        let port = crate::process::free_port();
         // A connection that is being opened delays the end of the server until the time for its authentication is over.
         // A process that is killed loses nothing that the system has: without a power cut, a sync shows nothing.
         let settings = format!(

@@ -1,4 +1,4 @@
-//! What processes hold, and where a server listens that was started as one.
+//! What processes hold, which ports are free, and where a server listens that was started as one.
 #![allow(dead_code)]
 
 use std::io::{BufRead, BufReader};
@@ -6,6 +6,17 @@ use std::process::Child;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::Duration;
+
+/// A port of 127.0.0.1 for a server that has to be given one. A socket that is bound and does not listen keeps it as long as this
+/// process lives: the system gives the port to no other, and no connection begins there.
+pub fn free_port() -> u16 {
+    let held = tokio::net::TcpSocket::new_v4().unwrap();
+    held.set_reuseaddr(true).unwrap();
+    held.bind("127.0.0.1:0".parse().unwrap()).unwrap();
+    let port = held.local_addr().unwrap().port();
+    std::mem::forget(held);
+    port
+}
 
 /// Memory that a process holds, bytes; 0 where the system does not say.
 fn resident_bytes_of(process: &str) -> u64 {

@@ -13,6 +13,7 @@ use tessera::proto::*;
 use tonic::Code;
 use tonic::transport::Channel;
 
+use crate::process::free_port;
 use crate::program::*;
 
 /// What a client counts.
@@ -162,8 +163,7 @@ fn is_there(name: &str) -> bool {
 
 /// A server after some work, and its metrics.
 pub async fn worked() -> Program {
-    // One that was free a moment ago.
-    let http = std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().to_string();
+    let http = format!("127.0.0.1:{}", free_port());
     let program = Program::start(&["--http-listen", &http], &[]);
     let channel = program.channel().await;
     let digest = put(&channel, &Shape::Torus.build(500)).await;
@@ -206,8 +206,7 @@ async fn a_real_prometheus_reads_it() {
         program.admin
     );
     std::fs::write(&file, config).unwrap();
-    // It cannot be asked for any free port: one that was free a moment ago.
-    let free = std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
+    let free = format!("127.0.0.1:{}", free_port());
     let mut prometheus = Command::new("prometheus")
         .arg(format!("--config.file={}", file.display()))
         .arg(format!("--storage.tsdb.path={}", folder.path().join("data").display()))

@@ -287,9 +287,11 @@ def test_tenants_do_not_see_each_other(surface, endpoint):
 def test_a_server_that_comes_back_is_waited_for(surface, program, tmp_path: Path):
     import socket
 
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        port = free.getsockname()[1]
+    # Bound and not listening, it keeps the port for the server.
+    held = socket.socket()
+    held.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    held.bind(("127.0.0.1", 0))
+    port = held.getsockname()[1]
     arguments = [program, "serve", "--data-dir", str(tmp_path / "data"), "--listen", f"127.0.0.1:{port}", "--backend", "parallel"]
     servers = []
 
@@ -318,3 +320,4 @@ def test_a_server_that_comes_back_is_waited_for(surface, program, tmp_path: Path
         for server in servers:
             server.terminate()
             server.wait(timeout=60)
+        held.close()
