@@ -43,7 +43,8 @@ pub trait Point:
     /// Pairs of coordinates: the minors of two vectors, whose squares add up to the square of twice the area between them.
     const MINORS: &'static [(usize, usize)];
 
-    /// One item a coordinate, each from its number.
+    /// One item a coordinate, each from its number. `of` is called where it stands: a call of `array::map` that is not inlined
+    /// would have no vector instructions.
     fn each<T: Copy + Send + Sync>(of: impl FnMut(usize) -> T) -> Self::Each<T>;
 
     /// The coordinates.
@@ -109,8 +110,8 @@ impl Point for DVec3 {
     const MINORS: &'static [(usize, usize)] = &[(1, 2), (2, 0), (0, 1)];
 
     #[inline(always)]
-    fn each<T: Copy + Send + Sync>(of: impl FnMut(usize) -> T) -> [T; 3] {
-        [0, 1, 2].map(of)
+    fn each<T: Copy + Send + Sync>(mut of: impl FnMut(usize) -> T) -> [T; 3] {
+        [of(0), of(1), of(2)]
     }
 
     #[inline(always)]
@@ -254,8 +255,8 @@ impl Point for Lifted {
     ];
 
     #[inline(always)]
-    fn each<T: Copy + Send + Sync>(of: impl FnMut(usize) -> T) -> [T; 6] {
-        [0, 1, 2, 3, 4, 5].map(of)
+    fn each<T: Copy + Send + Sync>(mut of: impl FnMut(usize) -> T) -> [T; 6] {
+        [of(0), of(1), of(2), of(3), of(4), of(5)]
     }
 
     #[inline(always)]

@@ -226,10 +226,16 @@ pub(super) const LARGEST_SHARE: f64 = 0.6;
 /// those of a strip as narrow as a hair. With less, a noisy surface with few points loses creases that there is room for.
 pub(super) const MOST_SEEDS: usize = 16;
 pub(super) const SPARE_SEEDS: usize = 1000;
-/// How much longer or shorter edges may be on a surface that was divided along its creases than on one without, and how often that range
-/// is halved.
+/// How much longer or shorter edges may be on a surface that was divided along its creases than on one without, and how many lengths in
+/// that range are tried at most.
 pub(super) const MOST_CROWDED: f64 = 40.0;
 pub(super) const CROWDED_STEPS: usize = 16;
+/// Lengths whose ratio is less are the same, and a number of vertices of at least this share is what was asked for: a result has up to a
+/// hundredth more or fewer in any case.
+pub(super) const CROWDED_SAME: f64 = 1.001;
+pub(super) const CROWDED_FULL: f64 = 0.997;
+/// The next length to try is at least this share of the range away from both its ends.
+pub(super) const CROWDED_AWAY: f64 = 0.05;
 /// Dropped curves that are named, at most.
 pub(super) const MOST_DROPPED_NAMED: usize = 8;
 /// With fewer vertices than this share of those that were asked for, curves alone get more seeds.

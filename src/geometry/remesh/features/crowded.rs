@@ -14,7 +14,9 @@ use crate::cvt::curves::CurveSeeds;
 use crate::mesh::TriMesh;
 use crate::mesh::edges::undirected;
 use crate::mesh::features::Features;
-use crate::remesh::constants::{CROWDED_ENOUGH, CROWDED_STEPS, MOST_CROWDED, NARROW_PATCH};
+use crate::remesh::constants::{
+    CROWDED_AWAY, CROWDED_ENOUGH, CROWDED_FULL, CROWDED_SAME, CROWDED_STEPS, MOST_CROWDED, NARROW_PATCH,
+};
 use crate::rvd::Surface;
 use crate::token::{Stopped, Token};
 
@@ -37,34 +39,42 @@ impl Of<'_> {
     /// Seeds with which a result has as many vertices as was asked for, or fewer; `None` where even the longest edges need more. `edge` is the length without curves.
     pub(super) fn fitted(&self, edge: f64) -> Result<Option<Crowded>, Stopped> {
         let range = [edge / MOST_CROWDED, edge * MOST_CROWDED];
-        let found = self.search(range, None)?;
+        let found = self.search(range, [None; 2], None)?;
         // Patches may all become wide at one length: then curves alone get more seeds.
         let alone = match &found {
             Some((length, found)) if found.expected < CROWDED_ENOUGH * self.points as f64 => {
-                self.search([range[0], *length], Some(*length))?
+                self.search([range[0], *length], [None, Some(found.expected)], Some(*length))?
             }
             _ => None,
         };
         Ok(alone.or(found).map(|found| found.1))
     }
 
-    /// The shortest length with which vertices are not too many. With `of_patches`, patches are wide or narrow by that length.
+    /// The shortest length with which vertices are not too many, nearly. `counts` are those of vertices at both ends, where they are
+    /// known. With `of_patches`, patches are wide or narrow by that length.
     fn search(
         &self,
         [mut low, mut high]: [f64; 2],
+        mut counts: [Option<f64>; 2],
         of_patches: Option<f64>,
     ) -> Result<Option<(f64, Crowded)>, Stopped> {
+        let points = self.points as f64;
         let mut best: Option<(f64, Crowded)> = None;
-        for _ in 0..CROWDED_STEPS {
-            let middle = (low * high).sqrt();
-            match self.place(middle, of_patches.unwrap_or(middle))? {
-                Some(found) if found.expected <= self.points as f64 => {
-                    high = middle;
+        for step in 0..CROWDED_STEPS {
+            let target = 0.5 * (CROWDED_FULL + 1.0) * points;
+            let length = low * (high / low).powf(share_of(counts, (high / low).ln(), target, step));
+            match self.place(length, of_patches.unwrap_or(length))? {
+                Some(found) if found.expected <= points => {
+                    (high, counts[1]) = (length, Some(found.expected));
                     if best.as_ref().is_none_or(|(_, best)| found.expected >= best.expected) {
-                        best = Some((middle, found));
+                        best = Some((length, found));
                     }
                 }
-                _ => low = middle,
+                found => (low, counts[0]) = (length, found.map(|found| found.expected)),
+            }
+            let is_enough = best.as_ref().is_some_and(|(_, best)| best.expected >= CROWDED_FULL * points);
+            if is_enough || high < CROWDED_SAME * low {
+                break;
             }
         }
         Ok(best)
@@ -86,6 +96,19 @@ impl Of<'_> {
         let expected = seeds.len().saturating_sub(copies) as f64 + patches.points_within(&seeds, of_patches);
         Ok(Some(Crowded { seeds, joints, copies, narrow: patches.narrow, expected }))
     }
+}
+
+/// Where the next length to try is between two, as a share of the logarithm of their ratio. Vertices are about as a power of the length,
+/// between that of curves (-1) and that of surfaces (-2). Their number leaps where a patch becomes wide: every third step halves.
+fn share_of([at_low, at_high]: [Option<f64>; 2], range: f64, target: f64, step: usize) -> f64 {
+    let share = match (at_low, at_high) {
+        _ if step % 3 == 2 => 0.5,
+        (Some(many), Some(few)) => (many / target).ln() / (many / few).ln(),
+        (Some(many), None) => (many / target).ln() / range,
+        (None, Some(few)) => 1.0 - (target / few).ln() / range,
+        (None, None) => 0.5,
+    };
+    if share.is_finite() { share.clamp(CROWDED_AWAY, 1.0 - CROWDED_AWAY) } else { 0.5 }
 }
 
 /// Curves of a surface that was divided along them, with edges of some length.

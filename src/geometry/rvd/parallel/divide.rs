@@ -11,6 +11,7 @@ pub(super) mod facets;
 
 use std::ops::{Add, BitAnd, BitOr, BitXor, Div, Mul, Not, Sub};
 
+use glam::DVec3;
 use pulp::Simd;
 
 use crate::knn::Point;
@@ -64,8 +65,14 @@ impl<S: Simd> Number<S> {
         S::as_mut_simd_f64s(&mut row.0).0[0] = self.value;
     }
 
+    /// As `abs_f64s`, which calls what is not always inlined, and has no vector instructions then.
+    #[inline(always)]
+    pub(crate) fn abs(self) -> Self {
+        let all_but_sign = self.simd.splat_f64s(f64::from_bits(u64::MAX >> 1));
+        Self { value: self.simd.and_f64s(self.value, all_but_sign), ..self }
+    }
+
     methods! {
-        abs() -> Number = abs_f64s;
         sqrt() -> Number = sqrt_f64s;
         larger(other) -> Number = max_f64s;
         smaller(other) -> Number = min_f64s;
@@ -250,8 +257,8 @@ pub(crate) fn integrals<S: Simd, P: Point, const N: usize>(
         _ => ([6, 1, 3], [6.0, 24.0, 60.0]),
     };
     let mass = part(simd, moments, one, mass);
-    let [u, v] = [0, 1].map(|k| part(simd, moments, first + k, linear));
-    let [uu, uv, vv] = [0, 1, 2].map(|k| part(simd, moments, second + k, quadratic));
+    let (u, v) = (part(simd, moments, first, linear), part(simd, moments, first + 1, linear));
+    let [uu, uv, vv] = DVec3::each(|k| part(simd, moments, second + k, quadratic));
     // ∫ (p - x) and ∫ |p - x|² from the integrals of 1, u, v, u², uv, v².
     let [e, f] = &shape.side;
     let two = Number::all(simd, 2.0);

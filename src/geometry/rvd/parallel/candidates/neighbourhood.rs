@@ -5,6 +5,7 @@
 //! Invariant: a seed that is left out of a facet's list is farther from all three corners than the seed that the facet is
 //! seen from, whatever way either moves within its skin. An escaped seed has no skin. Must not know: what becomes of lists.
 
+use glam::DVec3;
 use pulp::Simd;
 
 use super::escaped::{Bounds, Escaped, Reach};
@@ -121,8 +122,8 @@ impl<P: Point> Neighbourhood<P> {
     #[inline(always)]
     fn compare<S: Simd>(&mut self, simd: S) {
         let (zero, room) = (Number::all(simd, 0.0), Number::all(simd, ROOM));
-        let corner = self.corner.each_ref().map(|c| P::each(|k| Number::load(simd, &c.as_ref()[k])));
-        let most = self.most.each_ref().map(|most| Number::load(simd, most));
+        let corner = DVec3::each(|c| P::each(|k| Number::load(simd, &self.corner[c].as_ref()[k])));
+        let most = DVec3::each(|c| Number::load(simd, &self.most[c]));
         self.words.clear();
         let (mut nearest, mut least) = (zero, Number::all(simd, f64::MAX));
         let mut at = 0.0;

@@ -10,6 +10,7 @@
 //! nor on the facets in the other lanes. The pieces of a facet add up to it.
 //! Must not know: which facets share their lanes and why, threads, how integrals are added, where a list comes from.
 
+use glam::DVec3;
 use pulp::Simd;
 
 use super::{Mask, Moments, Number, PieceIntegrals, Row, Shape, WIDEST, Weight, distance_squared, dot, minus};
@@ -258,7 +259,7 @@ impl Facets {
     ) {
         self.measure(simd, n, given);
         let (zero, one) = (Number::all(simd, 0.0), Number::all(simd, 1.0));
-        let [first, second, third] = given.corner.each_ref().map(|corner| load_point::<S, P>(simd, corner));
+        let [first, second, third] = DVec3::each(|c| load_point::<S, P>(simd, &given.corner[c]));
         let (e, f) = (minus::<S, P>(&second, &first), minus::<S, P>(&third, &first));
         let shape = Shape { side: [e, f], twice_area: parallelogram::<S, P>(&e, &f) };
         let longest2 = dot::<S, P>(&e, &e).larger(dot::<S, P>(&f, &f));
