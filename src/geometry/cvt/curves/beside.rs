@@ -146,7 +146,10 @@ impl Placed {
                     for z in low[2]..=high[2] {
                         for seed in self.grid.get(&[x, y, z]).into_iter().flatten() {
                             let is_next = seed.curve == curve && path.apart(seed.along, s) < 2.0 * gap;
-                            let place = (!is_next).then(|| beside(path, seed.place + moved, s, step)).flatten();
+                            // No place within a step is nearer to it.
+                            let is_far = (seed.place - here).length_squared() > (reach + step).powi(2);
+                            let place =
+                                (!(is_next || is_far)).then(|| beside(path, seed.place + moved, s, step)).flatten();
                             found.extend(place.filter(|&(along, apart)| {
                                 apart <= reach && (along - s).abs() <= 0.6 * step && (from..=to).contains(&along)
                             }));

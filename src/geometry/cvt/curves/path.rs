@@ -258,32 +258,40 @@ impl Path {
             (before, after)
         };
         for _ in 0..KINK_PASSES {
+            let mut is_changed = false;
             for k in 0..places.len() {
                 token.check_at(64 * k)?;
                 let (before, after) = neighbours(places, k);
-                let goal = 0.5 * self.at(before).distance(self.at(after)).max(0.25 * (after - before));
-                let cost = |s: f64| self.chord(before, s, goal) + self.chord(s, after, goal);
+                let ends = [self.at(before), self.at(after)];
+                let goal = 0.5 * ends[0].distance(ends[1]).max(0.25 * (after - before));
+                // `None` if it is not less than `most`: the lengths alone decide that for most vertices.
+                let cost = |s: f64, most: f64| {
+                    let lengths = ends.map(|end| (self.at(s).distance(end) / goal - 1.0).powi(2));
+                    if lengths[0] + lengths[1] >= most {
+                        return None;
+                    }
+                    let off = |s, t| DEVIATION_WEIGHT * (self.deviation(s, t) / goal).powi(2);
+                    let cost = (lengths[0] + off(before, s)) + (lengths[1] + off(s, after));
+                    (cost < most).then_some(cost)
+                };
                 let (low, high) = (before + 0.2 * (after - before), after - 0.2 * (after - before));
-                let mut best = (cost(places[k]), places[k]);
+                let (mut least, mut best) = (cost(places[k], f64::INFINITY).unwrap_or(f64::INFINITY), places[k]);
                 for turn in [-length, 0.0, length].into_iter().filter(|t| self.closed || *t == 0.0) {
                     let from =
                         self.along.partition_point(|&s| s + turn <= low).div_ceil(SAMPLES_PER_EDGE) * SAMPLES_PER_EDGE;
                     let vertices = (from..self.along.len()).step_by(SAMPLES_PER_EDGE).map(|v| self.along[v] + turn);
                     for s in vertices.take_while(|s| *s < high) {
-                        let c = cost(s);
-                        best = if c < best.0 { (c, s) } else { best };
+                        (least, best) = cost(s, least).map_or((least, best), |cost| (cost, s));
                     }
                 }
-                places[k] = best.1;
+                is_changed |= places[k] != best;
+                places[k] = best;
+            }
+            if !is_changed {
+                break;
             }
         }
         Ok(())
-    }
-
-    /// What a chord from s to t costs that should be `goal` long.
-    fn chord(&self, s: f64, t: f64, goal: f64) -> f64 {
-        let (a, b) = (self.at(s), self.at(t));
-        (a.distance(b) / goal - 1.0).powi(2) + DEVIATION_WEIGHT * (self.deviation(s, t) / goal).powi(2)
     }
 
     /// How far the curve from s to t leaves the line through both.
