@@ -88,10 +88,17 @@ fn strips_narrower_than_an_edge_have_the_edges_of_their_curves() {
     assert_eq!(done.report.features.dropped_curves, 0);
 }
 
-/// A thread of 20 turns, whose chords leave it by more than its depth; a plate of 36 holes, whose corners alone are more than the points.
+/// A thread of 20 turns, whose chords leave it by more than its depth; a plate of 36 holes, whose corners alone are more than the points; a
+/// bent plate and a cup of a thirtieth of an edge.
 #[test]
 fn parts_without_room_for_their_edges_get_more_points() {
-    for (kind, feature, seed) in [(PartKind::Thread, 0.01, 32), (PartKind::Perforated, 0.005, 77)] {
+    let cases = [
+        (PartKind::Thread, 0.01, 32),
+        (PartKind::Perforated, 0.005, 77),
+        (PartKind::Bracket, 0.005, 238),
+        (PartKind::Cup, 0.005, 80),
+    ];
+    for (kind, feature, seed) in cases {
         let mesh = part(kind, feature, seed);
         let done = run(&mesh, 500, 2);
         let (count, result) = (done.report.vertex_count, &done.report.result);
