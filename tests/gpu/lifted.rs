@@ -13,6 +13,7 @@ use tessera::rvd::{
 use tessera::token::Token;
 
 use crate::lifts::{lifted, seeds_on};
+use crate::long::some;
 use crate::sessions::{minimise, read};
 use crate::windows;
 
@@ -81,7 +82,7 @@ fn windows_and_capacities_change_no_bit() {
     // Records of 1.15 MB: two windows.
     let mesh = Shape::Torus.build(8000);
     let uneven: Vec<f64> = (0..mesh.positions().len()).map(|v| 0.2 + (v % 5) as f64).collect();
-    for (weights, share) in [(None, 0.1), (Some(&uneven[..]), 0.5)] {
+    for (weights, share) in some(1, [(Some(&uneven[..]), 0.5), (None, 0.1)]) {
         let surface = lifted(&mesh, weights, share);
         let seeds = seeds_on(&surface, 500, 7);
         let mut first: Option<(CellSums<Lifted>, PieceBatch)> = None;

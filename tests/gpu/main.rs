@@ -14,6 +14,8 @@ mod gpu;
 mod hang;
 #[path = "../common/lifts.rs"]
 mod lifts;
+#[path = "../common/long.rs"]
+mod long;
 #[path = "../common/points.rs"]
 mod points;
 #[path = "../common/sessions.rs"]

@@ -12,15 +12,16 @@ use tessera::remesh::{Remesh, RemeshOptions, Seeds, remesh};
 use tessera::rvd::Parallel;
 use tessera::{Token, TriMesh};
 
+use crate::long::is_long;
 use crate::rough::Random;
 
 pub fn run(mesh: &TriMesh, options: &RemeshOptions) -> Remesh {
     remesh(mesh, options, &Parallel::new(Some(2)).unwrap(), &mut (), &Token::default()).unwrap()
 }
 
-/// Complexes of each kind.
+/// Complexes of each kind, of which there may be as many as seeds.
 pub fn how_many(usual: usize) -> usize {
-    std::env::var("TESSERA_COMPLEXES").map_or(usual, |count| count.parse().unwrap())
+    if is_long() { 50 } else { usual }
 }
 
 /// Checks that report every complex that fails, not the first alone.

@@ -138,7 +138,7 @@ fn least_facets(mesh: &TriMesh) -> usize {
 
 #[test]
 fn a_budget_that_is_used_up_is_said_so() {
-    let out = bounded(&creature(0.05), 300, 0.02, 600);
+    let out = bounded(&creature(0.08), 300, 0.02, 600);
     assert_eq!(out.report.refine.ended, Some(RefineEnd::Budget));
 }
 

@@ -14,6 +14,7 @@ use tessera::remesh::{Placement, Refine, Remesh, RemeshOptions, Seeds, Tolerance
 use tessera::rvd::Backend;
 use tessera::rvd::Parallel;
 
+use crate::long::some;
 use crate::parts::tube;
 use crate::rough::Random;
 use tessera::token::Token;
@@ -110,7 +111,8 @@ fn a_tolerance_holds_beside_curves() {
         let (low, high) = mesh.bounds();
         let tolerance = 0.004 * (high - low).length();
         let mut added = 0;
-        for seed in 1..=24 {
+        let seeds = some(5, 1..=24);
+        for &seed in &seeds {
             let refine = Refine::new(Tolerance::Length(tolerance)).with_max_points(2500);
             let wish = options(250).with_refine(refine).with_seeds(Seeds::Sample { points: 250, seed }).with_newton(8);
             let figures = run(&mesh, &wish).report.refine;
@@ -118,7 +120,7 @@ fn a_tolerance_holds_beside_curves() {
             added += figures.added_seeds;
         }
         // One a remesh.
-        assert!(added <= 24, "{name}: {added}");
+        assert!(added <= seeds.len(), "{name}: {added}");
     }
 }
 
@@ -148,7 +150,8 @@ fn points_for_a_tolerance_leave_triangles_round() {
 #[test]
 fn refinement_keeps_its_tolerance_or_uses_its_points_up() {
     let mut met = 0;
-    for shape in [Shape::Sphere, Shape::Torus, Shape::Block, Shape::Genus(1)] {
+    let shapes = some(2, [Shape::Sphere, Shape::Torus, Shape::Block, Shape::Genus(1)]);
+    for shape in &shapes {
         let mesh = shape.build(5000);
         let extent = (mesh.bounds().1 - mesh.bounds().0).max_element();
         for (share, max_points) in [(0.02, 2500), (0.006, 2500), (0.0005, 450)] {
@@ -172,7 +175,8 @@ fn refinement_keeps_its_tolerance_or_uses_its_points_up() {
             is_sound(&name, &mesh, &out.mesh, -0.9);
         }
     }
-    assert!(met >= 5, "{met} of 12 tolerances were met");
+    let all = 3 * shapes.len();
+    assert!(12 * met >= 5 * all, "{met} of {all} tolerances were met");
 }
 
 #[test]

@@ -14,6 +14,8 @@ mod cases;
 mod gpu;
 #[path = "../common/hostile.rs"]
 mod hostile;
+#[path = "../common/long.rs"]
+mod long;
 #[path = "../common/metrics.rs"]
 mod metrics;
 #[path = "../common/parts.rs"]

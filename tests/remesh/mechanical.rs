@@ -13,6 +13,8 @@ use tessera::remesh::{Anisotropy, Observer, Remesh, RemeshError, RemeshOptions, 
 use tessera::rvd::Parallel;
 use tessera::token::Token;
 
+use crate::long::some;
+
 fn run(mesh: &TriMesh, points: usize, threads: usize) -> Remesh {
     let options = RemeshOptions::new(Seeds::Sample { points, seed: 0 });
     remesh(mesh, &options, &Parallel::new(Some(threads)).unwrap(), &mut (), &Token::default()).unwrap()
@@ -93,11 +95,14 @@ fn strips_narrower_than_an_edge_have_the_edges_of_their_curves() {
 #[test]
 fn parts_without_room_for_their_edges_get_more_points() {
     let cases = [
-        (PartKind::Thread, 0.01, 32),
+        // All of its curves have seeds, but half of their length is a quarter of an edge from the chords.
+        (PartKind::Thread, 0.005, 242),
         (PartKind::Perforated, 0.005, 77),
-        (PartKind::Bracket, 0.005, 238),
+        (PartKind::Thread, 0.01, 32),
         (PartKind::Cup, 0.005, 80),
+        (PartKind::Bracket, 0.005, 238),
     ];
+    let cases = some(3, cases);
     for (kind, feature, seed) in cases {
         let mesh = part(kind, feature, seed);
         let done = run(&mesh, 500, 2);
@@ -204,7 +209,9 @@ fn lattices_keep_all_their_struts() {
 /// A circle begins anywhere in each of its copies.
 #[test]
 fn patches_are_joined_all_around_their_holes() {
-    for (kind, seed) in [PartKind::Gear, PartKind::Perforated].into_iter().flat_map(|k| (2..7).map(move |s| (k, s))) {
+    for (kind, seed) in
+        [PartKind::Gear, PartKind::Perforated].into_iter().flat_map(|k| some(2, 2..7).into_iter().map(move |s| (k, s)))
+    {
         let mesh = part(kind, 0.02, seed);
         let found = topology(&run(&mesh, 400, 2).mesh);
         assert_eq!((found.boundary_edges, found.euler), (0, topology(&mesh).euler), "{kind}, {seed}");
@@ -244,7 +251,8 @@ fn walls_bores_and_bends_are_whole_with_few_points() {
 fn strict_parts_are_whole_or_refused() {
     let mut refused = 0;
     let kinds = [PartKind::Drilled, PartKind::Thread, PartKind::Cup, PartKind::Frame];
-    for (kind, points) in kinds.into_iter().flat_map(|kind| [(kind, 500), (kind, 200)]) {
+    let cases = some(5, kinds.into_iter().flat_map(|kind| [(kind, 500), (kind, 200)]));
+    for &(kind, points) in &cases {
         let mesh = part(kind, 0.01, 1);
         let options = RemeshOptions::new(Seeds::Sample { points, seed: 0 }).with_strict_creases(true);
         match remesh(&mesh, &options, &Parallel::new(Some(2)).unwrap(), &mut (), &Token::default()) {
@@ -263,7 +271,7 @@ fn strict_parts_are_whole_or_refused() {
             Err(error) => panic!("{kind}: {error}"),
         }
     }
-    assert!((1..8).contains(&refused), "{refused}");
+    assert!((1..cases.len()).contains(&refused), "{refused}");
 }
 
 /// The facets of a coarse torus make angles like creases, with flat diagonals between. None of them is a feature.

@@ -13,6 +13,7 @@ use tessera::remesh::{Anisotropy, Refine, Remesh, RemeshError, RemeshOptions, Se
 use tessera::rvd::Parallel;
 use tessera::{DensityOptions, DensitySource, Token, TriMesh};
 
+use crate::long::some;
 use crate::metrics::{Ground, Wanted, unit_edges};
 use crate::rough::Random;
 
@@ -144,7 +145,7 @@ fn the_number_of_vertices_is_reached_whatever_the_scale() {
         ("torus", &torus, vec![tensor; torus.positions().len()], 1500),
         ("square", &square, vec![Tensor::of_length(0.05); square.positions().len()], 1200),
     ] {
-        for factor in [1e-2, 0.1, 1.0, 10.0, 100.0] {
+        for factor in some(3, [1e-2, 0.1, 1.0, 10.0, 100.0]) {
             let scaled = tensors.iter().map(|&tensor| tensor * (factor * factor)).collect();
             let done = run(mesh, &options(scaled, Some(points))).unwrap();
             let vertices = done.mesh.positions().len();

@@ -15,6 +15,7 @@ use tessera::remesh::{Anisotropy, Placement, Refine, Remesh, RemeshError, Remesh
 use tessera::rvd::Parallel;
 use tessera::{DensityOptions, DensitySource, Token, TriMesh};
 
+use crate::long::some;
 use crate::parts;
 use crate::rough::Random;
 
@@ -475,7 +476,8 @@ fn solids_with_flat_sides_stay_closed() {
     .unwrap();
     for (kind, mesh) in [("box", Shape::Genus(0).build(12)), ("tetrahedron", tetrahedron), ("l", parts::l_shape())] {
         let mut lost = 0;
-        for k in 0..12 {
+        let planes = some(4, 0..12);
+        for &k in &planes {
             let [a, b] = [k, k + 5].map(|f| mesh.corners(f % mesh.facets().len()).into_iter().sum::<DVec3>() / 3.0);
             let inside = a.lerp(b, random.unit());
             let normal = random.point().normalize();
@@ -497,7 +499,7 @@ fn solids_with_flat_sides_stay_closed() {
             let far = done.report.result.quality.unwrap().hausdorff_percent;
             assert!(far < 8.0 || warns(&done, "lost_parts"), "{name}: {far}");
         }
-        assert!(lost < 3, "{kind}: {lost} of 12");
+        assert!(4 * lost < planes.len(), "{kind}: {lost} of {}", planes.len());
     }
 }
 

@@ -253,9 +253,11 @@ pub(super) const FEW_DEFECTS: f64 = 0.02;
 /// what is lacking, and memory that was planned for them is not enough.
 pub(super) const FEW_POINTS: usize = 2_500;
 pub(super) const MORE_POINTS: [usize; 2] = [2, 4];
-/// Points are enough if no larger share of the length of curves is dropped, and no place of the input is so many edges away. Threads whose
-/// creases are half an edge from the result are at 0.46 to 0.7, parts with all creases below 0.44.
-pub(super) const ENOUGH_DROPPED: f64 = 0.05;
+/// A curve is followed where an edge of the result that follows curves is nearer than this, edges.
+pub(super) const CURVE_AWAY: f64 = 0.25;
+/// Points are enough if no larger share of the length of curves is dropped or not followed, and no place of the input is so many edges
+/// away. Threads whose creases are half an edge from the result are at 0.46 to 0.7, parts with all creases below 0.44.
+pub(super) const ENOUGH_LACKING: f64 = 0.05;
 pub(super) const ENOUGH_AWAY: f64 = 0.45;
 /// A divided surface whose result has more crossing facets than this share was not to be divided.
 pub(super) const MOST_CROSSING: f64 = 0.02;

@@ -7,6 +7,7 @@
 mod chain;
 mod crowded;
 pub(super) mod envelope;
+mod followed;
 pub(super) mod polyline;
 pub(super) mod seams;
 mod sectors;
@@ -673,7 +674,8 @@ impl KeptCurves {
             short_crease_edges: self.features.left_out,
             angle_bound_deg: None,
             is_designed: false,
-            kept_length: 0.0,
+            dropped_share: 0.0,
+            away_share: 0.0,
         }
     }
 }

@@ -478,7 +478,7 @@ fn run_once(
     job.enter("measure");
     // Which of several ways a designed part goes depends on the figures.
     let measures = options.measure || designed.is_some();
-    let known = measured::Known { topology: of_result, none_crosses, measures, designed };
+    let known = measured::Known { topology: of_result, none_crosses, measures, designed, apart: apart.as_ref() };
     let mut measured = measured::measure(clean, input, options, attempt, known, job)?;
     let Carried { attributes, provenance, regions } = carried;
     (measured.report.result.regions, measured.report.result.periodic) = (regions, periodic);

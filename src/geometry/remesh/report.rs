@@ -8,7 +8,7 @@ use std::fmt;
 
 use serde::Serialize;
 
-use super::constants::{ENOUGH_AWAY, ENOUGH_DROPPED, FAR_DIVIDED};
+use super::constants::{ENOUGH_AWAY, ENOUGH_LACKING, FAR_DIVIDED};
 use crate::cvt::density::DensityFigures;
 pub use crate::cvt::figures::{DeviceFigures, FinalFigures, IterationFigures};
 pub use crate::mesh::comparison::{LostPart, LostParts, LostReason};
@@ -99,12 +99,17 @@ impl Report {
     }
 
     /// Whether it is a designed part with defects, far from the input, or without some of the creases.
-    pub(crate) fn lacks_points(&self) -> bool {
-        let FeatureFigures { is_designed, dropped_length, kept_length, .. } = self.features;
+    pub(crate) fn is_lacking(&self) -> bool {
+        let FeatureFigures { is_designed, dropped_share, .. } = self.features;
         let is_far = self.result.edges_away > ENOUGH_AWAY;
-        let lacks_curves = dropped_length > ENOUGH_DROPPED * (dropped_length + kept_length);
         let has_defects = !self.topology_changes.is_empty() || self.new_crossing() + self.folded() > 0;
-        is_designed && (has_defects || is_far || lacks_curves)
+        is_designed && (has_defects || is_far || dropped_share > ENOUGH_LACKING)
+    }
+
+    /// Whether it is lacking, or its chords leave the creases.
+    pub(crate) fn lacks_points(&self) -> bool {
+        let FeatureFigures { is_designed, dropped_share, away_share, .. } = self.features;
+        self.is_lacking() || is_designed && dropped_share + away_share > ENOUGH_LACKING
     }
 
     /// What decides between it and other results of the same input. `joined`: whether its sheets are.
@@ -318,9 +323,12 @@ pub struct FeatureFigures {
     /// Whether these are no noise: the surface has flat or ruled faces between sharp edges.
     #[serde(skip)]
     pub(crate) is_designed: bool,
-    /// Length of the edges that follow curves, caller's units.
+    /// Shares of the length of curves: of what is dropped, and of what is a quarter of an edge from all edges that follow curves.
+    /// 0 without `is_designed`.
     #[serde(skip)]
-    pub(crate) kept_length: f64,
+    pub(crate) dropped_share: f64,
+    #[serde(skip)]
+    pub(crate) away_share: f64,
 }
 
 impl FeatureFigures {

@@ -9,16 +9,18 @@ use super::schedule::Figures;
 use super::tolerance::Attempt;
 use crate::mesh::TriMesh;
 use crate::mesh::adjacency::Adjacency;
+use crate::mesh::apart::Apart;
 use crate::mesh::closest_point::ClosestPoint;
 use crate::mesh::comparison::{LostParts, lost_parts};
 use crate::mesh::crossings::{Crossings, crossing_facets, crossings};
 use crate::mesh::features::{EdgeShares, edge_shares};
 use crate::mesh::measure::{Quality, Topology, coincident_vertices, quality_and_distances, topology_unless};
+use crate::remesh::constants::CURVE_AWAY;
 use crate::remesh::report::{
     CountFigures, CountReason, FeatureFigures, InputFigures, MemoryFigures, Report, ResultFigures,
 };
 use crate::remesh::{Remesh, RemeshError, RemeshOptions};
-use crate::rvd::elapsed_ms;
+use crate::rvd::{Frame, elapsed_ms};
 use crate::token::{Stopped, Token};
 
 /// The quality of a result, and what it lacks of `mesh`, for which `closest` may answer.
@@ -33,13 +35,15 @@ pub(super) fn compare(
 }
 
 /// What is known of a result before it is measured.
-pub(super) struct Known {
+pub(super) struct Known<'a> {
     pub(super) topology: Option<Topology>,
     pub(super) none_crosses: bool,
     /// Whether the result is compared with the surface, and crossing facets are counted.
     pub(super) measures: bool,
     /// The edges of the input, if it is a designed part.
     pub(super) designed: Option<EdgeShares>,
+    /// Where sheets of the surface that was remeshed were moved.
+    pub(super) apart: Option<&'a Apart>,
 }
 
 /// Measures the result against `clean` and writes the report. Attributes and provenance are left empty.
@@ -48,7 +52,7 @@ pub(super) fn measure(
     input: InputFigures,
     options: &RemeshOptions,
     attempt: Attempt<'_>,
-    known: Known,
+    known: Known<'_>,
     Job { backend, token, mut laps, topology: wanted, diagonal, .. }: Job<'_, '_>,
 ) -> Result<Remesh, RemeshError> {
     let Attempt { plan, curves, closest, built, seeds, figures, device, device_bytes, .. } = attempt;
@@ -116,7 +120,14 @@ pub(super) fn measure(
         _ => optimize::count_reason((vertices, result.topology.components), asked, &options.seeds, &wanted),
     };
     let vertex_count = CountFigures { asked, seeds: seeds.len(), reason };
-    let at = |v: u32| built.mesh.positions()[v as usize];
+    let is_designed = known.designed.is_some();
+    let lacking_shares = || {
+        let (low, high) = plan.mesh.bounds();
+        let frame = Frame::of_bounds(low, high);
+        let place = |p| known.apart.map_or(frame.to_world(p), |apart| apart.back(frame.to_world(p)));
+        curves.lacking_shares(place, (&built.mesh, &built.curve_edges), CURVE_AWAY * edge)
+    };
+    let [dropped_share, away_share] = if is_designed { lacking_shares() } else { [0.0; 2] };
     let report = Report {
         backend: backend.kind().name().into(),
         adapter: backend.adapter(),
@@ -126,8 +137,9 @@ pub(super) fn measure(
         topology_changes: wanted.changes(&result.topology),
         input,
         features: FeatureFigures {
-            is_designed: known.designed.is_some(),
-            kept_length: built.curve_edges.iter().map(|&[a, b]| at(a).distance(at(b))).sum(),
+            is_designed,
+            dropped_share,
+            away_share,
             angle_bound_deg: curves.angle_bound_deg(&built.mesh, &built.curve_edges, &built.vertex_seed),
             ..curves.figures(&built.segments)
         },

@@ -78,7 +78,8 @@ pub(super) fn run(held: Held<'_>, options: &RemeshOptions, stages: &mut Stages<'
     if best.report.lacks_points() { with_more_points(best, (held, options), stages, token) } else { Ok(best) }
 }
 
-/// With more points if they take all defects away, else `best`. Few are too few for the edges of some designed parts.
+/// With more points if they take all defects away, but perhaps for chords that leave creases; else `best`. Few are too few for the edges
+/// of some designed parts.
 fn with_more_points(
     best: Remesh,
     (held, options): (Held<'_>, &RemeshOptions),
@@ -94,26 +95,30 @@ fn with_more_points(
     if is_fixed || points > constants::FEW_POINTS {
         return Ok(best);
     }
+    let with_reason = |mut done: Remesh| {
+        let reason = (!is_near(done.report.result.vertices, points)).then_some(CountReason::FewPoints);
+        done.report.vertex_count = CountFigures { asked: points, reason, ..done.report.vertex_count };
+        done
+    };
+    let mut second = None;
     for times in constants::MORE_POINTS {
         let more = RemeshOptions { seeds: Seeds::Sample { points: times * points, seed }, ..options.clone() };
         match of_ways(held, &more, stages, token) {
-            Ok(mut done) if !done.report.lacks_points() => {
-                let reason = (!is_near(done.report.result.vertices, points)).then_some(CountReason::FewPoints);
-                let seeds = done.report.vertex_count.seeds;
-                done.report.vertex_count = CountFigures { asked: points, seeds, reason };
-                return Ok(done);
-            }
-            // More do not help.
+            Ok(done) if !done.report.lacks_points() => return Ok(with_reason(done)),
             Ok(done) => {
-                let changes = done.report.topology_changes;
-                if !changes.is_empty() && changes == best.report.topology_changes {
+                let changes = &done.report.topology_changes;
+                // More do not help.
+                if !changes.is_empty() && *changes == best.report.topology_changes {
                     break;
+                }
+                if second.is_none() && best.report.is_lacking() && !done.report.is_lacking() {
+                    second = Some(done);
                 }
             }
             Err(_) => token.check()?,
         }
     }
-    Ok(best)
+    Ok(second.map_or(best, with_reason))
 }
 
 /// Undivided, or divided along the creases. Where patches have no room for their edges, or the result is far, the best of several ways.
