@@ -36,6 +36,7 @@ const HOUSES: &[House] = &[
         "geometry",
         &[
             ("token", &[]),
+            ("tasks", &[]),
             ("mesh", &[]),
             ("knn", &["mesh"]),
             ("rvd", &["knn", "mesh"]),
@@ -204,8 +205,8 @@ fn upward_uses(tree: &Tree, rules: &Rules<'_>) -> Vec<String> {
         for used in &module.uses {
             let Target::Here(path) = tree.resolve(at, &used.path) else { continue };
             let Some(other) = room_of(tree, &path) else { continue };
-            // The root passes on what the interface is made of. Everybody listens to the token.
-            if room == "lib" || other == room || other == "token" || allowed.contains(&other.as_str()) {
+            // The root passes on what the interface is made of. All listen to the token and share their loops' items.
+            if room == "lib" || other == room || other == "token" || other == "tasks" || allowed.contains(&other.as_str()) {
                 continue;
             }
             let door = rules.doors.iter().find(|(place, more)| within(&name, place) && more.contains(&other.as_str()));

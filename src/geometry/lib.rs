@@ -3,6 +3,7 @@
 //! | module | what it is for | may use |
 //! | --- | --- | --- |
 //! | [`token`] | cancellation and limits of work | nothing here |
+//! | `tasks` | loops whose items are shared by the threads | nothing here |
 //! | [`mesh`] | triangle surfaces: checked, read, written, sampled, measured | nothing here |
 //! | [`knn`] | neighbour tables of the seeds | `mesh` |
 //! | [`rvd`] | the diagram: one trait, the backends of the CPU, the dual | `knn`, `mesh` |
@@ -38,4 +39,5 @@ pub mod knn;
 pub mod mesh;
 pub mod remesh;
 pub mod rvd;
+mod tasks;
 pub mod token;

@@ -36,6 +36,7 @@ pub(crate) mod sheets;
 pub mod tensor;
 pub(crate) mod tips;
 
+use crate::tasks;
 pub use features::FeatureError;
 use glam::DVec3;
 use rayon::prelude::*;
@@ -244,6 +245,7 @@ fn bounds(positions: &[DVec3], facets: &[[u32; 3]]) -> (DVec3, DVec3) {
         let corners = facets.iter().flatten().map(|&v| positions[v as usize]);
         corners.fold(empty, |(low, high), p| (low.min(p), high.max(p)))
     };
-    let parts: Vec<(DVec3, DVec3)> = facets.par_chunks(CHUNK).map(part).collect();
+    let parts =
+        tasks::alone(facets.len().div_ceil(CHUNK), |k| part(&facets[k * CHUNK..facets.len().min((k + 1) * CHUNK)]));
     parts.into_iter().fold(empty, |(low, high), part| (low.min(part.0), high.max(part.1)))
 }

@@ -24,7 +24,9 @@ const browser = await chromium.launch({
 
 /** Opens the page, and watches what it does. `provokes` is what the console may say. */
 async function opened(use, { at = PAGE, provokes = /(?!)/, script, ...options } = {}) {
-  const context = await browser.newContext({ viewport: { width: 1280, height: 800 }, acceptDownloads: true, ...options });
+  const context = await browser.newContext({
+    viewport: { width: 1280, height: 800 }, deviceScaleFactor: PICTURES ? 1 : 0.5, acceptDownloads: true, ...options,
+  });
   const wrong = [];
   context.on("request", (request) => {
     const url = request.url();

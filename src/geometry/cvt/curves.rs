@@ -19,12 +19,12 @@ use glam::DVec3;
 
 use beside::Placed;
 use path::Path;
-use rayon::prelude::*;
 pub(crate) use shared::Twin;
 
 use crate::knn::{NeighbourRow, SeedIndex};
 use crate::mesh::features::{Curve, Features};
 use crate::rvd::Surface;
+use crate::tasks;
 use crate::token::{Stopped, Token};
 
 /// Seeds of curves, the first of all seeds.
@@ -62,8 +62,6 @@ impl Segment {
 }
 
 const SEGMENTS_PER_CHECK: usize = 8;
-/// Fewer segments are not worth a task.
-const MIN_SEGMENTS_PER_TASK: usize = 256;
 /// Least distance of seeds of two curves, and beside a common corner, share of their spacing.
 const MIN_SEPARATION: f64 = 0.45;
 const MIN_CORNER_SEPARATION: f64 = 0.3;
@@ -371,7 +369,8 @@ impl CurveSeeds {
     /// curve, which the dual may then lack. On a straight curve it is nearer to the middle of the segment than the ends.
     pub fn intruders(&self, seeds: &[DVec3], token: &Token) -> Result<Vec<(u32, u32)>, Stopped> {
         let index = SeedIndex::new(seeds);
-        let of = |(k, segment): (usize, &Segment)| {
+        let of = |k: usize| {
+            let segment = &self.segments[k];
             if k.is_multiple_of(SEGMENTS_PER_CHECK) && token.is_stopped() {
                 return Vec::new();
             }
@@ -386,8 +385,7 @@ impl CurveSeeds {
             let middle = ends[0].midpoint(ends[1]);
             segment.between.into_iter().chain([middle]).filter_map(intruder).collect::<Vec<_>>()
         };
-        let segments = self.segments.par_iter().enumerate().with_min_len(MIN_SEGMENTS_PER_TASK);
-        let mut found: Vec<(u32, u32)> = segments.flat_map_iter(of).collect();
+        let mut found: Vec<(u32, u32)> = tasks::flat_map(self.segments.len(), of);
         token.check()?;
         found.sort_unstable();
         found.dedup_by_key(|f| f.0);

@@ -5,13 +5,13 @@
 //! Invariant: a seed has a point for each side, in the order of the facets. Must not know: how the surface was lifted.
 
 use glam::DVec3;
-use rayon::prelude::*;
 
-use super::curves::{CurveSeeds, Segment};
+use super::curves::CurveSeeds;
 use crate::knn::{Point, SeedIndex};
 use crate::mesh::bvh::{Bvh, arrange};
 use crate::mesh::closest_point::closest_on_facet;
 use crate::rvd::Surface;
+use crate::tasks;
 use crate::token::{Stopped, Token};
 
 /// A place within this distance of a facet is on it, unit frame. Places of curves are sums of a few rounded terms.
@@ -49,14 +49,14 @@ impl CurveLifts {
         let points: Vec<P> = seeds.iter().copied().chain(sides.iter().map(|side| side.1)).collect();
         let index = SeedIndex::new(&points);
         let is_free = |point: &u32| (curves.len()..seeds.len()).contains(&(*point as usize));
-        let of = |(k, segment): (usize, &Segment)| {
+        let of = |k: usize| -> Vec<(u32, u32)> {
             if token.is_stopped() {
                 return Vec::new();
             }
-            let points = segment.between.into_iter().flat_map(|place| self.sides(surface, place));
+            let points = curves.segments[k].between.into_iter().flat_map(|place| self.sides(surface, place));
             points.map(|point| index.nearest(point)).filter(is_free).map(|seed| (seed, k as u32)).collect()
         };
-        let mut found: Vec<(u32, u32)> = curves.segments.par_iter().enumerate().flat_map_iter(of).collect();
+        let mut found: Vec<(u32, u32)> = tasks::flat_map(curves.segments.len(), of);
         token.check()?;
         found.sort_unstable();
         found.dedup_by_key(|f| f.0);

@@ -7,6 +7,7 @@
 use glam::DVec3;
 use rayon::prelude::*;
 
+use crate::tasks;
 use crate::token::Token;
 
 /// Boxes in a node: as many as a processor compares at once with little left over.
@@ -133,13 +134,17 @@ fn bounds(corners: &[DVec3]) -> Box {
 /// Sorts items so that neighbours are adjacent: each eight of a node, each eight such nodes, and so on, are one part of items that
 /// were halved across their longest extent. `place` gives the place of an item. Coincident items keep their order.
 /// Ends early once the token is stopped.
-pub(crate) fn arrange<T: Copy + Send + Sync>(items: &mut Vec<T>, place: &(dyn Fn(&T) -> DVec3 + Sync), token: &Token) {
-    let mut placed: Vec<(DVec3, u32)> = items.par_iter().enumerate().map(|(i, item)| (place(item), i as u32)).collect();
+pub(crate) fn arrange<T: Copy + Default + Send + Sync>(
+    items: &mut Vec<T>,
+    place: &(dyn Fn(&T) -> DVec3 + Sync),
+    token: &Token,
+) {
+    let mut placed: Vec<(DVec3, u32)> = tasks::map(items.len(), |i| (place(&items[i]), i as u32));
     halve(&mut placed, token);
     if token.check().is_err() {
         return;
     }
-    *items = placed.par_iter().map(|&(_, i)| items[i as usize]).collect();
+    *items = tasks::map(placed.len(), |k| items[placed[k].1 as usize]);
 }
 
 fn halve(placed: &mut [(DVec3, u32)], token: &Token) {

@@ -13,6 +13,7 @@ use super::TriMesh;
 use super::adjacency::weld_unless;
 use super::bvh::{self, Bvh, morton};
 use super::csr::Csr;
+use crate::tasks;
 use crate::token::{Pace, Stopped, Token};
 
 /// A point of a surface.
@@ -91,7 +92,7 @@ impl ClosestPoint {
             None => {
                 bvh::arrange(&mut facets, &|facet| centroid(corners(facet)), token);
                 facets.truncate(left(facets.len()));
-                let things: Vec<[DVec3; 3]> = facets.par_iter().map(corners).collect();
+                let things: Vec<[DVec3; 3]> = tasks::map(facets.len(), |k| corners(&facets[k]));
                 Bvh::new(&things)
             }
         };
@@ -127,8 +128,7 @@ impl ClosestPoint {
         token: &Token,
         answer: impl Fn(Nearest) -> T + Sync,
     ) -> Result<Vec<T>, Stopped> {
-        let place = |(i, &p): (usize, &DVec3)| (morton(self.to_unit(p)), i);
-        let mut order: Vec<(u64, usize)> = points.par_iter().enumerate().map(place).collect();
+        let mut order = tasks::map(points.len(), |i| (morton(self.to_unit(points[i])), i));
         order.par_sort_unstable();
         let run = |run: &[(u64, usize)]| {
             let mut last = None;
@@ -148,7 +148,8 @@ impl ClosestPoint {
             });
             found
         };
-        let runs: Vec<Vec<(usize, T)>> = order.par_chunks(RUN).with_max_len(1).map(run).collect();
+        let runs: Vec<Vec<(usize, T)>> =
+            tasks::alone(order.len().div_ceil(RUN), |k| run(&order[k * RUN..order.len().min((k + 1) * RUN)]));
         let mut answers: Vec<Option<T>> = vec![None; points.len()];
         runs.into_iter().flatten().for_each(|(i, found)| answers[i] = Some(found));
         token.check()?;

@@ -5,12 +5,12 @@
 //! Facets that only touch, in a vertex, along an edge or flat on each other, do not. Must not know: how a surface came about.
 
 use glam::DVec3;
-use rayon::prelude::*;
 use robust::{Coord3D, orient3d};
 use serde::Serialize;
 
 use super::TriMesh;
 use super::bvh::{Bvh, arrange};
+use crate::tasks;
 use crate::token::{Stopped, Token};
 
 /// The most places that are named.
@@ -43,20 +43,20 @@ pub(crate) fn crossing_facets(mesh: &TriMesh, token: &Token) -> Result<Vec<u32>,
     let corners = |facet: u32| mesh.corners(facet as usize).map(|p| p * scale);
     let mut order: Vec<u32> = (0..mesh.facets().len() as u32).filter(|&f| !mesh.is_degenerate(f as usize)).collect();
     arrange(&mut order, &|&facet| corners(facet).into_iter().sum::<DVec3>() / 3.0, token);
-    let items: Vec<[DVec3; 3]> = order.par_iter().map(|&facet| corners(facet)).collect();
+    let items: Vec<[DVec3; 3]> = tasks::map(order.len(), |k| corners(order[k]));
     let tree = Bvh::new(&items);
-    let is_crossed = |(at, facet): (usize, &[DVec3; 3])| -> Result<bool, Stopped> {
-        if at % BETWEEN_CHECKS == 0 {
+    let is_crossed = |(): &mut (), at: usize| -> Result<bool, Stopped> {
+        if at.is_multiple_of(BETWEEN_CHECKS) {
             token.check()?;
         }
         let mut crossed = false;
-        tree.overlapping(facet, |other| {
-            crossed = other != at && cross(facet, &items[other]);
+        tree.overlapping(&items[at], |other| {
+            crossed = other != at && cross(&items[at], &items[other]);
             crossed
         });
         Ok(crossed)
     };
-    let crossed = items.par_iter().enumerate().map(is_crossed).collect::<Result<Vec<bool>, Stopped>>()?;
+    let crossed = tasks::try_map(items.len(), || (), is_crossed)?;
     let mut found: Vec<u32> =
         order.iter().zip(crossed).filter(|(_, crossed)| *crossed).map(|(&facet, _)| facet).collect();
     found.sort_unstable();

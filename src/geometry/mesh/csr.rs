@@ -4,11 +4,8 @@
 //! ([`Csr::one_rings`]), samples that belong to it ([`Csr::group`]). [`OneRings`] follows edits of a triangulation.
 //! Invariant: the items of a row keep their order, for any number of threads. Must not know: the items.
 
-use rayon::prelude::*;
+use crate::tasks;
 use std::ops::Range;
-
-/// Items per parallel task.
-const ITEMS_PER_TASK: usize = 1024;
 
 /// A list for each row.
 #[derive(Clone, Debug, Default)]
@@ -42,11 +39,11 @@ impl Csr<u32> {
     }
 }
 
-impl<T: Send> Csr<T> {
+impl<T: Default + Send> Csr<T> {
     /// Item `k` belongs to row `owners[k]` and is made by `make(k)`. Owners that are not below `rows` get no item.
     pub(crate) fn group(rows: usize, owners: &[u32], make: impl Fn(usize) -> T + Sync) -> Self {
         let (first, order) = sorted(rows, owners.iter().copied());
-        let items = order.par_iter().with_min_len(ITEMS_PER_TASK).map(|&k| make(k as usize)).collect();
+        let items = tasks::map(order.len(), |k| make(order[k] as usize));
         Self { first, items }
     }
 }

@@ -6,6 +6,7 @@
 //! threads. The root of a set is its lowest member. Must not know: coincident vertices, kinds of edges.
 
 use super::MAX_ELEMENTS;
+use crate::tasks;
 use crate::token::{Stopped, Token};
 use rayon::prelude::*;
 
@@ -101,7 +102,7 @@ impl EdgeGroups {
             self.visit(k * RUN..vertices.min((k + 1) * RUN), |low, group| visit(&mut list, low, group));
             list
         };
-        (0..vertices.div_ceil(RUN)).into_par_iter().map(run).collect()
+        tasks::alone(vertices.div_ceil(RUN), run)
     }
 
     /// Calls `visit` with the lower vertex and the half-edges of each edge.

@@ -9,7 +9,6 @@
 use std::collections::HashMap;
 
 use glam::DVec3;
-use rayon::prelude::*;
 use rstar::RTree;
 use rstar::primitives::{GeomWithData, Line};
 
@@ -17,6 +16,7 @@ use super::adjacency::{Adjacency, EdgeKind};
 use super::csr::ascending;
 use super::edges::undirected;
 use super::{TriMesh, normal};
+use crate::tasks;
 use crate::token::{Stopped, Token};
 
 /// Largest distance of a vertex from the edge that it divides, share of the pieces of this edge.
@@ -122,7 +122,8 @@ impl<'a> Boundary<'a> {
         let lines = self.ends.iter().zip(0u32..).map(|(&[a, b], k)| GeomWithData::new(Line::new(at(a), at(b)), k));
         let tree = RTree::bulk_load(lines.collect());
         token.check()?;
-        let of_vertex = |&vertex: &u32| {
+        let of_vertex = |k: usize| {
+            let vertex = vertices[k];
             let p = self.place(vertex);
             let near = tree.nearest_neighbor_iter_with_distance_2(p.to_array());
             let near = near.take_while(move |(_, squared)| *squared <= reach * reach && !token.is_stopped());
@@ -138,8 +139,8 @@ impl<'a> Boundary<'a> {
             near.take(MOST_NEAR).filter_map(beside)
         };
         // Where all edges overlap, a query looks at all of them before its first answer.
-        let open = vertices.par_iter().filter(|_| !token.is_stopped());
-        let mut found: Vec<Beside> = open.flat_map_iter(of_vertex).collect();
+        let open = |k: usize| (!token.is_stopped()).then(|| of_vertex(k)).into_iter().flatten();
+        let mut found: Vec<Beside> = tasks::flat_map(vertices.len(), open);
         token.check()?;
         found.sort_by(|a, b| a.edge.cmp(&b.edge).then(a.share.total_cmp(&b.share)).then(a.vertex.cmp(&b.vertex)));
         Ok(found)

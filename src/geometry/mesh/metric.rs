@@ -11,8 +11,9 @@ use serde::Serialize;
 
 use super::TriMesh;
 use super::closest_point::{ClosestPoint, SurfacePoint};
-use super::edges::undirected;
+use super::edges::{sides, undirected};
 use super::tensor::Tensor;
+use crate::tasks;
 use crate::token::{Stopped, Token};
 
 /// See the module's head.
@@ -27,7 +28,7 @@ pub struct MetricField {
 }
 
 /// A point, and the metric there.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Default)]
 pub struct Site {
     /// In the coordinates of the field's surface.
     pub position: DVec3,
@@ -39,9 +40,9 @@ impl MetricField {
     /// `tensors` are those of the vertices of `mesh`, one for each and positive definite.
     pub fn new(mesh: &TriMesh, tensors: &[Tensor], token: &Token) -> Result<Self, Stopped> {
         let closest = ClosestPoint::unless(mesh, token)?;
-        let logarithms = tensors.par_iter().map(Tensor::ln).collect();
+        let logarithms = tasks::map(tensors.len(), |v| tensors[v].ln());
         let facets = mesh.facets().to_vec();
-        let normals = (0..facets.len()).into_par_iter().map(|f| normal(mesh.corners(f))).collect();
+        let normals = tasks::map(facets.len(), |f| normal(mesh.corners(f)));
         token.check()?;
         Ok(Self { facets, normals, closest, logarithms, shift: 0.0 })
     }
@@ -63,6 +64,11 @@ impl MetricField {
     /// A point that stays where it is, with the metric of the closest one.
     pub fn at(&self, p: DVec3) -> Site {
         Site { position: p, ..self.site(p) }
+    }
+
+    /// [`MetricField::at`] each of these points.
+    pub fn sites(&self, points: &[DVec3], token: &Token) -> Result<Vec<Site>, Stopped> {
+        tasks::try_map(points.len(), || (), |(), k| token.check_at(k).map(|()| self.at(points[k])))
     }
 
     /// The cosine between the normal of a facet and that of the surface where the facet's centroid is nearest.
@@ -131,16 +137,14 @@ const UNIT: std::ops::RangeInclusive<f64> = 0.71..=1.41;
 impl MetricFigures {
     /// Measures `mesh`, which lies near the field's surface.
     pub fn of(field: &MetricField, mesh: &TriMesh, token: &Token) -> Result<Self, Stopped> {
-        let site = |(v, &p): (usize, &DVec3)| token.check_at(v).map(|()| field.at(p));
-        let sites = mesh.positions().par_iter().enumerate().map(site).collect::<Result<Vec<Site>, Stopped>>()?;
+        let sites = field.sites(mesh.positions(), token)?;
         let of = |v: u32| &sites[v as usize];
-        let sides = mesh.facets().par_iter().flat_map_iter(|&[a, b, c]| [[a, b], [b, c], [c, a]]);
-        let mut edges: Vec<[u32; 2]> = sides.map(undirected).collect();
+        let mut edges = tasks::flat_map(mesh.facets().len(), |f| sides(mesh.facets()[f]).map(undirected));
         edges.par_sort_unstable();
         edges.dedup();
         token.check()?;
-        let lengths: Vec<f64> = edges.par_iter().map(|&[a, b]| length(of(a), of(b))).collect();
-        let qualities: Vec<f64> = mesh.facets().par_iter().map(|t| quality(t.map(of))).collect();
+        let lengths: Vec<f64> = tasks::map(edges.len(), |k| length(of(edges[k][0]), of(edges[k][1])));
+        let qualities: Vec<f64> = tasks::map(mesh.facets().len(), |f| quality(mesh.facets()[f].map(of)));
         token.check()?;
         let mean = |all: &[f64]| all.iter().sum::<f64>() / all.len().max(1) as f64;
         let least = |all: &[f64]| all.iter().copied().fold(f64::INFINITY, f64::min);

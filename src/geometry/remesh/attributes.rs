@@ -17,6 +17,7 @@ use crate::mesh::closest_point::{ClosestPoint, SurfacePoint};
 use crate::mesh::coincident;
 use crate::mesh::numbers::NumberType;
 use crate::remesh::constants::{ROUNDING_SQUARED, SAME_NORMAL};
+use crate::tasks;
 use crate::token::{Stopped, Token};
 use seams::{Seams, Source};
 
@@ -70,7 +71,7 @@ pub fn carry(
     match (normals, &seams) {
         (Some(Normals::PerVertex(normals)), _) => {
             let at = |p: &Provenance| normal(mesh, p.facet, facets[p.facet as usize], normals, p.barycentric);
-            carried.set_normals(Normals::PerVertex(provenance.par_iter().map(at).collect()))?;
+            carried.set_normals(Normals::PerVertex(tasks::map(vertices, |v| at(&provenance[v]))))?;
         }
         (Some(Normals::PerCorner(normals)), Some(seams)) => {
             let at =
@@ -87,7 +88,7 @@ pub fn carry(
             let [a, b, c] = facets[p.facet as usize].map(|v| values[v as usize]);
             std::array::from_fn(|i| between([a[i], b[i], c[i]], p.barycentric))
         };
-        let values = provenance.par_iter().map(colour).collect();
+        let values = tasks::map(vertices, |v| colour(&provenance[v]));
         carried.set_colours(Colours { values, depth: *depth })?;
     }
     for Scalar { name, number, components, values: given } in attributes.scalars() {

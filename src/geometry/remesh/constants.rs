@@ -76,8 +76,6 @@ pub(super) const FARTHEST_OF_END: f64 = 0.07;
 pub(super) const MOVES_PER_VERTEX: usize = 40;
 /// Vertices that are relocated at the same time, at most: few of those that wait, so that the costliest come first.
 pub(super) const SHAPES_AT_ONCE: usize = 128;
-/// Of these, per parallel task at least. No result depends on it.
-pub(super) const SHAPES_PER_TASK: usize = 8;
 
 // Edges of curves. Lengths are shares of the shortest edge of a curve at the vertex.
 
@@ -194,8 +192,6 @@ pub(super) const SAMPLE_REACH: f64 = 2.0;
 
 // Tasks and checks. No result depends on them.
 
-/// Vertices or facets per parallel task, at least.
-pub(super) const ITEMS_PER_TASK: usize = 256;
 /// Work of a point whose nearest facet or sample is sought, as the token counts it.
 pub(super) const WORK_PER_POINT: usize = 64;
 

@@ -17,10 +17,11 @@ use super::triangle::perimeter;
 use crate::mesh::closest_point::closest_on_facet;
 use crate::mesh::csr::Csr;
 use crate::rvd::Surface;
+use crate::tasks;
 use crate::token::{Pace, Stopped, Token};
 
 /// A point of the input with its share of the area.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct SurfaceSample {
     /// Unit frame.
     pub(crate) position: DVec3,
@@ -161,13 +162,12 @@ impl HausdorffEstimate {
             let own = deviations[input.vertices.range(v)].iter().map(|d| d.distance);
             own.chain(mesh.ring(v).iter().map(|&f| by_facet[f as usize])).fold(0.0, f64::max)
         };
-        let vertices = (0..mesh.positions.len() as u32).into_par_iter().with_min_len(ITEMS_PER_TASK);
-        Self { missed, largest, by_vertex: vertices.map(around).collect() }
+        Self { missed, largest, by_vertex: tasks::map(mesh.positions.len(), |v| around(v as u32)) }
     }
 }
 
 /// Where a vertex of the input lies, seen from the result.
-#[derive(Clone, Copy)]
+#[derive(Clone, Copy, Default)]
 struct Deviation {
     /// From the nearest facet.
     distance: f64,
@@ -185,7 +185,8 @@ fn deviations(mesh: &LocalMesh, vertices: &Csr<DVec3>, token: &Token) -> Vec<Dev
     let owner = |v: u32| std::iter::repeat_n(v, vertices.of(v).len());
     let owners: Vec<u32> = (0..mesh.positions.len() as u32).flat_map(owner).collect();
     let begin = || (RingQuery::default(), u32::MAX, Pace::default());
-    let measure = |(query, at, pace): &mut (RingQuery, u32, Pace), (&owner, &vertex): (&u32, &DVec3)| {
+    let measure = |(query, at, pace): &mut (RingQuery, u32, Pace), k: usize| -> Result<Deviation, Stopped> {
+        let (owner, vertex) = (owners[k], vertices.all()[k]);
         token.check_after(WORK_PER_POINT, pace)?;
         if *at != owner {
             query.move_to(mesh, owner);
@@ -193,9 +194,7 @@ fn deviations(mesh: &LocalMesh, vertices: &Csr<DVec3>, token: &Token) -> Vec<Dev
         }
         Ok(deviation(mesh, query, vertex))
     };
-    let pairs = owners.par_iter().zip(vertices.all()).with_min_len(ITEMS_PER_TASK);
-    let all: Result<Vec<Deviation>, Stopped> = pairs.map_init(begin, measure).collect();
-    all.unwrap_or_else(|_| vec![UNKNOWN; owners.len()])
+    tasks::try_map(owners.len(), begin, measure).unwrap_or_else(|_| vec![UNKNOWN; owners.len()])
 }
 
 fn deviation(mesh: &LocalMesh, query: &mut RingQuery, vertex: DVec3) -> Deviation {
@@ -256,14 +255,13 @@ fn deviation_by_facet(mesh: &LocalMesh, samples: &Csr<SurfaceSample>, token: &To
         Err(_) => 0.0,
         Ok(()) => distance(mesh.positions[v as usize], [samples.of(v)]),
     };
-    let vertices = (0..mesh.positions.len() as u32).into_par_iter().with_min_len(ITEMS_PER_TASK);
-    let by_vertex: Vec<f64> = vertices.map(own).collect();
+    let by_vertex = tasks::map(mesh.positions.len(), |v| own(v as u32));
     let of = |t: &[u32; 3]| {
         let [a, b, c] = mesh.places(*t);
         let centroid = distance((a + b + c) / 3.0, t.map(|v| samples.of(v)));
         t.iter().map(|&v| by_vertex[v as usize]).fold(centroid, f64::max)
     };
-    mesh.facets().par_iter().with_min_len(ITEMS_PER_TASK).map(of).collect()
+    tasks::map(mesh.facets().len(), |f| of(&mesh.facets()[f]))
 }
 
 /// Distance of `p` from the tangent plane of the nearest sample, or from that if it is not below. 0 without samples.

@@ -17,7 +17,6 @@ use std::collections::{HashMap, HashSet};
 use std::sync::Arc;
 
 use glam::DVec3;
-use rayon::prelude::*;
 
 use super::constants::*;
 use super::report::{DroppedCurve, FeatureFigures};
@@ -30,6 +29,7 @@ use crate::mesh::edges::undirected;
 use crate::mesh::features::{Curve, CurveKind, FeatureOptions, Features};
 use crate::mesh::sample::spread_unless;
 use crate::rvd::{Frame, Surface};
+use crate::tasks;
 use crate::token::{Stopped, Token};
 pub(crate) use chain::Chain;
 use crowded::{Crowded, Of};
@@ -312,7 +312,12 @@ impl KeptCurves {
         let weights = wide.as_deref().or(weights);
         let draw = |count: usize| -> Result<(Vec<DVec3>, Vec<DVec3>), Stopped> {
             let drawn = spread_unless(mesh, (weights, Some(&regions)), count, seed, token)?;
-            Ok(drawn.par_iter().map(|s| s.position).partition(clear))
+            let is_clear = tasks::map(drawn.len(), |k| clear(&drawn[k].position));
+            let (mut kept, mut rest) = (Vec::new(), Vec::new());
+            for (sample, is_clear) in drawn.iter().zip(is_clear) {
+                if is_clear { &mut kept } else { &mut rest }.push(sample.position);
+            }
+            Ok((kept, rest))
         };
         let (mut kept, mut rest) = draw(others + others / SPARE_POINTS)?;
         if kept.len() < others {
@@ -608,8 +613,9 @@ impl KeptCurves {
         let at = |v: u32| surface.positions()[v as usize];
         let of = |c: &Curve| Polyline::new(c.round().map(at).collect(), c.closed);
         let lines: Vec<Polyline> = self.features.curves.iter().map(of).collect();
-        let stretch = |(segment, &edge): (&Segment, &Option<[u32; 2]>)| {
-            let [a, b] = edge?;
+        let stretch = |k: usize| {
+            let segment = &self.seeds.segments[k];
+            let [a, b] = edges[k]?;
             let line = &lines[segment.curve as usize];
             let place = |end: usize| match segment.ends[end] {
                 // The corner at the beginning of an open curve may be at its end too.
@@ -620,7 +626,7 @@ impl KeptCurves {
             let edge = if vertex_seed[a as usize] == segment.ends[0] { [a, b] } else { [b, a] };
             Some((edge, line.stretch(segment.curve, [place(0), place(1)])))
         };
-        let stretches = self.seeds.segments.par_iter().zip(edges).filter_map(stretch).collect();
+        let stretches = tasks::flat_map(edges.len().min(self.seeds.segments.len()), stretch);
         (lines, stretches)
     }
 

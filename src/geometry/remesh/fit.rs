@@ -16,7 +16,6 @@ mod normal_equations;
 mod slide;
 
 use glam::DVec3;
-use rayon::prelude::*;
 
 use super::constants::*;
 use super::distance::{InputSamples, Reference, SurfaceSample};
@@ -27,6 +26,7 @@ use crate::mesh::TriMesh;
 use crate::mesh::crossings::crossing_facets;
 use crate::mesh::csr::ascending;
 use crate::mesh::measure::facet_quality;
+use crate::tasks;
 use crate::token::{Stopped, Token};
 use normal_equations::NormalEquations;
 
@@ -126,6 +126,7 @@ pub(super) fn uncross(mesh: &mut LocalMesh, start: &[DVec3], fixed: &[bool], tok
 }
 
 /// The shape of a facet: its normal, and what it lacks of not being poor.
+#[derive(Default)]
 struct FacetShape {
     normal: DVec3,
     lack: f64,
@@ -137,7 +138,7 @@ impl FacetShape {
     }
 
     fn all(mesh: &LocalMesh, wanted: Wanted) -> Vec<Self> {
-        (0..mesh.facets().len() as u32).into_par_iter().map(|f| Self::of(mesh.corners(f), wanted)).collect()
+        tasks::map(mesh.facets().len(), |f| Self::of(mesh.corners(f as u32), wanted))
     }
 }
 
@@ -151,7 +152,7 @@ fn backtrack(mesh: &LocalMesh, first: &[FacetShape], wanted: Wanted, moves: &mut
             let after = FacetShape::of(corners, wanted);
             after.normal.dot(before.normal) < MEASURED_COSINE || after.lack > before.lack
         };
-        let bad: Vec<u32> = checked.par_iter().with_min_len(ITEMS_PER_TASK).copied().filter(is_bad).collect();
+        let bad: Vec<u32> = tasks::flat_map(checked.len(), |k| Some(checked[k]).filter(is_bad));
         if bad.is_empty() {
             return;
         }

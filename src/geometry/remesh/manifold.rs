@@ -16,12 +16,12 @@ pub(super) mod rims;
 use std::collections::HashSet;
 
 use glam::DVec3;
-use rayon::prelude::*;
 
 use super::constants::{FLIPPED_COSINE, REGULAR_VALENCE};
 use super::triangle::unit_normal;
 use crate::mesh::csr::{OneRings, ascending};
-use crate::mesh::edges::undirected;
+use crate::mesh::edges::{sides, undirected};
+use crate::tasks;
 
 #[derive(Clone, Debug)]
 pub(crate) struct LocalMesh {
@@ -51,8 +51,7 @@ impl LocalMesh {
         let outside = vec![0; positions.len()];
         let mut mesh = Self { on_boundary: Vec::new(), normals: Vec::new(), positions, facets, rings, outside, curves };
         let is_open = |&[a, b]: &[u32; 2]| mesh.facet_along(b, a).is_none();
-        let sides = mesh.facets.par_iter().flat_map_iter(|&[a, b, c]| [[a, b], [b, c], [c, a]]);
-        let open: Vec<[u32; 2]> = sides.filter(is_open).collect();
+        let open = tasks::flat_map(mesh.facets.len(), |f| sides(mesh.facets[f]).into_iter().filter(is_open));
         let mut on_boundary = vec![false; mesh.positions.len()];
         open.into_iter().flatten().for_each(|v| on_boundary[v as usize] = true);
         mesh.on_boundary = on_boundary;
@@ -172,7 +171,7 @@ impl LocalMesh {
 
     /// Facets turn from the normals that they have now.
     pub(crate) fn mark(&mut self) {
-        self.normals = (0..self.facets.len() as u32).into_par_iter().map(|f| unit_normal(self.corners(f))).collect();
+        self.normals = tasks::map(self.facets.len(), |f| unit_normal(self.corners(f as u32)));
     }
 
     pub(crate) fn marked_normal(&self, f: u32) -> DVec3 {

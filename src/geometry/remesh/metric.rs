@@ -16,7 +16,6 @@ mod relocate;
 mod split;
 
 use glam::DVec3;
-use rayon::prelude::*;
 
 use super::Result;
 use super::constants::*;
@@ -24,6 +23,7 @@ use super::features::polyline::{Polyline, Stretch};
 use super::manifold::LocalMesh;
 use crate::mesh::edges::{sides, undirected};
 use crate::mesh::metric::{MetricField, Site, area, length, quality};
+use crate::tasks;
 use crate::token::Token;
 use rails::Rails;
 
@@ -159,8 +159,7 @@ impl<'a> Adapting<'a> {
     }
 
     fn sites(field: &MetricField, positions: &[DVec3], token: &Token) -> Result<Vec<Site>> {
-        let at = |(v, &p): (usize, &DVec3)| token.check_at(v).map(|()| field.at(p));
-        Ok(positions.par_iter().enumerate().map(at).collect::<Result<_, _>>()?)
+        Ok(field.sites(positions, token)?)
     }
 
     /// Rounds until little changes. Returns how many there were.
@@ -200,11 +199,12 @@ impl<'a> Adapting<'a> {
     }
 
     fn facing_away(&self) -> Result<usize> {
-        let facing = |(f, &t): (usize, &[u32; 3])| {
-            self.token.check_at(f).map(|()| usize::from(self.field.facing(self.mesh.places(t)) < 0.0))
+        let facets = self.mesh.facets();
+        let faces_away = |(): &mut (), f: usize| {
+            self.token.check_at(f).map(|()| self.field.facing(self.mesh.places(facets[f])) < 0.0)
         };
-        let all = self.mesh.facets().par_iter().enumerate().map(facing);
-        Ok(all.try_reduce(|| 0, |a, b| Ok(a + b))?)
+        let all = tasks::try_map(facets.len(), || (), faces_away)?;
+        Ok(all.into_iter().filter(|faces_away| *faces_away).count())
     }
 
     /// Leaves out what was taken out.

@@ -46,7 +46,7 @@ pub struct Dual {
 }
 
 /// Where a cell meets a facet, unit frame.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Piece {
     /// The part of a cell that it belongs to, in [`Dual::components`].
     pub component: u32,

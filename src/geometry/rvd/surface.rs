@@ -11,6 +11,7 @@ use super::{MAX_SEED_DISTANCE, RvdError};
 use crate::knn::{Lifted, Point};
 use crate::mesh::closest_point::{ClosestPoint, SurfacePoint};
 use crate::mesh::{TriMesh, adjacency::weld_unless};
+use crate::tasks;
 use crate::token::Token;
 
 /// The map between the caller's coordinates and the unit frame: unit = (p - centre) * scale.
@@ -214,15 +215,14 @@ impl<P: Point> Surface<P> {
         // A vertex that no facet uses may be so far away that the unit frame cannot hold it.
         let held = |p: DVec3| if p.is_finite() { p } else { DVec3::ZERO };
         let unit = || {
-            let places = mesh.positions().par_iter().map(|&p| held(snap(frame.to_unit(p))));
-            places.enumerate().map(|(v, place)| at(v, place)).collect()
+            let place = |v: usize| at(v, held(snap(frame.to_unit(mesh.positions()[v]))));
+            tasks::map(mesh.positions().len(), place)
         };
         let (positions, class): (Vec<P>, _) = rayon::join(unit, || weld_unless(mesh, token));
         let class = class?;
         // On the grid a facet may lose what area it had, by the same measure as in the mesh.
         let flat = |f: usize| is_flat(mesh.facets()[f].map(|v| positions[v as usize]));
-        let skip: Vec<bool> =
-            (0..mesh.facets().len()).into_par_iter().map(|f| mesh.is_degenerate(f) || flat(f)).collect();
+        let skip = tasks::map(mesh.facets().len(), |f| mesh.is_degenerate(f) || flat(f));
         token.check()?;
         if skip.iter().all(|&skipped| skipped) {
             return Err(RvdError::NoArea);
@@ -233,7 +233,7 @@ impl<P: Point> Surface<P> {
             weights: weights.unwrap_or_else(|| vec![1.0; vertices]),
             positions,
             facets: mesh.facets().to_vec(),
-            welded: mesh.facets().par_iter().map(|f| f.map(|v| class[v as usize])).collect(),
+            welded: tasks::map(mesh.facets().len(), |f| mesh.facets()[f].map(|v| class[v as usize])),
             skip,
             area: 0.0,
             mass: 0.0,

@@ -7,8 +7,8 @@
 //! Must not know: surfaces, seeds.
 
 use glam::DVec3;
-use rayon::prelude::*;
 
+use crate::tasks;
 use crate::token::{Stopped, Token};
 
 /// Deviation of a chord from its curve that costs [`DEVIATION_COST`], share of the target length.
@@ -76,7 +76,7 @@ impl Line<'_> {
             };
             near.enumerate().filter_map(cost).collect()
         };
-        (0..=end).into_par_iter().map(|j| if j < first { Ok(Vec::new()) } else { of(j) }).collect()
+        tasks::try_map(end + 1, || (), |(), j| if j < first { Ok(Vec::new()) } else { of(j) })
     }
 }
 

@@ -6,9 +6,9 @@
 //! Invariant: finite, at least 0, or NaN without a usable facet. The same bits on any threads. Must not know: sizes.
 
 use glam::{DMat3, DVec3};
-use rayon::prelude::*;
 
 use super::net::{Net, facet_normal, smoothed_normals};
+use crate::tasks;
 use crate::token::{Stopped, Token};
 
 /// Facets thinner than this (area over squared longest edges) say nothing of curvature.
@@ -26,7 +26,7 @@ pub(super) fn of(net: &Net, steps: usize, token: &Token) -> Result<Vec<[f64; 2]>
 /// facet. Facets have areas.
 pub(crate) fn principal(points: &[DVec3], normals: &[DVec3], facets: &[([u32; 3], f64)]) -> Vec<[f64; 2]> {
     let of_facet = |&(v, _): &([u32; 3], f64)| tensor(v.map(|v| points[v as usize]), v.map(|v| normals[v as usize]));
-    let tensors: Vec<Option<(DVec3, DMat3)>> = facets.par_iter().map(of_facet).collect();
+    let tensors: Vec<Option<(DVec3, DMat3)>> = tasks::map(facets.len(), |f| of_facet(&facets[f]));
     let mut sums = vec![(DMat3::ZERO, 0.0); points.len()];
     for (&(v, area), tensor) in facets.iter().zip(&tensors) {
         let Some((normal, tensor)) = tensor else { continue };
@@ -37,7 +37,7 @@ pub(crate) fn principal(points: &[DVec3], normals: &[DVec3], facets: &[([u32; 3]
         }
     }
     let of = |(sum, area): (DMat3, f64)| if area > 0.0 { eigenvalues(sum * area.recip()) } else { [f64::NAN; 2] };
-    sums.into_par_iter().map(of).collect()
+    tasks::map(sums.len(), |v| of(sums[v]))
 }
 
 /// The facet's normal and its second fundamental form, as a tensor of space that is zero along the normal.

@@ -11,10 +11,10 @@ use std::f64::consts::PI;
 use std::ops::Range;
 
 use glam::DVec3;
-use rayon::prelude::*;
 
 use super::net::{self, Net};
 use crate::knn::{SeedIndex, Threads};
+use crate::tasks;
 use crate::token::{Stopped, Token};
 
 /// Radius of the first ball, and what a surface without medial axis has: the bounding box's longest side. A ball that
@@ -56,15 +56,14 @@ pub(super) fn local(net: &Net, token: &Token) -> Result<FeatureSize, Stopped> {
     let index = SeedIndex::with_threads(&points, Threads::One);
     let every = |range: Range<usize>| range.clone().step_by(range.len().div_ceil(SOURCES).max(1));
     let sources: Vec<usize> = every(0..first_inner).chain(every(first_inner..points.len())).collect();
-    let balls: Vec<[Option<Ball>; 2]> = sources
-        .par_iter()
-        .map(|&i| {
-            token.check()?;
-            let resolved = |ball: &Ball| ball.radius >= 0.5 * spacing[i] || ball.angle >= OPPOSITE;
-            let ball = |n| ball(&index, &points, &sample_normals, i, n);
-            Ok([sample_normals[i], -sample_normals[i]].map(|n| ball(n).filter(resolved)))
-        })
-        .collect::<Result<_, Stopped>>()?;
+    let of_source = |(): &mut (), k: usize| {
+        token.check()?;
+        let i = sources[k];
+        let resolved = |ball: &Ball| ball.radius >= 0.5 * spacing[i] || ball.angle >= OPPOSITE;
+        let ball = |n| ball(&index, &points, &sample_normals, i, n);
+        Ok([sample_normals[i], -sample_normals[i]].map(|n| ball(n).filter(resolved)))
+    };
+    let balls: Vec<[Option<Ball>; 2]> = tasks::try_map(sources.len(), || (), of_source)?;
     let balls: Vec<Ball> = balls.into_iter().flatten().flatten().collect();
     let (sheets, folds): (Vec<Ball>, Vec<Ball>) = balls.into_iter().partition(|ball| ball.angle >= OPPOSITE);
     let between_sheets = distances(net, &thinned(sheets), token)?;
@@ -78,11 +77,12 @@ fn distances(net: &Net, centres: &[DVec3], token: &Token) -> Result<Vec<f64>, St
         return Ok(vec![FAR; net.vertices()]);
     }
     let axis = SeedIndex::with_threads(centres, Threads::One);
-    let distance = |(v, p): (usize, &DVec3)| {
+    let distance = |(): &mut (), v: usize| {
         token.check_at(64 * v)?;
+        let p = &net.points[v];
         Ok(centres[axis.nearest(*p) as usize].distance(*p).min(FAR))
     };
-    net.points.par_iter().enumerate().map(distance).collect()
+    tasks::try_map(net.points.len(), || (), distance)
 }
 
 struct Ball {

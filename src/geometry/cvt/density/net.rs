@@ -14,6 +14,7 @@ use rayon::prelude::*;
 use super::outline::Outline;
 use crate::mesh::TriMesh;
 use crate::mesh::adjacency::{Adjacency, EdgeKind};
+use crate::tasks;
 use crate::token::{Stopped, Token};
 
 /// See the module's head.
@@ -178,7 +179,7 @@ pub(super) fn vertex_normals(net: &Net) -> Vec<DVec3> {
             sums[v[e] as usize] += angle * normal;
         }
     }
-    sums.into_par_iter().map(DVec3::normalize_or_zero).collect()
+    tasks::map(sums.len(), |v| sums[v].normalize_or_zero())
 }
 
 /// The normal of a facet with these corners, or zero.
@@ -194,14 +195,11 @@ pub(super) fn smoothed_normals(net: &Net, steps: usize, token: &Token) -> Result
     let mut normals = vertex_normals(net);
     for _ in 0..steps {
         token.check()?;
-        normals = (0..normals.len())
-            .into_par_iter()
-            .map(|v| {
-                let around = net.neighbours(v).iter();
-                let sum: DVec3 = around.map(|&(to, _)| net.area[to as usize] * normals[to as usize]).sum();
-                (sum + net.area[v] * normals[v]).try_normalize().unwrap_or(normals[v])
-            })
-            .collect();
+        normals = tasks::map(normals.len(), |v| {
+            let around = net.neighbours(v).iter();
+            let sum: DVec3 = around.map(|&(to, _)| net.area[to as usize] * normals[to as usize]).sum();
+            (sum + net.area[v] * normals[v]).try_normalize().unwrap_or(normals[v])
+        });
     }
     Ok(normals)
 }

@@ -11,13 +11,13 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use glam::DVec3;
-use rayon::prelude::*;
 
 use super::{CurveKind, Edge, FLAT_DEG, Metric};
 use crate::mesh::TriMesh;
 use crate::mesh::adjacency::{Adjacency, EdgeKind};
 use crate::mesh::edges::undirected;
 use crate::mesh::normal as normal_of;
+use crate::tasks;
 use crate::token::{Stopped, Token};
 
 /// A network is a tangle if its curves are on average shorter than this share of the shortest crease.
@@ -244,8 +244,6 @@ const RIDGE_ANGLE_SHARE: f64 = 0.5;
 const NEIGHBOUR_ANGLE_SHARE: f64 = 0.55;
 /// A ridge that continues a crease from its free end is at least this share of the clearance long, other ridges all of it.
 const MIN_CONTINUATION: f64 = 0.6;
-/// Half-edges per task.
-const CHUNK: usize = 8192;
 /// Facets that are looked at on either side, at most.
 const MAX_FACETS: usize = 200;
 
@@ -260,10 +258,9 @@ pub(super) struct DihedralAngles<'a> {
 impl<'a> DihedralAngles<'a> {
     pub(super) fn new(mesh: &'a TriMesh, metric: Metric<'a>, adjacency: &'a Adjacency) -> Self {
         let mut angles = Self { mesh, metric, adjacency, degrees: Vec::new() };
-        let halves = (0..3 * mesh.facets().len()).into_par_iter().with_min_len(CHUNK);
         let lower = |half: usize| adjacency.opposite(half).is_some_and(|other| half < other);
-        let degrees = halves.map(|half| if lower(half) { angles.measure(half) } else { None }.unwrap_or(f64::NAN));
-        angles.degrees = degrees.collect();
+        let degrees = |half| if lower(half) { angles.measure(half) } else { None }.unwrap_or(f64::NAN);
+        angles.degrees = tasks::map(3 * mesh.facets().len(), degrees);
         angles
     }
 

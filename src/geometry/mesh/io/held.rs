@@ -13,6 +13,7 @@ use crate::mesh::attributes::{AttributeError, Attributes, Colours, Normals, PerC
 use crate::mesh::csr::ascending;
 use crate::mesh::regions::{MAX_REGIONS, Regions};
 use crate::mesh::{TriMesh, normal};
+use crate::tasks;
 use glam::{DVec2, DVec3};
 use rayon::prelude::*;
 
@@ -286,7 +287,7 @@ pub(super) fn rounding(mesh: &TriMesh) -> Option<String> {
         let moved = [a, b, c].map(|p| p.distance(p.as_vec3().as_dvec3()));
         if edge > 0.0 { moved[0].max(moved[1]).max(moved[2]) / edge } else { 0.0 }
     };
-    let most = (0..mesh.facets().len()).into_par_iter().map(of_facet).reduce(|| 0.0, f64::max);
+    let most = tasks::map(mesh.facets().len(), of_facet).into_iter().fold(0.0, f64::max);
     (most > MOST_ROUNDING).then(|| {
         format!("the precision of the coordinates (rounding moves vertices by up to {:.0} % of an edge)", 100.0 * most)
     })

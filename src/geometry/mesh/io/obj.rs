@@ -12,7 +12,6 @@ use std::collections::HashSet;
 use std::fmt::Write as _;
 
 use glam::{DVec2, DVec3};
-use rayon::prelude::*;
 
 use super::held::{By, Held, Holds, Labelled, Raw};
 use super::polygons::Fan;
@@ -20,6 +19,7 @@ use super::regions::{Labels, RegionChoice, by_name, missing, names};
 use super::{Codec, Counts, DataError, Soup, VertexNumbers, VertexOrder, Wanted};
 use crate::mesh::TriMesh;
 use crate::mesh::attributes::{ColourDepth, Colours, Normals, PerCorner};
+use crate::tasks;
 
 pub(super) const CODEC: Codec = Codec {
     extension: "obj",
@@ -283,7 +283,7 @@ impl Statements {
     /// The surface, if no corner names another vertex. What `raw` has given up is left out.
     fn surface(mut self, raw: Raw) -> Option<Soup> {
         let order = self.number_by_use()?;
-        let positions = order.par_iter().map(|&v| self.positions[v as usize]).collect();
+        let positions = tasks::map(order.len(), |k| self.positions[order[k] as usize]);
         let colour = |&v: &u32| self.colours.get(v as usize).copied().unwrap_or(WHITE);
         let colours = (!self.colours.is_empty()).then(|| order.iter().map(colour).collect());
         let (facets, fans) = (std::mem::take(&mut self.facets), std::mem::take(&mut self.fans));

@@ -7,7 +7,6 @@
 //! curves came about, files.
 
 use glam::DVec3;
-use rayon::prelude::*;
 
 use crate::mesh::closest_point::ClosestPoint;
 use crate::mesh::edges::{DisjointSets, EdgeGroups, sides, undirected};
@@ -15,6 +14,7 @@ use crate::mesh::regions::{Region, Regions};
 use crate::mesh::{TriMesh, normal};
 use crate::remesh::constants::ONE_REGION_SHARE;
 use crate::remesh::report::RegionFigures;
+use crate::tasks;
 use crate::token::{Stopped, Token};
 
 /// Points of a facet that vote.
@@ -33,7 +33,7 @@ pub(crate) fn carry(
     (result, curve_edges): (&TriMesh, &[[u32; 2]]),
     token: &Token,
 ) -> Result<Vec<u32>, Stopped> {
-    let votes = |f: usize| -> Result<[u32; 4], Stopped> {
+    let votes = |(): &mut (), f: usize| -> Result<[u32; 4], Stopped> {
         token.check_at(f)?;
         let corners = result.corners(f);
         let facing = normal(corners);
@@ -46,7 +46,7 @@ pub(crate) fn carry(
         let known = own.iter().find(|vote| vote.1).map_or(own[0].0, |vote| vote.0);
         Ok(own.map(|(region, faces)| if faces { region } else { known }))
     };
-    let votes: Vec<[u32; 4]> = (0..result.facets().len()).into_par_iter().map(votes).collect::<Result<_, _>>()?;
+    let votes = tasks::try_map(result.facets().len(), || (), votes)?;
     let mut curves: Vec<[u32; 2]> = curve_edges.iter().copied().map(undirected).collect();
     curves.sort_unstable();
     let mut pieces = DisjointSets::new(result.facets().len());

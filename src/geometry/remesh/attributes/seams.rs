@@ -22,6 +22,7 @@ use crate::mesh::attributes::PerCorner;
 use crate::mesh::closest_point::{ClosestPoint, closest_on_facet};
 use crate::mesh::edges::DisjointSets;
 use crate::remesh::constants::{LONG_SEAM_REACH, MAX_SEAM_FACETS, MOST_STRETCH, SEAM_END_REACH, SEAM_REACH};
+use crate::tasks;
 
 /// Where a corner of the result takes its value.
 #[derive(Clone, Copy, Debug)]
@@ -74,7 +75,7 @@ impl<'a> Seams<'a> {
             adjacency: Adjacency::new(mesh),
             unit: mesh.positions().iter().map(|&p| to_unit(p)).collect(),
             points: result.positions().iter().map(|&p| to_unit(p)).collect(),
-            starts: (0..result.facets().len()).into_par_iter().map(origin).collect(),
+            starts: tasks::map(result.facets().len(), origin),
         }
     }
 
@@ -86,7 +87,7 @@ impl<'a> Seams<'a> {
     {
         let open = self.open(given);
         let blocked = |h: usize| !open[h] && self.is_shared(h);
-        if !(0..open.len()).into_par_iter().any(blocked) {
+        if !tasks::any(open.len(), blocked) {
             let places = (0u32..).zip(self.provenance).map(|(vertex, p)| Source {
                 facet: p.facet,
                 barycentric: p.barycentric,
@@ -181,7 +182,7 @@ impl<'a> Seams<'a> {
                 across.is_some_and(|across| value(here, corner) == value(there, across))
             })
         };
-        (0..3 * facets.len()).into_par_iter().map(agrees).collect()
+        tasks::map(3 * facets.len(), agrees)
     }
 
     /// Where the corners of a result facet take their values.

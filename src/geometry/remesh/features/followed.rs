@@ -5,13 +5,12 @@
 //! are placed.
 
 use glam::DVec3;
-use rayon::prelude::*;
 use rstar::RTree;
 use rstar::primitives::Line;
 
 use super::KeptCurves;
-use crate::cvt::curves::Segment;
 use crate::mesh::TriMesh;
+use crate::tasks;
 
 impl KeptCurves {
     /// Shares of the length of curves: of what is dropped, and of what is farther than `most` from all of `edges` of `result`, caller's
@@ -24,7 +23,11 @@ impl KeptCurves {
     ) -> [f64; 2] {
         let at = |v: u32| result.positions()[v as usize].to_array();
         let tree = RTree::bulk_load(edges.iter().map(|&[a, b]| Line::new(at(a), at(b))).collect());
-        let lengths = |segment: &Segment| {
+        let lengths = |k: usize| {
+            let segment = &self.seeds.segments[k];
+            if self.features.curves[segment.curve as usize].is_rim {
+                return [0.0; 2];
+            }
             let [from, to] = segment.ends.map(|end| self.seeds.seeds[end as usize]);
             let points = [from].into_iter().chain(segment.between).chain([to]).map(&place);
             let is_away = |p| tree.locate_within_distance(p, most * most).next().is_none();
@@ -35,8 +38,7 @@ impl KeptCurves {
                 [all + length, away + share * length]
             })
         };
-        let is_rim = |segment: &Segment| self.features.curves[segment.curve as usize].is_rim;
-        let lengths: Vec<[f64; 2]> = self.seeds.segments.par_iter().filter(|s| !is_rim(s)).map(lengths).collect();
+        let lengths = tasks::map(self.seeds.segments.len(), lengths);
         let dropped: f64 = self.dropped.iter().map(|curve| curve.length).sum();
         let [with_seeds, away] = lengths.iter().fold([0.0; 2], |sum, of| [sum[0] + of[0], sum[1] + of[1]]);
         let all = dropped + with_seeds;

@@ -5,13 +5,13 @@
 //! Invariant: fixed vertices and those of curves stay. The same bits whatever the number of threads. Must not know: which fit there was.
 
 use glam::DVec3;
-use rayon::prelude::*;
 
 use super::normal_equations::{NONE, NearestFacets, residual};
 use super::{FacetShape, Target, backtrack};
 use crate::remesh::constants::*;
 use crate::remesh::manifold::LocalMesh;
 use crate::remesh::triangle::Wanted;
+use crate::tasks;
 use crate::token::Token;
 
 pub(super) fn balance(mesh: &mut LocalMesh, target: &Target, wanted: Wanted, token: &Token) {
@@ -31,7 +31,7 @@ pub(super) fn balance(mesh: &mut LocalMesh, target: &Target, wanted: Wanted, tok
             let [low, high] = around.fold(own(mesh, target, v), |a, b| [a[0].min(b[0]), a[1].max(b[1])]);
             -0.5 * BALANCING_SHARE * (low + high) * mesh.vertex_normal(v)
         };
-        let mut moves: Vec<DVec3> = (0..mesh.positions.len() as u32).into_par_iter().map(by).collect();
+        let mut moves: Vec<DVec3> = tasks::map(mesh.positions.len(), |v| by(v as u32));
         backtrack(mesh, &shapes, wanted, &mut moves);
         mesh.positions.iter_mut().zip(moves).for_each(|(p, by)| *p += by);
     }

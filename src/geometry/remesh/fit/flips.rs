@@ -8,7 +8,6 @@
 //! its pair was; edges of curves stay. The same bits whatever the number of threads. Must not know: why facets are slender.
 
 use glam::DVec3;
-use rayon::prelude::*;
 
 use super::Target;
 use super::normal_equations::NearestFacets;
@@ -18,6 +17,7 @@ use crate::mesh::measure::facet_quality;
 use crate::remesh::constants::*;
 use crate::remesh::manifold::{Flip, LocalMesh};
 use crate::remesh::triangle::{Norm, Wanted, perimeter, unit_normal};
+use crate::tasks;
 use crate::token::Token;
 
 /// Flips edges while that helps, and gives each sample to a corner of its facet.
@@ -25,8 +25,10 @@ pub(super) fn flip(mesh: &mut LocalMesh, target: &mut Target, (wanted, norm): (W
     let mut near = Near::new(mesh, target, token);
     let mut changed: Vec<u32> = (0..mesh.facets().len() as u32).collect();
     for _ in 0..FLIPPING_ROUNDS {
-        let of = |&f: &u32| (0..3).filter_map(|side| near.better(mesh, f, side, (wanted, norm))).collect::<Vec<_>>();
-        let mut candidates: Vec<(f64, u32, usize, Flip)> = changed.par_iter().flat_map_iter(of).collect();
+        let of = |k: usize| {
+            (0..3).filter_map(|side| near.better(mesh, changed[k], side, (wanted, norm))).collect::<Vec<_>>()
+        };
+        let mut candidates: Vec<(f64, u32, usize, Flip)> = tasks::flat_map(changed.len(), of);
         candidates.sort_by(|a, b| b.0.total_cmp(&a.0).then((a.1, a.2).cmp(&(b.1, b.2))));
         changed.clear();
         let mut touched = vec![false; mesh.facets().len()];
@@ -53,7 +55,7 @@ pub(super) fn flip(mesh: &mut LocalMesh, target: &mut Target, (wanted, norm): (W
 /// slivers, where the lifted surface bends within a cell.
 pub(super) fn unfold(mesh: &mut LocalMesh, target: &Target, token: &Token) {
     let normal = |v: u32| target.input.samples.of(v).iter().map(|s| s.area * s.normal).sum::<DVec3>();
-    let normals: Vec<DVec3> = (0..mesh.positions.len() as u32).into_par_iter().map(normal).collect();
+    let normals: Vec<DVec3> = tasks::map(mesh.positions.len(), |v| normal(v as u32));
     let facing = |t: [u32; 3]| t.iter().map(|&v| normals[v as usize].normalize_or_zero()).sum::<DVec3>();
     let is_turned =
         |mesh: &LocalMesh, f: u32| unit_normal(mesh.corners(f)).dot(facing(mesh.facets()[f as usize])) < 0.0;

@@ -15,6 +15,7 @@ use crate::remesh::distance::{RingQuery, SurfaceSample};
 use crate::remesh::features::envelope::CurveSample;
 use crate::remesh::manifold::LocalMesh;
 use crate::remesh::triangle::Norm;
+use crate::tasks;
 use crate::token::Token;
 
 pub(super) const NONE: u32 = u32::MAX;
@@ -306,15 +307,15 @@ impl NormalEquations {
         token: &Token,
     ) -> Self {
         let found = NearestFacets::new(mesh, target, token);
-        let facets = (0..mesh.facets().len() as u32).into_par_iter().with_min_len(ITEMS_PER_TASK);
+        let facets = mesh.facets().len();
         let shares = match norm {
-            Norm::MeanSquare => facets.map(|f| found.share(mesh, target, f, |_| 1.0)).collect(),
+            Norm::MeanSquare => tasks::map(facets, |f| found.share(mesh, target, f as u32, |_| 1.0)),
             Norm::Largest => {
                 // Reweighted least squares.
                 let mean = found.mean_square(mesh, target).max(f64::MIN_POSITIVE);
                 let counts =
                     |off: f64| (off * off / mean).powi(LARGEST_POWER).clamp(LARGEST_WEIGHT.recip(), LARGEST_WEIGHT);
-                facets.map(|f| found.share(mesh, target, f, counts)).collect()
+                tasks::map(facets, |f| found.share(mesh, target, f as u32, counts))
             }
         };
         let mut curves: Vec<_> = target.curves.iter().flat_map(|s| CurveShare::both(&mesh.positions, s)).collect();

@@ -7,7 +7,6 @@
 //! curves or of boundaries stay. The same bits whatever the number of threads. Must not know: why a vertex is fixed.
 
 use glam::DVec3;
-use rayon::prelude::*;
 
 use super::normal_equations::{NONE, NearestFacets};
 use super::{FacetShape, Target, backtrack, flips};
@@ -17,6 +16,7 @@ use crate::remesh::constants::*;
 use crate::remesh::distance::Reference;
 use crate::remesh::manifold::LocalMesh;
 use crate::remesh::triangle::{Norm, Wanted};
+use crate::tasks;
 use crate::token::Token;
 
 /// Slides the vertices of `mesh`, which lie on the input of `reference`, and flips edges. Ends early where `token` is stopped.
@@ -29,7 +29,7 @@ pub(super) fn slide(
 ) {
     let vertices = 0..mesh.positions.len() as u32;
     let may_move = |v| !target.fixed[v as usize] && !mesh.is_on_boundary(v) && !mesh.is_on_curve(v);
-    let may_move: Vec<bool> = vertices.clone().into_par_iter().map(may_move).collect();
+    let may_move: Vec<bool> = tasks::map(vertices.len(), |v| may_move(v as u32));
     if !may_move.contains(&true) {
         return;
     }
@@ -56,7 +56,7 @@ pub(super) fn slide(
                 _ => DVec3::ZERO,
             }
         };
-        let mut moves: Vec<DVec3> = vertices.clone().into_par_iter().map(by).collect();
+        let mut moves: Vec<DVec3> = tasks::map(vertices.len(), |v| by(v as u32));
         backtrack(mesh, &shapes, wanted, &mut moves);
         mesh.positions.iter_mut().zip(&moves).for_each(|(p, by)| *p += by);
         last = moves;
@@ -64,7 +64,7 @@ pub(super) fn slide(
     *mesh = nearest.1;
     let on_input =
         |v: u32| if may_move[v as usize] { on_input(mesh, reference, v) } else { mesh.positions[v as usize] };
-    mesh.positions = vertices.into_par_iter().map(on_input).collect();
+    mesh.positions = tasks::map(vertices.len(), |v| on_input(v as u32));
 }
 
 /// What a facet draws its corners to: sums over its samples. But for the area they are weighted by a power of the distances.
@@ -95,7 +95,7 @@ impl Pulls {
                 (0..3).map(|i| weights[i] * corners[i]).sum::<DVec3>().distance_squared(samples[k].position)
             }
         };
-        let squared: Vec<f64> = (0..samples.len()).into_par_iter().with_min_len(ITEMS_PER_TASK).map(squared).collect();
+        let squared: Vec<f64> = tasks::map(samples.len(), squared);
         let largest = squared.iter().copied().fold(f64::MIN_POSITIVE, f64::max);
         let mut of_facet = vec![Pull::default(); mesh.facets().len()];
         for (k, sample) in samples.iter().enumerate().filter(|(k, _)| found.facet[*k] != NONE) {

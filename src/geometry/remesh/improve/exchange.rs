@@ -8,7 +8,6 @@
 use std::collections::HashSet;
 
 use glam::DVec3;
-use rayon::prelude::*;
 
 use crate::mesh::TriMesh;
 use crate::mesh::closest_point::ClosestPoint;
@@ -19,6 +18,7 @@ use crate::remesh::constants::{LONG_EDGE, MEASURED_COSINE};
 use crate::remesh::distance::{HausdorffEstimate, InputSamples, Reference, farthest_places};
 use crate::remesh::manifold::LocalMesh;
 use crate::remesh::triangle::{Wanted, perimeter, unit_normal};
+use crate::tasks;
 use crate::token::Token;
 
 /// Vertices that change places, share of all.
@@ -60,7 +60,7 @@ pub(crate) fn exchange(
     near.retain(|&(_, v)| free[v as usize] && !mesh.is_on_boundary(v) && !mesh.is_on_curve(v));
     near.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
     near.truncate(TRIED * most);
-    let mut spares: Vec<Spare> = near.par_iter().filter_map(|&(_, v)| input.spare(mesh, v, wanted)).collect();
+    let mut spares: Vec<Spare> = tasks::flat_map(near.len(), |k| input.spare(mesh, near[k].1, wanted));
     spares.sort_by(|a, b| a.distance.total_cmp(&b.distance).then(a.vertex.cmp(&b.vertex)));
     let (mut exchanged, mut spares) = (Vec::new(), spares.into_iter());
     // What is measured at a place is true as long as no vertex there has changed.
@@ -125,9 +125,11 @@ impl Input<'_> {
             let near = closest.project(position);
             Far { distance: near.position.distance(position), facet: near.facet, position }
         };
-        let facets = 0..self.reference.surface.facets().len() as u32;
-        let midpoints = facets.into_par_iter().filter(|_| !token.is_stopped()).flat_map_iter(|f| self.midpoints(f));
-        let mut found: Vec<Far> = midpoints.map(measure).collect();
+        let of_facet = |f: usize| {
+            let midpoints = (!token.is_stopped()).then(|| self.midpoints(f as u32));
+            midpoints.into_iter().flatten().map(measure)
+        };
+        let mut found: Vec<Far> = tasks::flat_map(self.reference.surface.facets().len(), of_facet);
         let places = farthest_places(mesh, samples, token);
         let mut some = places.chunks(most);
         loop {
@@ -139,7 +141,7 @@ impl Input<'_> {
             if found.get(most - 1).is_some_and(|least| least.distance >= next[0].0) {
                 return found;
             }
-            found.par_extend(next.par_iter().map(|&(_, position)| measure(position)));
+            found.extend(tasks::flat_map(next.len(), |k| [measure(next[k].1)]));
         }
     }
 

@@ -9,8 +9,6 @@
 
 use std::collections::{HashMap, HashSet};
 
-use rayon::prelude::*;
-
 use super::patch::Patch;
 use super::trial::{Goal, Measure, Trial, best};
 use super::{Context, MeshEditor, Place, Queue, distance_at};
@@ -18,6 +16,7 @@ use crate::mesh::facet_set::squared_distance;
 use crate::remesh::constants::*;
 use crate::remesh::manifold::Flip;
 use crate::remesh::triangle::{Shapes, score};
+use crate::tasks;
 
 /// What is wrong at a place. The later ones come first.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -152,7 +151,7 @@ impl Run {
             self.ahead.retain(|place, (then, _)| !editor.has_changed(place.vertex(), *then));
             if !self.ahead.contains_key(&first) {
                 let new: Vec<Place<Defect>> = batch.iter().copied().filter(|p| !self.ahead.contains_key(p)).collect();
-                let made: Vec<Outcome> = new.par_iter().with_max_len(1).map(|p| self.attempt(editor, p)).collect();
+                let made: Vec<Outcome> = tasks::alone(new.len(), |k| self.attempt(editor, &new[k]));
                 self.ahead.extend(new.into_iter().zip(made.into_iter().map(|outcome| (editor.edits, outcome))));
             }
             // What a far place comes to may change which is the next one.
@@ -360,14 +359,15 @@ fn first_far(context: &Context<'_>, estimates: &[f64]) -> Vec<Place<Defect>> {
 
 /// Those of some vertices around which the result is far from the input.
 fn far(context: &Context<'_>, vertices: Vec<u32>) -> Vec<Place<Defect>> {
-    let measure = |vertex: u32| {
+    let measure = |k: usize| {
+        let vertex = vertices[k];
         if context.token.is_stopped() {
             return None;
         }
         let (badness, edge) = distance_at(context, vertex);
         (badness > NEAR_SHARE * edge).then_some(Place::new(Defect::Far, vertex, badness))
     };
-    vertices.into_par_iter().filter_map(measure).collect()
+    tasks::flat_map(vertices.len(), measure)
 }
 
 #[cfg(test)]

@@ -11,7 +11,6 @@
 //! Must not know: seeds, diagrams, files.
 
 use glam::DVec3;
-use rayon::prelude::*;
 
 use super::objective::ShapeCost;
 use super::{Place, Queue, Steps, cheapest, places_around};
@@ -20,6 +19,7 @@ use crate::remesh::constants::*;
 use crate::remesh::features::envelope::CurveEnvelope;
 use crate::remesh::manifold::{Flip, LocalMesh};
 use crate::remesh::triangle::{Wanted, perimeter, score};
+use crate::tasks;
 use crate::token::Token;
 
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -45,8 +45,8 @@ pub(crate) struct MotionBounds<'a> {
 pub(crate) fn improve_shapes(mesh: &mut LocalMesh, bounds: MotionBounds<'_>, token: &Token) {
     mesh.mark();
     let wanted = Wanted::new(POOR_SCORE, POOR_ANGLE);
-    let poor = (0..mesh.facets().len() as u32).into_par_iter().filter(|&f| wanted.is_lacking(mesh.corners(f)));
-    let poor: Vec<u32> = poor.flat_map_iter(|f| mesh.facets()[f as usize]).collect();
+    let corners = |f: usize| wanted.is_lacking(mesh.corners(f as u32)).then(|| mesh.facets()[f]).into_iter().flatten();
+    let poor: Vec<u32> = tasks::flat_map(mesh.facets().len(), corners);
     // Their neighbours make room.
     let vertices = mesh.corners_around(&poor);
     let mut is_due = vec![false; mesh.positions.len()];
@@ -73,7 +73,7 @@ pub(crate) fn improve_shapes(mesh: &mut LocalMesh, bounds: MotionBounds<'_>, tok
         }
         left -= batch.len();
         let of = |place: &Place<()>| shapes.better_place(place.vertex(), place.badness());
-        let places: Vec<Option<DVec3>> = batch.par_iter().with_min_len(SHAPES_PER_TASK).map(of).collect();
+        let places: Vec<Option<DVec3>> = tasks::map(batch.len(), |k| of(&batch[k]));
         let made = batch.into_iter().zip(places).flat_map(|(place, to)| shapes.make(place, to));
         let changed = ascending(made.filter(|&u| is_due[u as usize]).collect::<Vec<u32>>());
         changed.iter().for_each(|&u| shapes.steps.renew(u));
@@ -101,7 +101,7 @@ impl Shapes<'_> {
         vertices.retain(|&v| self.bounds.mobility[v as usize] != Mobility::Fixed);
         let at = |v: u32| self.mesh.positions[v as usize];
         let cost_of = |&v: &u32| self.cost.around(self.mesh, v, at(v), f64::INFINITY, f64::NEG_INFINITY);
-        let costs: Vec<f64> = vertices.par_iter().with_min_len(SHAPES_PER_TASK).map(cost_of).collect();
+        let costs: Vec<f64> = tasks::map(vertices.len(), |k| cost_of(&vertices[k]));
         vertices.into_iter().zip(costs).for_each(|(v, cost)| self.push_one(v, cost));
     }
 

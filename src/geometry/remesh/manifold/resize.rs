@@ -8,6 +8,7 @@
 use super::LocalMesh;
 use crate::mesh::edges::{sides, undirected};
 use crate::remesh::triangle::unit_normal;
+use crate::tasks;
 use glam::DVec3;
 
 /// Corners of a facet that was taken out.
@@ -28,8 +29,7 @@ impl LocalMesh {
     /// Each edge once, lower end first, ascending.
     pub(crate) fn edges(&self) -> Vec<[u32; 2]> {
         use rayon::prelude::*;
-        let sides = self.facets.par_iter().flat_map_iter(|&[a, b, c]| [[a, b], [b, c], [c, a]]);
-        let mut edges: Vec<[u32; 2]> = sides.map(undirected).collect();
+        let mut edges = tasks::flat_map(self.facets.len(), |f| sides(self.facets[f]).map(undirected));
         edges.par_sort_unstable();
         edges.dedup();
         edges

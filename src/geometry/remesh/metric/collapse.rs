@@ -3,11 +3,10 @@
 //! Purpose: one pass over the edges, the shortest first. Of its two ends, the one goes whose edges fit better afterwards.
 //! Invariant: the module's above; no edge becomes too long. Must not know: other passes.
 
-use rayon::prelude::*;
-
 use super::{Adapting, Mobility};
 use crate::remesh::Result;
 use crate::remesh::constants::*;
+use crate::tasks;
 
 struct Proposal {
     length: f64,
@@ -31,7 +30,8 @@ impl Adapting<'_> {
                 to: best.2,
             })
         };
-        let mut proposals: Vec<Proposal> = self.mesh.edges().par_iter().filter_map(propose).collect();
+        let edges = self.mesh.edges();
+        let mut proposals: Vec<Proposal> = tasks::flat_map(edges.len(), |k| propose(&edges[k]));
         self.token.check()?;
         proposals.sort_by(|a, b| a.length.total_cmp(&b.length).then((a.from, a.to).cmp(&(b.from, b.to))));
         let mut touched = vec![false; self.sites.len()];

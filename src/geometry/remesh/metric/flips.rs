@@ -3,20 +3,20 @@
 //! Purpose: passes over the edges, the largest gain first. An edge is flipped if the worse of its two facets gains.
 //! Invariant: the module's above. Must not know: other passes.
 
-use rayon::prelude::*;
-
 use super::Adapting;
 use crate::remesh::Result;
 use crate::remesh::constants::*;
 use crate::remesh::manifold::Flip;
+use crate::tasks;
 
 impl Adapting<'_> {
     /// Flips edges while that helps.
     pub(super) fn flip(&mut self) -> Result<()> {
         let mut changed: Vec<u32> = (0..self.mesh.facets().len() as u32).collect();
         for _ in 0..METRIC_FLIPPING_PASSES {
-            let of = |&f: &u32| (0..3).filter_map(|side| self.better_flip(f, side, &changed)).collect::<Vec<_>>();
-            let mut proposals: Vec<(f64, Flip)> = changed.par_iter().flat_map_iter(of).collect();
+            let of =
+                |k: usize| (0..3).filter_map(|side| self.better_flip(changed[k], side, &changed)).collect::<Vec<_>>();
+            let mut proposals: Vec<(f64, Flip)> = tasks::flat_map(changed.len(), of);
             self.token.check()?;
             proposals.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1.facets.cmp(&b.1.facets)));
             let mut touched = vec![false; self.sites.len()];

@@ -5,13 +5,13 @@
 //! Must not know: other passes.
 
 use glam::DVec3;
-use rayon::prelude::*;
 
 use super::rails::Beside;
 use super::{Adapting, Mobility};
 use crate::mesh::metric::{Site, length, quality};
 use crate::remesh::Result;
 use crate::remesh::constants::*;
+use crate::tasks;
 
 struct Proposal {
     gain: f64,
@@ -27,7 +27,7 @@ impl Adapting<'_> {
         let mut waiting: Vec<u32> = (0..self.sites.len() as u32).collect();
         for _ in 0..passes {
             let propose = |&v: &u32| if self.token.is_stopped() { None } else { self.better_place(v) };
-            let mut proposals: Vec<Proposal> = waiting.par_iter().filter_map(propose).collect();
+            let mut proposals: Vec<Proposal> = tasks::flat_map(waiting.len(), |k| propose(&waiting[k]));
             self.token.check()?;
             proposals.sort_by(|a, b| b.gain.total_cmp(&a.gain).then(a.v.cmp(&b.v)));
             let mut touched = vec![false; self.sites.len()];

@@ -2,13 +2,12 @@
 //!
 //! Purpose: one pass over the edges, the longest first. Invariant: the module's above. Must not know: other passes.
 
-use rayon::prelude::*;
-
 use super::{Adapting, Mobility};
 use crate::mesh::edges::{sides, undirected};
 use crate::mesh::metric::{Site, length};
 use crate::remesh::Result;
 use crate::remesh::constants::*;
+use crate::tasks;
 
 struct Proposal {
     length: f64,
@@ -26,7 +25,8 @@ impl Adapting<'_> {
             let is_long = length > SPLIT_LENGTH || length > LEAST_ASTRAY && astray.binary_search(edge).is_ok();
             (is_long && !self.token.is_stopped()).then(|| self.proposed_split(*edge, length)).flatten()
         };
-        let mut proposals: Vec<Proposal> = self.mesh.edges().par_iter().filter_map(propose).collect();
+        let edges = self.mesh.edges();
+        let mut proposals: Vec<Proposal> = tasks::flat_map(edges.len(), |k| propose(&edges[k]));
         self.token.check()?;
         proposals.sort_by(|a, b| b.length.total_cmp(&a.length).then(a.edge.cmp(&b.edge)));
         let mut touched = vec![false; self.sites.len()];
@@ -51,7 +51,8 @@ impl Adapting<'_> {
 
     /// The longest edges of facets that do not face as the input does: the metric's edges are too long for how it bends. Ascending.
     fn astray(&self) -> Result<Vec<[u32; 2]>> {
-        let longest = |(f, &t): (usize, &[u32; 3])| {
+        let longest = |(): &mut (), f: usize| {
+            let t = self.mesh.facets()[f];
             self.token.check_at(f)?;
             if self.field.facing(self.mesh.places(t)) >= FACING_COSINE {
                 return Ok(None);
@@ -59,8 +60,8 @@ impl Adapting<'_> {
             let sides = sides(t).map(undirected).into_iter();
             Ok(sides.max_by(|a, b| self.length(*a).total_cmp(&self.length(*b)).then(a.cmp(b))))
         };
-        let longest = self.mesh.facets().par_iter().enumerate().map(longest);
-        let mut edges: Vec<[u32; 2]> = longest.filter_map(Result::transpose).collect::<Result<_>>()?;
+        let longest: Result<Vec<Option<[u32; 2]>>> = tasks::try_map(self.mesh.facets().len(), || (), longest);
+        let mut edges: Vec<[u32; 2]> = longest?.into_iter().flatten().collect();
         edges.sort_unstable();
         Ok(edges)
     }

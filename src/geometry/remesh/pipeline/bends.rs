@@ -9,7 +9,6 @@
 use std::collections::HashMap;
 
 use glam::DVec3;
-use rayon::prelude::*;
 
 use crate::mesh::TriMesh;
 use crate::mesh::apart::Apart;
@@ -17,6 +16,7 @@ use crate::mesh::closest_point::ClosestPoint;
 use crate::mesh::edges::{sides, undirected};
 use crate::remesh::constants::*;
 use crate::remesh::triangle::unit_normal;
+use crate::tasks;
 use crate::token::{Stopped, Token};
 
 /// Facets that turn by less are in one plane, radians.
@@ -57,7 +57,7 @@ pub(super) fn lengths(apart: &Apart, clean: &TriMesh, edge: f64, token: &Token) 
         let along = wall.map_or(edge, |wall| BENT_WALL * (radius * wall).sqrt());
         around.min(along).max(SHORTEST_BEND_EDGE * edge)
     };
-    let found: Vec<f64> = bends.par_iter().map(length).collect();
+    let found: Vec<f64> = tasks::map(bends.len(), |k| length(&bends[k]));
     token.check()?;
     let mut of_vertex: HashMap<u32, f64> = HashMap::new();
     for ((side, _), found) in bends.iter().zip(found).filter(|own| own.1 < edge) {

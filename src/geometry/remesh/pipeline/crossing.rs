@@ -5,8 +5,6 @@
 
 use std::collections::{BTreeSet, HashSet};
 
-use rayon::prelude::*;
-
 use super::Job;
 use super::extract::Built;
 use crate::mesh::TriMesh;
@@ -18,6 +16,7 @@ use crate::remesh::constants::{CROSSING_REACH, CROSSING_SHORTER, DIVIDING_ROUNDS
 use crate::remesh::manifold::LocalMesh;
 use crate::remesh::triangle::longest_side;
 use crate::rvd::RvdError;
+use crate::tasks;
 use crate::token::{Stopped, Token};
 
 impl Job<'_, '_> {
@@ -90,14 +89,11 @@ pub(super) fn shorten_near(
     let Ok(crossing) = TriMesh::new(result.positions().to_vec(), facets) else { return Ok(()) };
     let closest = ClosestPoint::unless(&crossing, token)?;
     let longest = |f: u32| longest_side(crossing.corners(f as usize));
-    let near: Vec<bool> = mesh
-        .positions()
-        .par_iter()
-        .map(|&p| {
-            let there = closest.project(p);
-            there.position.distance(p) < CROSSING_REACH * longest(there.facet)
-        })
-        .collect();
+    let near = tasks::map(mesh.positions().len(), |v| {
+        let p = mesh.positions()[v];
+        let there = closest.project(p);
+        there.position.distance(p) < CROSSING_REACH * longest(there.facet)
+    });
     token.check()?;
     lengths.iter_mut().zip(near).filter(|(_, near)| *near).for_each(|(length, _)| *length *= CROSSING_SHORTER);
     Ok(())

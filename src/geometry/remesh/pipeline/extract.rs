@@ -9,7 +9,6 @@
 use std::collections::{HashMap, HashSet};
 
 use glam::DVec3;
-use rayon::prelude::*;
 
 use crate::mesh::TriMesh;
 use crate::mesh::closest_point::ClosestPoint;
@@ -31,6 +30,7 @@ use crate::remesh::report::{AdaptedFigures, RepairFigures};
 use crate::remesh::triangle::Shapes;
 use crate::remesh::{Placement, RemeshError};
 use crate::rvd::{Surface, dual};
+use crate::tasks;
 use crate::token::{Stopped, Token};
 
 pub(super) struct Extraction<'a> {
@@ -228,7 +228,7 @@ impl<'a> Extraction<'a> {
 
     fn unit(&self, draft: &Draft<'_>) -> Vec<DVec3> {
         let frame = self.surface.frame();
-        draft.positions.par_iter().map(|&p| frame.to_unit(p)).collect()
+        tasks::map(draft.positions.len(), |v| frame.to_unit(draft.positions[v]))
     }
 
     /// Moves the draft's vertices to where facets are nearest to the input. Corners stay. `component` is by vertex.
@@ -273,7 +273,7 @@ impl<'a> Extraction<'a> {
     fn input(&self, vertex: &[u32], dual: &dual::Dual, vertices: usize) -> (InputSamples, Reference<'a>) {
         let surface = self.surface;
         let of = |p: &dual::Piece| if p.area > 0.0 { vertex[p.component as usize] } else { u32::MAX };
-        let owners: Vec<u32> = dual.pieces.par_iter().map(of).collect();
+        let owners: Vec<u32> = tasks::map(dual.pieces.len(), |k| of(&dual.pieces[k]));
         let sample = |k: usize| {
             let p = &dual.pieces[k];
             SurfaceSample { position: p.centroid, normal: surface.normal(p.facet), area: p.area }

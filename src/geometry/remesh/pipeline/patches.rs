@@ -11,7 +11,6 @@ mod flat;
 use std::collections::{BTreeMap, HashMap, HashSet};
 
 use glam::DVec3;
-use rayon::prelude::*;
 
 use super::extract::Built;
 use crate::mesh::adjacency::weld_unless;
@@ -22,6 +21,7 @@ use crate::mesh::{MeshError, TriMesh};
 use crate::remesh::features::{Chain, KeptCurves};
 use crate::remesh::manifold::LocalMesh;
 use crate::remesh::triangle::{score, unit_normal};
+use crate::tasks;
 use crate::token::{Stopped, Token};
 
 /// Facets do not turn by more than this from the patch, cosines, and have a better score, as long as vertices can be taken out so.
@@ -160,7 +160,7 @@ fn is_far(closest: &ClosestPoint, patch: &Patch, mesh: &TriMesh, reach: f64) -> 
     let mut vertices: Vec<u32> = patch.facets.iter().flat_map(|&f| mesh.facets()[f as usize]).collect();
     vertices.sort_unstable();
     vertices.dedup();
-    vertices.par_iter().any(|&v| closest.distance(mesh.positions()[v as usize]) > reach)
+    tasks::any(vertices.len(), |k| closest.distance(mesh.positions()[vertices[k] as usize]) > reach)
 }
 
 /// The Euler number of some facets, and their boundary; `None` if a half-edge is there twice.

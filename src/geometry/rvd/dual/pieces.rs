@@ -5,12 +5,12 @@
 //! Invariant: nothing is decided by coordinates. Must not know: how polygons were made.
 
 use glam::DVec3;
-use rayon::prelude::*;
 
 use super::{Component, Crossing, Dual, Piece, Stretch};
 use crate::mesh::csr::ascending;
 use crate::mesh::edges::{DisjointSets, EdgeGroups, Half};
 use crate::rvd::{PieceBatch, Surface, facet_edge};
+use crate::tasks;
 use crate::token::{Stopped, Token};
 
 /// What the dual needs of each piece, in facet order.
@@ -64,9 +64,8 @@ const RUN: usize = 2048;
 
 impl Pieces {
     pub(super) fn take(&mut self, batch: &PieceBatch) {
-        let runs: Vec<usize> = (0..batch.len()).step_by(RUN).collect();
-        let part = |&first: &usize| Self::of(batch, first..batch.len().min(first + RUN));
-        let parts: Vec<Self> = runs.par_iter().with_max_len(1).map(part).collect();
+        let part = |run: usize| Self::of(batch, run * RUN..batch.len().min((run + 1) * RUN));
+        let parts: Vec<Self> = tasks::alone(batch.len().div_ceil(RUN), part);
         self.facet.extend_from_slice(&batch.facet);
         self.seed.extend_from_slice(&batch.seed);
         for part in parts {
@@ -169,7 +168,7 @@ impl Pieces {
         };
         let edges = || {
             let other = |&(p, j): &(u32, u32)| [p, self.find(self.facet[p as usize], j).unwrap_or(p)];
-            let stretches: Vec<Stretch> = self.stretches.par_iter().with_min_len(RUN).map(other).collect();
+            let stretches: Vec<Stretch> = tasks::map(self.stretches.len(), |k| other(&self.stretches[k]));
             // A stretch of boundary ends where a bisector crosses it, for the cells on both sides.
             let at_rim =
                 self.crossings.iter().filter(|(half, _)| joined.boundary_edge[joined.edge[*half as usize] as usize]);
@@ -179,7 +178,7 @@ impl Pieces {
                 let (piece, j) = self.stretches[s as usize];
                 ((joined.edge[half as usize], [self.seed[piece as usize], j]), s)
             };
-            let crossings: Vec<Crossing> = self.crossings.par_iter().with_min_len(RUN).map(crossing).collect();
+            let crossings: Vec<Crossing> = tasks::map(self.crossings.len(), |k| crossing(&self.crossings[k]));
             (boundary_arcs, super::multiple_edges(&stretches, crossings, component))
         };
         rayon::join(disks, edges)
@@ -206,7 +205,7 @@ impl Pieces {
             area: self.area[p],
             centroid: if self.area[p] > 0.0 { self.moment[p] / self.area[p] } else { DVec3::ZERO },
         };
-        (0..self.facet.len()).into_par_iter().map(centre).collect()
+        tasks::map(self.facet.len(), centre)
     }
 
     fn across_edges(&self, surface: &Surface) -> Joined {
@@ -315,7 +314,7 @@ impl Pieces {
             }
         }
         dual.empty_cells = largest.iter().filter(|&&id| id == u32::MAX).count();
-        let component: Vec<u32> = roots.par_iter().with_min_len(RUN).map(|&root| number[root as usize]).collect();
+        let component: Vec<u32> = tasks::map(roots.len(), |k| number[roots[k] as usize]);
         let triangle = |&(piece, others): &(u32, [u32; 2])| {
             let facet = self.facet[piece as usize];
             let known = others.map(|seed| self.find(facet, seed).map(|p| component[p as usize]));
@@ -323,7 +322,7 @@ impl Pieces {
             let [a, b] = [0, 1].map(|k| known[k].unwrap_or(largest[others[k] as usize]));
             ([component[piece as usize], a, b], inconsistent)
         };
-        let triangles: Vec<([u32; 3], usize)> = self.vertices.par_iter().with_min_len(RUN).map(triangle).collect();
+        let triangles: Vec<([u32; 3], usize)> = tasks::map(self.vertices.len(), |k| triangle(&self.vertices[k]));
         dual.inconsistent = triangles.iter().map(|t| t.1).sum();
         dual.triangles = triangles.into_iter().map(|t| t.0).filter(|t| !t.contains(&u32::MAX)).collect();
         (dual, component)

@@ -6,21 +6,22 @@
 //! what [`super::dialects`] gives, to the bit, or nothing; what is wrong with a file is said there. Must not know: messages.
 
 use glam::{DVec2, DVec3};
-use rayon::prelude::*;
 
 use super::{Corner, Face, NONE, Statements, WHITE};
+use crate::tasks;
 
 /// About so many bytes are one task.
 const PIECE: usize = 1 << 19;
 
 /// The statements, if all that matter are as the head of this file says. What a surface carries is read if it is `wanted`.
 pub(super) fn read(bytes: &[u8], wanted: bool) -> Option<Statements> {
-    let parts = pieces(bytes).into_par_iter().map(|text| Part::read(text, wanted));
-    let mut parts: Vec<Statements> = parts.collect::<Option<_>>()?;
+    let pieces = pieces(bytes);
+    let parts = tasks::alone(pieces.len(), |k| Part::read(pieces[k], wanted));
+    let mut parts: Vec<Statements> = parts.into_iter().collect::<Option<_>>()?;
     // One that names no vertex is another's to say, before there are lists of all.
     let vertices: usize = parts.iter().map(|part| part.vertices).sum();
-    let is_known = |part: &Statements| part.facets.iter().flatten().all(|&v| (v as usize) < vertices);
-    if !parts.par_iter().all(is_known) {
+    let is_known = |part: usize| parts[part].facets.iter().flatten().all(|&v| (v as usize) < vertices);
+    if tasks::alone(parts.len(), is_known).contains(&false) {
         return None;
     }
     let positions = parts.iter_mut().map(|part| std::mem::take(&mut part.positions)).collect();

@@ -7,12 +7,12 @@
 //! declared. Both ways give the same; what is wrong with a file is said by [`Rows`]. Must not know: what attributes mean.
 
 use glam::DVec3;
-use rayon::prelude::*;
 
 use super::carried::{Carried, Role};
 use super::header::{Element, FACES, Header, STRIPS};
 use super::{Counts, DataError, Soup};
 use crate::mesh::io::numbers::{Cursor, Encoding, Kind, Order, numbers};
+use crate::tasks;
 
 pub(super) fn read(header: &Header<'_>, carried: &mut Carried) -> Result<Soup, DataError> {
     if let Some(soup) = records(header, carried) {
@@ -264,18 +264,23 @@ impl<'a> Layout<'a> {
             [3u8] => [1, 5, 9].map(|at| u32::from_le_bytes(bytes(record, list + at))),
             _ => [u32::MAX; 3],
         };
-        let facets: Vec<[u32; 3]> = records.par_chunks_exact(self.stride).map(facet).collect();
-        facets.par_iter().all(|facet| facet.iter().all(|&v| v < most)).then_some(facets)
+        let facets = rows(records, self.stride, facet);
+        (!tasks::any(facets.len(), |f| facets[f].iter().any(|&v| v >= most))).then_some(facets)
     }
+}
+
+/// What `of` makes of each whole row of this size.
+fn rows<T: Default + Send>(rows: &[u8], size: usize, of: impl Fn(&[u8]) -> T + Sync) -> Vec<T> {
+    tasks::map(rows.len() / size, |k| of(&rows[k * size..][..size]))
 }
 
 fn vectors<const N: usize>(rows: &[u8], size: usize, at: [usize; 3], of: impl Fn([u8; N]) -> f64 + Sync) -> Vec<DVec3> {
     let vector = |r: &[u8]| DVec3::from_array(at.map(|at| of(bytes(r, at))));
-    rows.par_chunks_exact(size).map(vector).collect()
+    self::rows(rows, size, vector)
 }
 
 fn column<const N: usize>(rows: &[u8], size: usize, at: usize, of: impl Fn([u8; N]) -> f64 + Sync) -> Vec<f64> {
-    rows.par_chunks_exact(size).map(|r| of(bytes(r, at))).collect()
+    self::rows(rows, size, |r| of(bytes(r, at)))
 }
 
 /// Bytes of one number; a record has them all, by how the layout was made.
