@@ -206,7 +206,12 @@ fn upward_uses(tree: &Tree, rules: &Rules<'_>) -> Vec<String> {
             let Target::Here(path) = tree.resolve(at, &used.path) else { continue };
             let Some(other) = room_of(tree, &path) else { continue };
             // The root passes on what the interface is made of. All listen to the token and share their loops' items.
-            if room == "lib" || other == room || other == "token" || other == "tasks" || allowed.contains(&other.as_str()) {
+            if room == "lib"
+                || other == room
+                || other == "token"
+                || other == "tasks"
+                || allowed.contains(&other.as_str())
+            {
                 continue;
             }
             let door = rules.doors.iter().find(|(place, more)| within(&name, place) && more.contains(&other.as_str()));

@@ -147,6 +147,17 @@ fn parts_that_pass_through_each_other_are_not_tried_again() {
 }
 
 #[test]
+fn folds_that_few_points_leave_are_counted_and_warned_of() {
+    // The wall is a fiftieth of an edge thick.
+    let done = run(&part(PartKind::Cup, 0.005, 3), 60, 2);
+    let folded = sharp(&done.mesh, 150.0).len();
+    assert!(folded > 0);
+    assert_eq!(done.report.result.folded_edges, Some(folded));
+    let warning = done.report.warnings.iter().find(|warning| warning.code == "folded_edges").unwrap();
+    assert_eq!(warning.count, Some(folded));
+}
+
+#[test]
 fn rims_of_a_thin_wall_have_their_vertices_side_by_side() {
     // The wall is a twentieth of an edge thick.
     let mesh = part(PartKind::Cup, 0.005, 248);

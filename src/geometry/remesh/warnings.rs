@@ -178,7 +178,9 @@ fn of_repair(report: &Report, all: &mut Vec<Warning>) {
     counted(all, "coincident_vertices", report.result.coincident_vertices, touching);
     let (without, extra) = (repair.seeds_without_vertex, repair.extra_vertices);
     if without + extra > 0 {
-        let text = format!("{without} points have no vertex, {extra} vertices share one: the surface is thin there");
+        let counts = [(without, "points have no vertex"), (extra, "vertices share the point of another")];
+        let counts = counts.into_iter().filter(|(count, _)| *count > 0).map(|(count, what)| format!("{count} {what}"));
+        let text = format!("{}: the surface is thin there", counts.collect::<Vec<_>>().join(", "));
         all.push(Warning::new("shared_points", Some(without + extra), text));
     }
 }
