@@ -147,6 +147,16 @@ fn parts_that_pass_through_each_other_are_not_tried_again() {
 }
 
 #[test]
+fn vertices_of_a_thin_wedge_are_in_places_of_their_own() {
+    for (feature, seed, points) in [(0.1, 180, 500), (0.03, 110, 1500)] {
+        let mesh = part(PartKind::Wedge, feature, seed);
+        let done = run(&mesh, points, 2);
+        assert_eq!(done.report.result.coincident_vertices, 0, "wedge {feature} {seed}");
+        assert_eq!(topology(&done.mesh).euler, topology(&mesh).euler, "wedge {feature} {seed}");
+    }
+}
+
+#[test]
 fn folds_that_few_points_leave_are_counted_and_warned_of() {
     // The wall is a fiftieth of an edge thick.
     let done = run(&part(PartKind::Cup, 0.005, 3), 60, 2);

@@ -38,6 +38,8 @@ const PASSES: usize = 50;
 const ROUNDS: usize = 4;
 /// Facets that a flip makes face the patch within this, cosine.
 const FLIPPED: f64 = 0.3;
+/// No flip makes a facet with a smaller angle, degrees, where there was none: its edge would be divided in the same place again.
+const LEAST_FLIPPED: f64 = 1e-6;
 /// Facets that turn by less than this are of one smooth surface, cosine: the other diagonal is as near to it.
 const SMOOTH: f64 = 0.9;
 /// Edges this near to the patch are in it, share of the edges of its curves: of those the better facets decide.
@@ -390,7 +392,11 @@ fn flip(patch: &mut LocalMesh, surface: &Original, facing: &[DVec3], least: f64)
                 }
                 let worst = |corners: [[DVec3; 3]; 2]| score(corners[0]).min(score(corners[1]));
                 let before = worst(flip.facets.map(|f| patch.corners(f)));
-                let is_better = worst(flip.corners.map(|t| patch.places(t))) > before + 1e-9;
+                let after = worst(flip.corners.map(|t| patch.places(t)));
+                if after < before.min(LEAST_FLIPPED) {
+                    continue;
+                }
+                let is_better = after > before + 1e-9;
                 let t = patch.facets()[f as usize];
                 let off = [[t[side], t[(side + 1) % 3]], [flip.corners[0][1], flip.corners[0][2]]]
                     .map(|ends| surface.off(patch, ends));
