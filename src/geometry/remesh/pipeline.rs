@@ -24,9 +24,11 @@
 
 mod adapt;
 mod bends;
+mod carried;
 mod connect;
 mod crossing;
 mod extract;
+mod job;
 mod join;
 mod kept;
 mod measured;
@@ -37,38 +39,25 @@ mod periodic;
 mod prepare;
 mod preprocess;
 mod schedule;
+mod stages;
 mod tips;
 mod tolerance;
 mod uncross;
 mod ways;
 
-use std::collections::HashMap;
-use std::time::Instant;
-
 use glam::DVec3;
 
-use super::attributes::{self, Provenance};
+use super::attributes;
 use super::features::Held;
-use super::report::{RefineEnd, RegionFigures, Timings};
-use super::{
-    Anisotropy, Limits, Observer, Placement, Refine, Remesh, RemeshError, RemeshOptions, Result, Seeds, Tolerance,
-    constants, warnings,
-};
-use crate::cvt::density::{Count, DensityOptions, DensitySource, Plan};
+use super::{Anisotropy, Observer, Placement, Remesh, RemeshError, RemeshOptions, Result, Seeds, Tolerance, warnings};
+use crate::cvt::density::DensitySource;
 use crate::mesh::TriMesh;
-use crate::mesh::adjacency::Adjacency;
-use crate::mesh::apart::Apart;
 use crate::mesh::attributes::Attributes;
 use crate::mesh::closest_point::{ClosestPoint, SurfacePoint};
-use crate::mesh::crossings::crossings;
-use crate::mesh::features::{EdgeShares, edge_shares};
 use crate::mesh::input::{draw_in, outliers};
-use crate::mesh::measure::{Topology, topology_unless};
-use crate::rvd::{Backend, RvdError, elapsed_ms, on_threads_of};
-use crate::token::{Stopped, Token};
-use prepare::{Asked, Prepared, prepare, with_source};
-use preprocess::{Separated, preprocess};
-use ways::{Division, Outcome, Way};
+use crate::rvd::{Backend, RvdError, on_threads_of};
+use crate::token::Token;
+use ways::Way;
 
 /// Remeshes `given` on `backend`.
 ///
@@ -219,384 +208,9 @@ fn run_stages(
     token: &Token,
 ) -> Result<Remesh, RemeshError> {
     let mut run = |held: Held<'_>, (options, way): (&RemeshOptions, Way)| {
-        run_once((mesh, held), (options, way), backend, &mut *observer, token)
+        stages::run((mesh, held), (options, way), backend, &mut *observer, token)
     };
     ways::run(held, options, &mut run, token)
-}
-
-fn run_once(
-    (given, held): (&TriMesh, Held<'_>),
-    (options, way): (&RemeshOptions, Way),
-    backend: &dyn Backend,
-    observer: &mut dyn Observer,
-    token: &Token,
-) -> Result<Outcome, RemeshError> {
-    options.attributes.iter().try_for_each(|attributes| attributes.check_mesh(given))?;
-    if options.refine.is_some() && options.placement != Placement::Fitted {
-        return Err(RemeshError::RefineUnfitted);
-    }
-    let laps = Laps::start();
-    token.enter("prepare");
-    observer.stage("prepare");
-    // Most inputs need no preprocessing: what is prepared meanwhile is then of use.
-    let asked = Asked { held, ..Asked::new(given, options) };
-    let weld = options.weld.map(|weld| weld.length(given));
-    let (preprocessed, mut prepared) =
-        rayon::join(|| preprocess(given, weld, token), || prepare(given, options, asked, None, token));
-    let mut preprocessed = preprocessed?;
-    if !options.periodic.is_empty() {
-        preprocessed.pair(given, &options.periodic, token)?;
-    }
-    let in_metric = matches!(options.density.source, DensitySource::Metric(_));
-    let isotropic = options.anisotropy == Anisotropy::None;
-    let closes = held.closes || !options.periodic.is_empty();
-    let held = Held { closes, ..held };
-    let asked = Asked { held, ..asked };
-    let undivided = preprocessed.separate(given, (options, held), &[], token)?;
-    let clean = preprocessed.mesh(given);
-    let mut separated = &undivided;
-    let first = asked;
-    let mut asked = undivided.asked(first);
-    token.check()?;
-    if preprocessed.changed.is_some() || undivided.is_changed() {
-        let mesh = undivided.apart.as_ref().map_or(clean, |apart| &apart.mesh);
-        prepared = prepare(mesh, undivided.options.as_ref().unwrap_or(options), asked, None, token);
-    }
-    let seeks_creases = matches!(&prepared, Ok(prepared) if prepared.curves.seeks_creases());
-    let designed = if seeks_creases { designed(clean, options, token)? } else { None };
-    let may_divide = options.keep_boundaries
-        && isotropic
-        && !in_metric
-        && !held.closes
-        && options.periodic.is_empty()
-        && held.rims.is_empty()
-        && held.vertices.is_empty()
-        && designed.is_some();
-    let creases = match &prepared {
-        // Flat patches then come down to their corners.
-        Ok(prepared)
-            if may_divide
-                && (way.divides() || way == Way::Free && (prepared.curves.is_crowded || options.refine.is_some())) =>
-        {
-            let Prepared { curves, plan, surface, .. } = prepared;
-            let apart = undivided.apart.as_ref();
-            let separated = apart.map_or(clean, |apart| &apart.mesh);
-            let edges = curves.every_edge((&plan.mesh, surface), separated.positions().len(), token)?;
-            let before = |v| apart.map_or(v, |apart| apart.before(v));
-            edges.into_iter().map(|edge| edge.map(before)).collect()
-        }
-        _ => Vec::new(),
-    };
-    let divided = match creases.is_empty() {
-        true => None,
-        false => Some(preprocessed.separate(given, (options, held), &creases, token)?)
-            .filter(|of| of.joined.is_some() || options.keep_non_manifold && of.apart.is_some()),
-    };
-    if let Some(divided) = &divided {
-        let again = divided.asked(Asked { held: Held { crowded: true, beside: way == Way::Beside, ..held }, ..first });
-        let mesh = divided.apart.as_ref().map_or(clean, |apart| &apart.mesh);
-        let options = divided.options.as_ref().unwrap_or(options);
-        let mut of = prepare(mesh, options, again, None, token);
-        if let (Some(apart), Ok(Prepared { plan, .. })) = (&divided.apart, &of)
-            && matches!(options.density, DensityOptions { source: DensitySource::Uniform, ref zones, .. } if zones.is_empty())
-            && let Some(edge) = plan.figures.edge_median
-            && let Some(lengths) = bends::lengths(apart, clean, edge, token)?
-        {
-            of = prepare(mesh, &with_source(options, DensitySource::Sizes(lengths)), again, None, token);
-            of.iter_mut().for_each(|of| of.plan.figures.source = options.density.source.name());
-        }
-        if of.as_ref().is_ok_and(|of| !of.curves.seeds.is_empty()) {
-            (prepared, separated, asked) = (of, divided, again);
-        }
-    }
-    let is_divided = divided.as_ref().is_some_and(|divided| std::ptr::eq(separated, divided));
-    if way.divides() && !is_divided {
-        return Ok(Outcome::Again(Way::Undivided));
-    }
-    let Separated { apart, options: adapted, topology, joined, seams, figures, .. } = separated;
-    let (topology, joined, meet) =
-        (*topology, *joined, seams.as_ref().is_some_and(|seams| seams.meet()) && options.periodic.is_empty());
-    token.check()?;
-    let options = adapted.as_ref().unwrap_or(options);
-    let separated = apart.as_ref().map_or(clean, |apart| &apart.mesh);
-    let input = figures.clone();
-    let limits = match (options.refine, &prepared) {
-        (Some(Refine { tolerance, max_points }), &Ok(Prepared { plan: Plan { points, .. }, .. })) => {
-            let first = if let Count::Points(count) = options.seeds.count() { count } else { points };
-            let most = max_points.unwrap_or(first.saturating_mul(2));
-            if points > most {
-                return Err(RemeshError::RefineLimit { points, most });
-            }
-            Some(Limits { tolerance: tolerance.length(given), max_points: most })
-        }
-        _ => None,
-    };
-    let limited = limits.map(|limits| RemeshOptions { refine: Some(limits.into()), ..options.clone() });
-    let options = limited.as_ref().unwrap_or(options);
-    // Given edge lengths are not changed.
-    let source = &options.density.source;
-    let free = !matches!(source, DensitySource::Sizes(_) | DensitySource::Weights(_));
-    // Cells are larger than they look where the lifted surface is, and are no measure of its thickness.
-    let improves = in_metric || options.placement == Placement::Fitted;
-    let keep_thin = options.keep_thin && free && isotropic && improves;
-    let (low, high) = clean.bounds();
-    let diagonal = (high - low).length();
-    // A tolerance decides itself how many points there are, and a metric is scaled for their number.
-    let scales_seeds = options.refine.is_none() && !in_metric;
-    let divisible = way == Way::Free && may_divide && !is_divided;
-    let may_divide = divisible && keep_thin && options.refine.is_none();
-    // Patches that are divided are not thin, and the number of their vertices is known.
-    let may_shorten = keep_thin && options.refine.is_none() && !matches!(options.seeds, Seeds::Given(_));
-    let (keep_thin, scales_seeds) = (keep_thin && !is_divided, scales_seeds && !is_divided);
-    let wants_division = false;
-    let mut job = Job {
-        clean,
-        apart: apart.as_ref(),
-        meet,
-        separated,
-        asked,
-        backend,
-        token,
-        observer,
-        laps,
-        keep_thin,
-        scales_seeds,
-        diagonal,
-        topology,
-        may_divide,
-        wants_division,
-    };
-    let attempt = match (limits, &options.seeds) {
-        (Some(limits), &(Seeds::Sample { seed, .. } | Seeds::Implied { seed })) => {
-            prepared.and_then(|prepared| tolerance::refine(&mut job, prepared, options, limits, seed))
-        }
-        (Some(limits), _) => prepared.and_then(|prepared| job.add(prepared, options, limits)),
-        (None, _) => prepared.and_then(|prepared| job.attempt(prepared, options, None)),
-    };
-    if job.wants_division {
-        return Ok(Outcome::Again(Way::Divided));
-    }
-    let counted = matches!(options.seeds.count(), Count::Points(_));
-    let edge_length = options.density.edge_length.filter(|_| !counted);
-    let mut attempt = match attempt {
-        // Patches may have no room for any cells.
-        Err(_) if is_divided && token.check().is_ok() => return Ok(Outcome::Again(Way::Undivided)),
-        attempt => attempt.map_err(|error| error.for_surface(&topology, input.area, edge_length))?,
-    };
-
-    token.check()?;
-    let is_reached = limits.is_none() || attempt.figures.refine.ended == Some(RefineEnd::Reached);
-    if is_divided && !(attempt.is_whole && is_reached) {
-        return Ok(Outcome::Again(Way::Undivided));
-    }
-    // Not known again once vertices move.
-    let mut none_crosses = false;
-    if may_shorten {
-        let crossing;
-        (attempt, crossing) = match job.uncross(attempt, (divisible, is_divided), options)? {
-            Some(found) => found,
-            None => return Ok(Outcome::Again(Way::Divided)),
-        };
-        none_crosses = crossing == 0 && preprocessed.pairs.is_none();
-    }
-    if options.keep_thin && options.placement == Placement::Fitted && !matches!(options.seeds, Seeds::Given(_)) {
-        let broken = |e| RvdError::Internal(format!("facets in the places of one: {e}"));
-        none_crosses &= !tips::put_back(&mut attempt.built, &attempt.plan.mesh, token)?.map_err(broken)?;
-    }
-    let broken = |e| RvdError::Internal(format!("a vertex moved to a point: {e}"));
-    let settled = match &asked.held.seams {
-        Some(_) if !in_metric => {
-            tips::settle_points(&mut attempt.built, &attempt.curves, &attempt.plan.mesh, token)?.map_err(broken)?
-        }
-        _ => HashMap::new(),
-    };
-    none_crosses &= settled.is_empty();
-    let mut of_result = None;
-    let result = &mut attempt.built.mesh;
-    let curve_edges = &attempt.built.curve_edges[..];
-    let carried = match apart {
-        // Attributes are those of the facets as given, and so is the provenance.
-        None => transfer(&mut job, given, options, (result, curve_edges))?,
-        Some(apart) => {
-            let broken = |e| RvdError::Internal(format!("a surface was valid where its parts were apart: {e}"));
-            let given_apart = preprocessed.given_apart(given, apart).map_err(broken)?;
-            let mut transferred = transfer(&mut job, &given_apart, options, (result, curve_edges))?;
-            // Of the sheets apart: in their places, vertices of several may be in one.
-            of_result = Some(topology_unless(result, &Adjacency::unless(result, token)?, token)?);
-            *result = apart.mesh_back(result, token)?.map_err(broken)?;
-            attempt.seeds.iter_mut().for_each(|p| *p = apart.back(*p));
-            attempt.curves.move_dropped(|p| apart.back(p));
-            // It answers for the sheets apart, not for the input.
-            attempt.closest = None;
-            if options.keep_non_manifold {
-                join::join(&mut attempt.built, &attempt.curves, &settled, &mut transferred).map_err(broken)?;
-                job.topology = input.topology;
-                of_result = None;
-                if is_divided {
-                    let result = &attempt.built.mesh;
-                    let found = topology_unless(result, &Adjacency::unless(result, token)?, token)?;
-                    let key = |of: &Topology| (of.euler, of.components, of.boundary_loops);
-                    if key(&found) != key(&job.topology) {
-                        return Ok(Outcome::Again(Way::Undivided));
-                    }
-                    of_result = Some(found);
-                }
-            } else if let Some(joined) = joined {
-                join::join(&mut attempt.built, &attempt.curves, &settled, &mut transferred).map_err(broken)?;
-                job.topology = joined;
-                // What has one vertex is joined, and not what touches.
-                let result = &attempt.built.mesh;
-                let own = (0..result.positions().len() as u32).collect();
-                let found = topology_unless(result, &Adjacency::with(result, own, token)?, token)?;
-                // Patches on both sides of a hole may have the same edge across it.
-                let is_broken = found.boundary_loops != joined.boundary_loops
-                    || found.non_manifold_edges + found.non_manifold_vertices > 0;
-                if is_divided && is_broken {
-                    return Ok(Outcome::Again(Way::Undivided));
-                }
-                of_result = Some(found);
-            }
-            transferred
-        }
-    };
-    if is_divided
-        && !none_crosses
-        && crossings(&attempt.built.mesh, token)?.count as f64
-            > constants::MOST_CROSSING * attempt.built.mesh.facets().len() as f64
-    {
-        return Ok(Outcome::Again(Way::Undivided));
-    }
-    job.laps.end(|t| &mut t.attributes);
-    let mut periodic = None;
-    if let Some(pairs) = &preprocessed.pairs {
-        let of = (&attempt.curves, &attempt.seeds[..]);
-        let by = (&options.periodic[..], match_reach(given));
-        let first = pairs.all.first().map_or(DVec3::ZERO, |pair| clean.positions()[pair.from[0] as usize]);
-        periodic = Some(periodic::settle(&mut attempt.built, of, by, (pairs, first), token)?);
-    }
-
-    job.enter("measure");
-    // Which of several ways a designed part goes depends on the figures.
-    let measures = options.measure || designed.is_some();
-    let known = measured::Known { topology: of_result, none_crosses, measures, designed, apart: apart.as_ref() };
-    let mut measured = measured::measure(clean, input, options, attempt, known, job)?;
-    let Carried { attributes, provenance, regions } = carried;
-    (measured.report.result.regions, measured.report.result.periodic) = (regions, periodic);
-    let division = match (is_divided, divisible) {
-        (true, _) => Division::Made,
-        (false, true) => Division::Possible,
-        (false, false) => Division::Impossible,
-    };
-    Ok(Outcome::Done(Box::new(Remesh { attributes, provenance, ..measured }), division))
-}
-
-/// The edges of a surface that has flat or ruled faces between sharp edges, or edges that the caller named.
-fn designed(mesh: &TriMesh, options: &RemeshOptions, token: &Token) -> Result<Option<EdgeShares>, Stopped> {
-    let shares = edge_shares(mesh, token)?;
-    let has_creases = shares.sharp >= constants::LEAST_SHARP || !options.creases.is_empty();
-    Ok(Some(shares).filter(|shares| shares.flat >= constants::LEAST_FLAT && has_creases))
-}
-
-/// How near a vertex is to a mirror plane, or a boundary to the image of another, to be in it; caller's units.
-fn match_reach(mesh: &TriMesh) -> f64 {
-    let (low, high) = mesh.bounds();
-    constants::MATCH_DIAGONAL * (high - low).length()
-}
-
-/// What the result has of the input's attributes.
-#[derive(Default)]
-struct Carried {
-    attributes: Option<Attributes>,
-    /// Where its vertices lie on the input.
-    provenance: Vec<Provenance>,
-    regions: Vec<RegionFigures>,
-}
-
-/// The input's attributes on the result, if there are any.
-fn transfer(
-    job: &mut Job<'_, '_>,
-    given: &TriMesh,
-    options: &RemeshOptions,
-    (result, curve_edges): (&TriMesh, &[[u32; 2]]),
-) -> Result<Carried, RemeshError> {
-    if options.attributes.is_some() {
-        job.enter("attributes");
-    }
-    carry(given, options.attributes.as_ref(), (result, curve_edges), job.token)
-}
-
-/// `attributes` of `given` on the result, if there are any.
-fn carry(
-    given: &TriMesh,
-    attributes: Option<&Attributes>,
-    (result, curve_edges): (&TriMesh, &[[u32; 2]]),
-    token: &Token,
-) -> Result<Carried> {
-    let Some(attributes) = attributes else { return Ok(Carried::default()) };
-    let closest = ClosestPoint::unless(given, token)?;
-    let provenance = attributes::provenance(&closest, result.positions(), token)?;
-    token.check()?;
-    let mut carried = attributes::carry(given, attributes, &closest, result, &provenance)?;
-    let mut figures = Vec::new();
-    if let Some(regions) = attributes.regions() {
-        let of_facet = attributes::regions::carry((given, regions), &closest, (result, curve_edges), token)?;
-        figures = attributes::regions::figures(regions, given, (result, &of_facet));
-        carried.set_regions(regions.with_facets(of_facet))?;
-    }
-    Ok(Carried { attributes: Some(carried), provenance, regions: figures })
-}
-
-pub(super) struct Job<'a, 'b> {
-    /// The input, preprocessed.
-    pub(super) clean: &'a TriMesh,
-    /// What was moved to have its sheets apart, if there are several, and whether they meet along curves.
-    pub(super) apart: Option<&'a Apart>,
-    pub(super) meet: bool,
-    /// `clean` with its sheets apart.
-    pub(super) separated: &'a TriMesh,
-    asked: Asked<'a>,
-    pub(super) backend: &'b dyn Backend,
-    pub(super) token: &'b Token,
-    pub(super) observer: &'b mut dyn Observer,
-    pub(super) laps: Laps,
-    /// Whether edges become shorter where the surface is too thin for its cells.
-    pub(super) keep_thin: bool,
-    /// Whether seeds become fewer, for the number of vertices that was asked for.
-    pub(super) scales_seeds: bool,
-    /// Diagonal of the input's bounding box, caller's units.
-    pub(super) diagonal: f64,
-    /// What the result is to have.
-    pub(super) topology: Topology,
-    /// Whether the surface may be divided along its creases where it is too thin for its cells, and whether it is to be.
-    pub(super) may_divide: bool,
-    pub(super) wants_division: bool,
-}
-
-impl Job<'_, '_> {
-    pub(super) fn enter(&mut self, stage: &'static str) {
-        self.token.enter(stage);
-        self.observer.stage(stage);
-    }
-}
-
-/// A stopwatch, and the times of the stages. All in milliseconds.
-pub(super) struct Laps {
-    begin: Instant,
-    last: Instant,
-    pub(super) timings: Timings,
-}
-
-impl Laps {
-    pub(super) fn start() -> Self {
-        let now = Instant::now();
-        Self { begin: now, last: now, timings: Timings::default() }
-    }
-
-    /// Adds the time since the last call to a stage.
-    pub(super) fn end(&mut self, stage: impl Fn(&mut Timings) -> &mut f64) {
-        *stage(&mut self.timings) += elapsed_ms(self.last);
-        self.last = Instant::now();
-    }
 }
 
 /// Makes the result of `near`, which is `given` with its far vertices drawn in, one of `given`. Only positions change: a vertex

@@ -5,11 +5,13 @@
 //! Invariant: as in the module above. A curve stays in one piece, and a boundary where it is.
 //! Must not know: why the number changes.
 
+use glam::DVec3;
+use rayon::prelude::*;
+
 use super::LocalMesh;
 use crate::mesh::edges::{sides, undirected};
 use crate::remesh::triangle::unit_normal;
 use crate::tasks;
-use glam::DVec3;
 
 /// Corners of a facet that was taken out.
 const GONE: [u32; 3] = [0; 3];
@@ -28,7 +30,6 @@ impl LocalMesh {
 
     /// Each edge once, lower end first, ascending.
     pub(crate) fn edges(&self) -> Vec<[u32; 2]> {
-        use rayon::prelude::*;
         let mut edges = tasks::flat_map(self.facets.len(), |f| sides(self.facets[f]).map(undirected));
         edges.par_sort_unstable();
         edges.dedup();

@@ -5,8 +5,8 @@
 
 use std::collections::{BTreeSet, HashSet};
 
-use super::Job;
 use super::extract::Built;
+use super::job::Job;
 use crate::mesh::TriMesh;
 use crate::mesh::closest_point::ClosestPoint;
 use crate::mesh::crossings::crossing_facets;

@@ -5,7 +5,7 @@
 
 use std::collections::{HashMap, HashSet};
 
-use super::Carried;
+use super::carried::Carried;
 use super::extract::Built;
 use crate::mesh::edges::undirected;
 use crate::mesh::{MeshError, TriMesh};

@@ -3,7 +3,7 @@
 //! Purpose: [`measure`] compares a result with the surface, and writes the report.
 //! Invariant: the result does not change. Attributes and provenance are left empty. Must not know: how a result is made.
 
-use super::Job;
+use super::job::Job;
 use super::optimize;
 use super::schedule::Figures;
 use super::tolerance::Attempt;

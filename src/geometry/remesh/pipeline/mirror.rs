@@ -11,9 +11,11 @@ use std::time::Instant;
 
 use glam::DVec3;
 
+use super::carried::{Carried, carry};
 use super::measured::compare;
+use super::optimize;
+use super::preprocess::match_reach;
 use super::preprocess::preprocess;
-use super::{Carried, carry, match_reach, optimize};
 use crate::mesh::TriMesh;
 use crate::mesh::adjacency::{Adjacency, EdgeKind, weld_unless};
 use crate::mesh::closest_point::ClosestPoint;

@@ -13,7 +13,7 @@ use std::sync::Arc;
 
 use glam::DVec3;
 
-use super::Job;
+use super::job::Job;
 use super::prepare::{Metric, Prepared, prepare, with_source};
 use super::schedule::{Figures, Schedule};
 use crate::cvt::density::{DensitySource, Plan};

@@ -9,7 +9,6 @@ use std::collections::{BTreeSet, HashMap, HashSet};
 use std::sync::Arc;
 
 use super::connect::{self, Connected};
-use super::match_reach;
 use super::prepare::Asked;
 use crate::cvt::density::{DensityOptions, DensitySource};
 use crate::mesh::adjacency::{Adjacency, weld_unless};
@@ -27,7 +26,7 @@ use crate::mesh::regions::Regions;
 use crate::mesh::sheets::pieces::PieceOptions;
 use crate::mesh::sheets::{Link, Sheets};
 use crate::mesh::{MeshError, TriMesh};
-use crate::remesh::constants::{POINTS_PER_COMPONENT, SEPARATION_DIAGONAL, SEPARATION_EDGES};
+use crate::remesh::constants::{MATCH_DIAGONAL, POINTS_PER_COMPONENT, SEPARATION_DIAGONAL, SEPARATION_EDGES};
 use crate::remesh::features::Held;
 use crate::remesh::features::seams::periods::Periods;
 use crate::remesh::features::seams::{Joints, Seams};
@@ -370,6 +369,16 @@ impl Preprocessed {
 }
 
 impl Separated {
+    /// The surface: `clean`, with its sheets apart if they are.
+    pub(super) fn mesh<'a>(&'a self, clean: &'a TriMesh) -> &'a TriMesh {
+        self.apart.as_ref().map_or(clean, |apart| &apart.mesh)
+    }
+
+    /// `options` for it.
+    pub(super) fn options<'a>(&'a self, options: &'a RemeshOptions) -> &'a RemeshOptions {
+        self.options.as_ref().unwrap_or(options)
+    }
+
     /// Whether the surface or what is said of it is another one.
     pub(super) fn is_changed(&self) -> bool {
         self.apart.is_some() || self.options.is_some() || self.seams.is_some()
@@ -473,4 +482,10 @@ fn edges_of_sheets(edges: &[[u32; 2]], class: &[u32], apart: &Apart) -> Vec<[u32
         }
     }
     all
+}
+
+/// How near a vertex is to a mirror plane, or a boundary to the image of another, to be in it; caller's units.
+pub(super) fn match_reach(mesh: &TriMesh) -> f64 {
+    let (low, high) = mesh.bounds();
+    MATCH_DIAGONAL * (high - low).length()
 }

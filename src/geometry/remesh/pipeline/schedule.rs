@@ -7,8 +7,8 @@
 
 use glam::DVec3;
 
-use super::Job;
 use super::extract::Missed;
+use super::job::Job;
 use super::prepare::Metric;
 use crate::cvt::{Cvt, Iteration};
 use crate::remesh::constants::{CLEARING_ROUNDS, CLEARING_STEPS, REFINING_STEPS, ROUNDING};

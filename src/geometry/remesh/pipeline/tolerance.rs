@@ -13,10 +13,10 @@
 
 use glam::DVec3;
 
-use super::Job;
 use super::adapt;
 use super::crossing::shorten_near;
 use super::extract::{Built, Draft, Extraction, Missed};
+use super::job::Job;
 use super::optimize::{Optimized, exact_dual};
 use super::patches;
 use super::prepare::{Metric, Prepared, prepare, with_source};

@@ -6,8 +6,8 @@
 //! nothing changes.
 //! Must not know: how a result is made.
 
-use super::Job;
 use super::crossing::shorten_near;
+use super::job::Job;
 use super::prepare::with_source;
 use super::tolerance::Attempt;
 use crate::cvt::density::DensitySource;

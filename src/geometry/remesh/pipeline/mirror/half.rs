@@ -14,7 +14,7 @@ use crate::mesh::attributes::{AttributeError, Attributes};
 use crate::mesh::edges::{sides, undirected};
 use crate::mesh::parts::Part;
 use crate::mesh::plane::Plane;
-use crate::remesh::pipeline::match_reach;
+use crate::remesh::pipeline::preprocess::match_reach;
 use crate::remesh::{Anisotropy, RemeshError, RemeshOptions, Result, Tolerance};
 use crate::rvd::RvdError;
 use crate::token::Token;
