@@ -157,6 +157,18 @@ fn vertices_of_a_thin_wedge_are_in_places_of_their_own() {
 }
 
 #[test]
+fn results_of_flat_faces_are_in_them() {
+    // Strips between slots are narrower than an edge: cells of one reach over a slot to the next.
+    for (feature, seed) in [(0.01, 293), (0.02, 153), (0.005, 251)] {
+        let done = run(&part(PartKind::Slots, feature, seed), 1500, 2);
+        let quality = done.report.result.quality.unwrap();
+        // Rounding leaves about 1e-7 of the diagonal.
+        assert!(quality.hausdorff_percent < 1e-4, "slots {feature} {seed}: {quality:?}");
+        assert_eq!(done.report.result.repair.extra_vertices, 0, "slots {feature} {seed}");
+    }
+}
+
+#[test]
 fn folds_that_few_points_leave_are_counted_and_warned_of() {
     // The wall is a fiftieth of an edge thick.
     let done = run(&part(PartKind::Cup, 0.005, 3), 60, 2);

@@ -1,8 +1,8 @@
 //! Patches between creases that have no room for cells of their own.
 //!
 //! Purpose: where sheets are apart that meet along curves, [`mend`] looks for those whose dual lacks edges of the curves around them, or
-//! has another topology, or is far from the patch, as at a needle whose tip is lost. It replaces them by the patch of the input itself, of
-//! which all vertices but the seeds of the curves are taken out ([`simplified`]).
+//! has another topology, or is far from the patch, as at a needle whose tip is lost, or leaves the plane of a patch that is in one. It
+//! replaces them by the patch of the input itself, of which all vertices but the seeds of the curves are taken out ([`simplified`]).
 //! Invariant: a patch that was replaced has all edges of its curves, which its neighbours have too. Others stay as they are.
 //! Must not know: how seeds of curves are placed, why the surface was divided.
 
@@ -44,6 +44,8 @@ const LEAST_FLIPPED: f64 = 1e-6;
 const SMOOTH: f64 = 0.9;
 /// Edges this near to the patch are in it, share of the edges of its curves: of those the better facets decide.
 const IN_PATCH: f64 = 0.02;
+/// Places this near to a plane are in it, share of the longest edge of the patch's curves: rounding is less, and no distance shows it.
+const IN_PLANE: f64 = 1e-6;
 
 /// What a patch is made of.
 #[derive(Default)]
@@ -61,14 +63,31 @@ impl Patch {
         self.facets.iter().map(|&f| mesh.facets()[f as usize].map(|v| mesh.positions()[v as usize])).collect()
     }
 
-    /// The vertices of the result that are of none of the curves, with their seeds.
+    /// The plane that all of its vertices are in, as a place and a normal; `None` if there is none.
+    fn plane(&self, mesh: &TriMesh, reach: f64) -> Option<(DVec3, DVec3)> {
+        let places = self.places(mesh);
+        let normal: DVec3 = places.iter().map(|[a, b, c]| (*b - *a).cross(*c - *a)).sum();
+        let (origin, normal) = (places.first()?[0], normal.try_normalize()?);
+        places.iter().flatten().all(|p| (*p - origin).dot(normal).abs() <= reach).then_some((origin, normal))
+    }
+
+    /// Whether its facets in the result are in its plane, and none is turned over.
+    fn is_in(&self, built: &Built, (origin, normal): (DVec3, DVec3), reach: f64) -> bool {
+        let corners = |&f: &u32| built.mesh.facets()[f as usize].map(|v| built.mesh.positions()[v as usize]);
+        self.result.iter().map(corners).all(|[a, b, c]| {
+            [a, b, c].iter().all(|p| (*p - origin).dot(normal).abs() <= reach)
+                && (b - a).cross(c - a).dot(normal) >= 0.0
+        })
+    }
+
+    /// The vertices of the result that are of none of the curves, with their seeds: one of each.
     fn within(&self, built: &Built, chains: &[&Chain]) -> Vec<(u32, DVec3)> {
-        let of_curves: HashSet<u32> = chains.iter().flat_map(|chain| &chain.seeds).copied().collect();
+        let mut seen: HashSet<u32> = chains.iter().flat_map(|chain| &chain.seeds).copied().collect();
         let mut vertices: Vec<u32> = self.result.iter().flat_map(|&f| built.mesh.facets()[f as usize]).collect();
         vertices.sort_unstable();
         vertices.dedup();
         let own = |v: u32| (built.vertex_seed[v as usize], built.mesh.positions()[v as usize]);
-        vertices.into_iter().map(own).filter(|own| !of_curves.contains(&own.0)).collect()
+        vertices.into_iter().map(own).filter(|own| seen.insert(own.0)).collect()
     }
 }
 
@@ -111,10 +130,17 @@ pub(super) fn mend(
         let is_large = !is_narrow && patch.result.len() > MOST_FACETS;
         let is_whole = is_narrow || is_whole(built, patch, &wanted, (mesh, &class));
         let chains: Vec<&Chain> = of().collect();
-        let within = if is_narrow { Vec::new() } else { patch.within(built, &chains) };
+        let mut within = if is_narrow { Vec::new() } else { patch.within(built, &chains) };
+        let lengths = of().flat_map(|chain| chain.edges()).map(|ends| at(ends[0]).distance(at(ends[1])));
+        let longest = lengths.fold(0.0, f64::max);
+        let plane = patch.plane(mesh, IN_PLANE * longest);
+        let is_in_plane = plane.is_none_or(|plane| patch.is_in(built, plane, IN_PLANE * longest));
+        if let Some((origin, normal)) = plane {
+            within.iter_mut().for_each(|(_, p)| *p -= (*p - origin).dot(normal) * normal);
+        }
         // Where sheets only touch, as in a scan, curves may be noise.
         if !narrow.is_empty()
-            && (is_narrow || !is_whole)
+            && (is_narrow || !is_whole || !is_in_plane)
             && let Some(new) = flat::triangulated(&patch.places(mesh), &chains, at, &within)
         {
             gone.extend(&patch.result);
@@ -122,9 +148,8 @@ pub(super) fn mend(
             continue;
         }
         if !is_narrow && (is_whole || is_large) {
-            let lengths = of().flat_map(|chain| chain.edges()).map(|ends| at(ends[0]).distance(at(ends[1])));
             let may_replace = !is_large || within.len() <= left;
-            if !may_replace || is_whole && !is_far(&closest, patch, mesh, lengths.fold(0.0, f64::max)) {
+            if !may_replace || is_whole && !is_far(&closest, patch, mesh, longest) {
                 all &= is_whole;
                 continue;
             }
@@ -440,6 +465,9 @@ fn replace(
     let mut number = vec![u32::MAX; all.len()];
     order.iter().zip(0..).for_each(|(&v, k)| number[v] = k);
     facets.iter_mut().for_each(|t| *t = t.map(|v| number[v as usize]));
+    let mut seen: HashSet<u32> = HashSet::new();
+    let has_own = |v: &&usize| all[**v].0 == NO_SEED || seen.insert(all[**v].0);
+    built.repair.extra_vertices = order.len() - order.iter().filter(has_own).count();
     let last = built.vertex_seed.last().copied().unwrap_or(0);
     built.vertex_seed = order.iter().map(|&v| if all[v].0 == NO_SEED { last } else { all[v].0 }).collect();
     built.mesh = TriMesh::new(order.iter().map(|&v| all[v].1).collect(), facets)?;
