@@ -4,6 +4,7 @@
 //! [`Steps`]) and one objective ([`objective`]) for all of it. [`shapes`] improves the worst triangles of the whole result, where
 //! distances need not be measured, and keeps edges near their curves; [`places`] improves what is left, in a [`Queue`]:
 //! irregular vertices, and places far from the input. Each of these is a [`patch`] on which several ways are tried ([`trial`]).
+//! [`flat`] puts vertices that a crease beside them draws off a flat face back into it.
 //! [`MeshEditor`] hands out the result for patches to be made of and puts changed patches back. It knows which patches are
 //! independent, and where nothing has changed since it was last tried.
 //! Invariant: a manifold stays one, no facet turns over, edges of curves stay. Independent patches may be made at the same time:
@@ -11,6 +12,7 @@
 //! Must not know: seeds, diagrams, files.
 
 pub(super) mod exchange;
+pub(super) mod flat;
 mod objective;
 mod patch;
 pub(super) mod places;

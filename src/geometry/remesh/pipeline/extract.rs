@@ -23,6 +23,7 @@ use crate::remesh::features::envelope::CurveEnvelope;
 use crate::remesh::fit::{self, Target};
 use crate::remesh::improve::MeshEditor;
 use crate::remesh::improve::exchange::exchange;
+use crate::remesh::improve::flat::flatten;
 use crate::remesh::improve::places::{improve, recover_edge, round_off};
 use crate::remesh::improve::shapes::{Mobility, MotionBounds, improve_shapes, restore, tighten};
 use crate::remesh::manifold::{LocalMesh, boundary_ears, notches, repair, rims};
@@ -386,6 +387,7 @@ impl<'a> Extraction<'a> {
         if is_even && self.shapes == Shapes::Round {
             improved += self.round_off(mesh, &mobility, reference)?;
         }
+        improved += flatten(mesh, &mobility, reference, self.token)?;
         let before = draft.missed.places.len();
         let mut missed = before;
         if improved > 0 || before > 0 {
