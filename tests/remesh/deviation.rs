@@ -7,7 +7,7 @@ use tessera::mesh::TriMesh;
 use tessera::mesh::measure::{quality, topology};
 use tessera::mesh::shapes::Shape;
 use tessera::mesh::shapes::parts::{PartKind, part};
-use tessera::remesh::report::RefineEnd;
+use tessera::remesh::report::{CountReason, RefineEnd};
 use tessera::remesh::{Refine, Remesh, RemeshOptions, Seeds, Tolerance, remesh};
 use tessera::rvd::Parallel;
 use tessera::token::Token;
@@ -89,21 +89,44 @@ fn points_are_taken_away_where_the_bound_allows() {
     assert!(loose.report.refine.deviation_percent.unwrap() > 0.6);
 }
 
-#[test]
-fn shells_nearer_than_the_bound_do_not_cross() {
+/// A ball within a ball, the inner one turned inwards.
+fn shells(inner: f64) -> TriMesh {
     let ball = |radius: f64, facets: usize| {
         let (positions, facets) = Shape::Sphere.build(facets).into_parts();
         TriMesh::new(positions.into_iter().map(|p| radius * p.normalize()).collect(), facets).unwrap()
     };
-    let (outer, inner) = (ball(1.0, 4000), ball(0.97, 3000));
+    let (outer, inner) = (ball(1.0, 4000), ball(inner, 3000));
     let (mut positions, mut facets) = outer.into_parts();
     let first = positions.len() as u32;
     positions.extend(inner.positions());
     facets.extend(inner.facets().iter().map(|&[a, b, c]| [first + a, first + c, first + b]));
-    let mesh = TriMesh::new(positions, facets).unwrap();
-    let done = bounded(&mesh, 1000, 1.0, 10_000);
+    TriMesh::new(positions, facets).unwrap()
+}
+
+#[test]
+fn shells_nearer_than_the_bound_do_not_cross() {
+    let done = bounded(&shells(0.97), 1000, 1.0, 10_000);
     assert_eq!(done.report.refine.ended, Some(RefineEnd::Reached));
     assert_eq!(crossings(&done.mesh, &Token::default()).unwrap().count, 0);
+}
+
+#[test]
+fn shells_nearer_than_chords_are_off_get_a_few_vertices_more() {
+    let done = run(&shells(0.98), &options(290));
+    assert_eq!(crossings(&done.mesh, &Token::default()).unwrap().count, 0);
+    let (vertices, count) = (done.report.result.vertices, done.report.vertex_count);
+    assert!(vertices <= 319, "{vertices}");
+    assert_eq!(count.reason, Some(CountReason::CloseSheets), "{vertices}");
+}
+
+#[test]
+fn thin_walls_have_no_more_points_than_are_allowed() {
+    // Both of its sheets have the vertices of a curve, which count once.
+    let refine = Refine::new(Tolerance::DiagonalPercent(0.05)).with_max_points(600);
+    let done = run(&part(PartKind::Cup, 0.02, 7), &options(500).with_refine(refine));
+    assert_eq!(done.report.refine.ended, Some(RefineEnd::Budget));
+    let vertices = done.report.result.vertices;
+    assert!(vertices <= 612, "{vertices}");
 }
 
 #[test]

@@ -433,9 +433,11 @@ pub(super) const THIN_LONGEST: f64 = 1.4;
 pub(super) const MAX_CROSSING_ROUNDS: usize = 3;
 pub(super) const CROSSING_SHORTER: f64 = std::f64::consts::FRAC_1_SQRT_2;
 pub(super) const CROSSING_REACH: f64 = 1.0;
-/// Rounds in which edges of facets that still cross are divided, at most, and vertices that it takes, share of all.
-pub(super) const DIVIDING_ROUNDS: usize = 4;
+/// Rounds in which edges of facets that still cross are divided, at most; vertices that it takes, share of all; and how many more it may
+/// take if none cross then.
+pub(super) const DIVIDING_ROUNDS: usize = 6;
 pub(super) const MOST_DIVIDED: f64 = 0.01;
+pub(super) const MOST_DIVIDED_FOR_ALL: f64 = 0.1;
 /// Edges around a bore or a pin of a part that is divided, in its radii: about eight go around. Bends with a smaller radius than the
 /// second, in edges, are left to patches without vertices within; no edge is shorter than the third, in edges.
 pub(super) const BEND_EDGE: f64 = 0.8;

@@ -112,6 +112,11 @@ impl Report {
         self.is_lacking() || is_designed && dropped_share + away_share > ENOUGH_LACKING
     }
 
+    /// Whether a tolerance was asked for, and is not reached.
+    pub(crate) fn misses_bound(&self) -> bool {
+        self.refine.ended.is_some_and(|ended| ended != RefineEnd::Reached)
+    }
+
     /// What decides between it and other results of the same input. `joined`: whether its sheets are.
     pub(crate) fn standing(&self, joined: bool) -> Standing {
         let missing = if joined { self.features.missing_segments } else { 0 };
@@ -121,6 +126,7 @@ impl Report {
             topology_changes: self.topology_changes.len(),
             is_lost: self.result.edges_away > 1.0,
             defects: self.crossing() + folded + missing,
+            misses_bound: self.misses_bound(),
             dropped_length: self.features.dropped_length,
             distance: self.result.quality.as_ref().map_or(f64::INFINITY, |of| of.hausdorff_percent),
         }
@@ -138,6 +144,7 @@ pub(crate) struct Standing {
     pub(crate) is_lost: bool,
     /// Facets that cross, edges that are folded far from the input, and edges of joints that are missing.
     pub(crate) defects: usize,
+    misses_bound: bool,
     dropped_length: f64,
     distance: f64,
 }
@@ -145,7 +152,7 @@ pub(crate) struct Standing {
 impl Standing {
     /// A result that drops more curves has to be twice as near.
     pub(crate) fn is_better_than(&self, other: &Self) -> bool {
-        let first = |of: &Self| (of.topology_changes, of.is_lost, of.defects);
+        let first = |of: &Self| (of.topology_changes, of.is_lost, of.defects, of.misses_bound);
         let distance = |of: &Self, beside: &Self| {
             let share = if of.dropped_length > beside.dropped_length { 2.0 } else { 1.0 };
             share * of.distance.max(ROUNDED)

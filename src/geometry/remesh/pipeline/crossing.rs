@@ -12,7 +12,7 @@ use crate::mesh::closest_point::ClosestPoint;
 use crate::mesh::crossings::crossing_facets;
 use crate::mesh::edges::{sides, undirected};
 use crate::remesh::Result;
-use crate::remesh::constants::{CROSSING_REACH, CROSSING_SHORTER, DIVIDING_ROUNDS, MOST_DIVIDED};
+use crate::remesh::constants::{CROSSING_REACH, CROSSING_SHORTER, DIVIDING_ROUNDS, MOST_DIVIDED, MOST_DIVIDED_FOR_ALL};
 use crate::remesh::manifold::LocalMesh;
 use crate::remesh::triangle::longest_side;
 use crate::rvd::RvdError;
@@ -27,17 +27,40 @@ impl Job<'_, '_> {
         Ok(crossing_facets(&apart.mesh_back(result, self.token)?.map_err(broken)?, self.token)?)
     }
 
-    /// Puts vertices at places of the surface into the longest edges of the few facets that cross, as long as fewer do. Returns how many
-    /// cross then.
-    pub(super) fn divide_crossing(&self, built: &mut Built, crossing: Vec<u32>) -> Result<usize> {
-        let mut most = (MOST_DIVIDED * built.mesh.positions().len() as f64) as usize;
-        let (mut now, mut best) = (built.mesh.clone(), crossing.len());
-        let mut crossing = crossing;
-        if crossing.is_empty() || most == 0 {
-            return Ok(best);
+    /// Puts vertices at places of the surface into the longest edges of the few facets that cross, as long as fewer do. If some are left,
+    /// more vertices take away all of them, or none. Returns how many cross then.
+    pub(super) fn divide_crossing(&self, built: &mut Built, mut crossing: Vec<u32>) -> Result<usize> {
+        if crossing.is_empty() {
+            return Ok(0);
         }
         let closest = ClosestPoint::unless(self.separated, self.token)?;
         let curves: HashSet<[u32; 2]> = built.curve_edges.iter().map(|&edge| undirected(edge)).collect();
+        for (share, all) in [(MOST_DIVIDED, false), (MOST_DIVIDED_FOR_ALL, true)] {
+            let most = (share * built.mesh.positions().len() as f64) as usize;
+            let found = self.divided(&built.mesh, &crossing, most, (&curves, &closest))?;
+            if let Some((mesh, left)) = found.filter(|(_, left)| left.is_empty() || !all) {
+                let last = built.vertex_seed.last().copied().unwrap_or(0);
+                built.vertex_seed.resize(mesh.positions().len(), last);
+                (built.mesh, crossing) = (mesh, left);
+            }
+            if crossing.is_empty() {
+                break;
+            }
+        }
+        Ok(crossing.len())
+    }
+
+    /// A result with at most so many vertices more and the fewest facets that cross, and these; `None` if no fewer do.
+    fn divided(
+        &self,
+        mesh: &TriMesh,
+        crossing: &[u32],
+        mut most: usize,
+        (curves, closest): (&HashSet<[u32; 2]>, &ClosestPoint),
+    ) -> Result<Option<(TriMesh, Vec<u32>)>> {
+        let (mut now, mut crossing) = (mesh.clone(), crossing.to_vec());
+        let mut fewest = crossing.len();
+        let mut best = None;
         for _ in 0..DIVIDING_ROUNDS {
             let mut mesh = LocalMesh::new(now.positions().to_vec(), now.facets().to_vec(), curves.clone());
             let at = |v: u32| now.positions()[v as usize];
@@ -63,11 +86,9 @@ impl Job<'_, '_> {
             let Ok(divided) = TriMesh::new(positions, facets) else { break };
             crossing = self.crossing(&divided)?;
             now = divided;
-            if crossing.len() < best {
-                best = crossing.len();
-                let last = built.vertex_seed.last().copied().unwrap_or(0);
-                built.vertex_seed.resize(now.positions().len(), last);
-                built.mesh = now.clone();
+            if crossing.len() < fewest {
+                fewest = crossing.len();
+                best = Some((now.clone(), crossing.clone()));
             }
             if crossing.is_empty() {
                 break;

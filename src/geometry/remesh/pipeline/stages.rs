@@ -22,7 +22,6 @@ use crate::mesh::features::{EdgeShares, edge_shares};
 use crate::mesh::measure::{Topology, topology_unless};
 use crate::mesh::{MeshError, TriMesh};
 use crate::remesh::features::Held;
-use crate::remesh::report::RefineEnd;
 use crate::remesh::{
     Anisotropy, Limits, Observer, Placement, Refine, Remesh, RemeshError, RemeshOptions, Result, Seeds, constants,
 };
@@ -158,8 +157,7 @@ pub(super) fn run(
         })?,
     };
     token.check()?;
-    let is_reached = limits.is_none() || attempt.figures.refine.ended == Some(RefineEnd::Reached);
-    if is_divided && !(attempt.is_whole && is_reached) {
+    if is_divided && !attempt.is_whole {
         return Ok(Outcome::Again(Way::Undivided));
     }
 

@@ -42,8 +42,9 @@ struct Measured<'a> {
 }
 
 impl Measured<'_> {
+    /// Points that were asked for: of a seed that several sheets have, one.
     fn points(&self) -> usize {
-        self.attempt.seeds.len()
+        self.attempt.seeds.len().saturating_sub(self.attempt.curves.surplus())
     }
 }
 
@@ -341,10 +342,11 @@ impl<'a, 'j, 'b> Search<'a, 'j, 'b> {
             }
             _ => RefineEnd::NoProgress,
         };
+        let points = self.best.points();
         let Measured { mut attempt, distances, .. } = self.best;
         let figures = &mut attempt.figures.refine;
         figures.rounds += self.rounds;
-        figures.added_seeds = attempt.seeds.len().saturating_sub(self.first.0);
+        figures.added_seeds = points.saturating_sub(self.first.0);
         figures.evaluations += self.passes_of_others;
         figures.out_of_tolerance = distances.missed;
         figures.deviation_percent = Some(100.0 * distances.largest / self.job.diagonal);

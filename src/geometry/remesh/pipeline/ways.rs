@@ -132,7 +132,7 @@ fn of_ways(held: Held<'_>, options: &RemeshOptions, stages: &mut Stages<'_>, tok
         }
     };
     match division {
-        Division::Made if !options.strict_creases && done.report.has_no_room() => {
+        Division::Made if done.report.misses_bound() || !options.strict_creases && done.report.has_no_room() => {
             of_others(Some(done), (held, options), stages, token)
         }
         Division::Possible if done.report.lacks_curves() => {
@@ -170,7 +170,8 @@ fn of_others(
             _ => token.check()?,
         }
         // Another way may drop creases.
-        let is_sound = |of: &Remesh| of.report.is_sound() && (options.strict_creases || !of.report.has_no_room());
+        let has_room = |of: &Remesh| options.strict_creases || !of.report.has_no_room();
+        let is_sound = |of: &Remesh| of.report.is_sound() && !of.report.misses_bound() && has_room(of);
         if best.as_ref().is_some_and(is_sound) {
             break;
         }
