@@ -107,7 +107,9 @@ fn parts_without_room_for_their_edges_get_more_points() {
         let mesh = part(kind, feature, seed);
         let done = run(&mesh, 500, 2);
         let (count, result) = (done.report.vertex_count, &done.report.result);
-        assert_eq!((count.asked, count.reason), (500, Some(CountReason::FewPoints)), "{kind}");
+        // A tenth more may be enough.
+        let reasons = [CountReason::FewPoints, CountReason::NarrowPatches].map(Some);
+        assert!(count.asked == 500 && reasons.contains(&count.reason), "{kind}: {count:?}");
         assert!((500..=2_040).contains(&result.vertices), "{kind}: {}", result.vertices);
         assert!(sharp(&done.mesh, 150.0).is_empty() && done.report.topology_changes.is_empty(), "{kind}");
         assert_eq!(result.crossings.as_ref().map(|found| found.count), Some(0), "{kind}");

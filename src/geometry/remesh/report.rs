@@ -524,8 +524,14 @@ pub struct RepairFigures {
 mod tests {
     use super::*;
 
-    const SOUND: Standing =
-        Standing { topology_changes: 0, is_lost: false, defects: 0, dropped_length: 0.0, distance: 1.0 };
+    const SOUND: Standing = Standing {
+        topology_changes: 0,
+        is_lost: false,
+        defects: 0,
+        misses_bound: false,
+        dropped_length: 0.0,
+        distance: 1.0,
+    };
 
     #[test]
     fn defects_decide_before_distances_and_distances_before_dropped_curves() {
@@ -533,6 +539,7 @@ mod tests {
             Standing { topology_changes: 1, distance: 0.1, ..SOUND },
             Standing { is_lost: true, distance: 0.1, ..SOUND },
             Standing { defects: 1, distance: 0.1, ..SOUND },
+            Standing { misses_bound: true, distance: 0.1, ..SOUND },
             Standing { distance: 1.1, ..SOUND },
             // As near, and less than twice as near.
             Standing { dropped_length: 1.0, ..SOUND },

@@ -21,44 +21,50 @@ pub(super) fn of(net: &Net, steps: usize, token: &Token) -> Result<Vec<[f64; 2]>
     let mut curvatures = principal(&net.points, &normals, &net.facets);
     curvatures.iter_mut().for_each(|k| *k = k.map(f64::abs));
     token.check()?;
-    // So far normals are smoothed, and one facet more.
-    take_from_inside(net, (steps as f64).sqrt().ceil() as usize + 1, &mut curvatures);
+    // Normals are smoothed over √steps edges in the mean, and the facets of a boundary vertex reach to the next one.
+    take_from_inside(net, (2.0 * (steps as f64).sqrt()).ceil() as usize + 2, &mut curvatures);
     token.check()?;
     Ok(curvatures)
 }
 
-/// Gives vertices less than `depth` edges from the boundary the mean, by area, of their neighbours farther inside, if they have any.
+/// Gives vertices less than `depth` edges from the boundary the mean, by area, of their neighbours that are farther inside or have theirs
+/// already. A part of the surface without an inside stays.
 fn take_from_inside(net: &Net, depth: usize, curvatures: &mut [[f64; 2]]) {
-    let mut layer = vec![usize::MAX; net.vertices()];
-    let mut all: Vec<u32> = net.boundary.iter().flatten().copied().collect();
-    all.iter().for_each(|&v| layer[v as usize] = 0);
-    all.sort_unstable();
-    all.dedup();
-    let mut next = 0;
-    while let Some(&v) = all.get(next) {
-        next += 1;
-        let own = layer[v as usize];
-        if own + 1 >= depth {
-            continue;
-        }
-        for &(to, _) in net.neighbours(v as usize) {
-            if layer[to as usize] == usize::MAX {
-                layer[to as usize] = own + 1;
-                all.push(to);
+    let mut is_known = vec![true; net.vertices()];
+    let mut beside: Vec<u32> = net.boundary.iter().flatten().copied().collect();
+    beside.sort_unstable();
+    beside.dedup();
+    beside.iter().for_each(|&v| is_known[v as usize] = false);
+    let mut first = 0;
+    for _ in 1..depth {
+        let end = beside.len();
+        for k in first..end {
+            for &(to, _) in net.neighbours(beside[k] as usize) {
+                if std::mem::take(&mut is_known[to as usize]) {
+                    beside.push(to);
+                }
             }
         }
+        first = end;
     }
-    // The innermost first. Those of one layer do not depend on each other.
-    for &v in all.iter().rev() {
-        let inside = net.neighbours(v as usize).iter().map(|&(to, _)| to as usize);
-        let inside = inside.filter(|&to| layer[to] > layer[v as usize] && !curvatures[to][0].is_nan());
-        let (sum, area) = inside.fold(([0.0; 2], 0.0), |(sum, area): ([f64; 2], f64), to| {
-            let own = net.area[to];
-            ([0, 1].map(|k| sum[k] + own * curvatures[to][k]), area + own)
-        });
-        if area > 0.0 {
-            curvatures[v as usize] = sum.map(|of| of / area);
+    loop {
+        let mean = |&v: &u32| {
+            let around = net.neighbours(v as usize).iter().map(|&(to, _)| to as usize);
+            let known = around.filter(|&to| is_known[to] && !curvatures[to][0].is_nan());
+            let (sum, area) = known.fold(([0.0; 2], 0.0), |(sum, area): ([f64; 2], f64), to| {
+                ([0, 1].map(|k| sum[k] + net.area[to] * curvatures[to][k]), area + net.area[to])
+            });
+            (area > 0.0).then(|| (v, sum.map(|of| of / area)))
+        };
+        let found: Vec<(u32, [f64; 2])> = beside.iter().filter_map(mean).collect();
+        if found.is_empty() {
+            break;
         }
+        for (v, own) in found {
+            curvatures[v as usize] = own;
+            is_known[v as usize] = true;
+        }
+        beside.retain(|&v| !is_known[v as usize]);
     }
 }
 
