@@ -438,6 +438,8 @@ pub(super) const CROSSING_REACH: f64 = 1.0;
 pub(super) const DIVIDING_ROUNDS: usize = 6;
 pub(super) const MOST_DIVIDED: f64 = 0.01;
 pub(super) const MOST_DIVIDED_FOR_ALL: f64 = 0.1;
+/// Places this near to a plane are in it, share of the longest edge there: rounding is less, and no distance shows it.
+pub(super) const IN_PLANE: f64 = 1e-6;
 /// Edges around a bore or a pin of a part that is divided, in its radii: about eight go around. Bends with a smaller radius than the
 /// second, in edges, are left to patches without vertices within; no edge is shorter than the third, in edges.
 pub(super) const BEND_EDGE: f64 = 0.8;

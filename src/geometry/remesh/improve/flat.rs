@@ -9,14 +9,12 @@ use glam::DVec3;
 use super::shapes::Mobility;
 use crate::mesh::csr::ascending;
 use crate::mesh::facet_set::{FacetSet, sample_points};
-use crate::remesh::constants::LEAST_SCORE;
+use crate::remesh::constants::{IN_PLANE, LEAST_SCORE};
 use crate::remesh::distance::Reference;
 use crate::remesh::manifold::LocalMesh;
 use crate::remesh::triangle::score;
 use crate::token::{Stopped, Token};
 
-/// Places this near to a plane are in it, share of the longest edge there: rounding is less, and no distance shows it.
-const IN_PLANE: f64 = 1e-6;
 /// Facets keep this share of the score of the worst one. A vertex may have left its plane for the sake of their shapes.
 const SCORE_KEPT: f64 = 0.8;
 

@@ -18,6 +18,7 @@ use crate::mesh::apart::Apart;
 use crate::mesh::closest_point::{ClosestPoint, closest_on_facet};
 use crate::mesh::edges::{sides, undirected};
 use crate::mesh::{MeshError, TriMesh};
+use crate::remesh::constants::IN_PLANE;
 use crate::remesh::features::{Chain, KeptCurves};
 use crate::remesh::manifold::LocalMesh;
 use crate::remesh::triangle::{score, unit_normal};
@@ -44,8 +45,6 @@ const LEAST_FLIPPED: f64 = 1e-6;
 const SMOOTH: f64 = 0.9;
 /// Edges this near to the patch are in it, share of the edges of its curves: of those the better facets decide.
 const IN_PATCH: f64 = 0.02;
-/// Places this near to a plane are in it, share of the longest edge of the patch's curves: rounding is less, and no distance shows it.
-const IN_PLANE: f64 = 1e-6;
 
 /// What a patch is made of.
 #[derive(Default)]

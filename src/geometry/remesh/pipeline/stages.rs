@@ -36,6 +36,7 @@ struct Subject<'a> {
     asked: Asked<'a>,
 }
 
+/// Takes `given` through all stages in one way. An error leaves nothing behind; the observer has heard of the stages that were entered.
 pub(super) fn run(
     (given, held): (&TriMesh, Held<'_>),
     (options, way): (&RemeshOptions, Way),
