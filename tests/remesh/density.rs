@@ -155,6 +155,30 @@ fn curvature_and_feature_size_gather_points_where_they_should() {
     }
 }
 
+/// Sheets bent to parts of a cylinder are bent as much at their rims as inside: edges are as long there.
+#[test]
+fn rims_of_bent_sheets_have_edges_as_long_as_inside() {
+    for (facets, points, turn) in [(5_000, 1_200, 1.5), (5_000, 300, 1.5), (20_000, 1_200, 1.0), (2_000, 600, 4.0)] {
+        let sheet = Shape::Plane.build(facets);
+        let bent = |p: &DVec3| DVec3::new((turn * p.x).cos(), (turn * p.x).sin(), turn * p.y);
+        let mesh = TriMesh::new(sheet.positions().iter().map(bent).collect(), sheet.facets().to_vec()).unwrap();
+        let density = DensityOptions::from_source(DensitySource::Curvature);
+        let out = run(&mesh, density, Seeds::Sample { points, seed: 1 }, 30).unwrap();
+        let mut count = std::collections::HashMap::new();
+        for v in out.mesh.facets() {
+            (0..3).for_each(|e| *count.entry([v[e].min(v[(e + 1) % 3]), v[e].max(v[(e + 1) % 3])]).or_insert(0) += 1);
+        }
+        let length = |[a, b]: [u32; 2]| out.mesh.positions()[a as usize].distance(out.mesh.positions()[b as usize]);
+        let mean = |sides: i32| {
+            let some: Vec<f64> = count.iter().filter(|(_, n)| **n == sides).map(|(&edge, _)| length(edge)).collect();
+            some.iter().sum::<f64>() / some.len() as f64
+        };
+        let ratio = mean(1) / mean(2);
+        println!("{facets} facets, {points} points, a turn of {turn}: {ratio:.3}");
+        assert!((ratio - 1.0).abs() < 0.1, "{ratio}");
+    }
+}
+
 /// Lengths that jump by ten: how round triangles are for several slopes. What 0.3 costs and brings is printed.
 #[test]
 fn gradation_keeps_triangles_round() {

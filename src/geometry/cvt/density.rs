@@ -13,6 +13,7 @@ mod feature_size;
 mod lengths;
 mod metric;
 mod net;
+mod normals;
 mod options;
 mod outline;
 mod refine;
@@ -147,8 +148,11 @@ pub(crate) struct Beside<'a> {
     /// given, and no metric, are.
     pub(crate) lengths: &'a [(u32, f64)],
     /// Where a place of the surface was before its sheets were moved apart.
-    pub(crate) before: Option<&'a (dyn Fn(DVec3) -> DVec3 + Sync)>,
+    pub(crate) before: Option<&'a Before<'a>>,
 }
+
+/// Where a place was.
+pub(crate) type Before<'a> = dyn Fn(DVec3) -> DVec3 + Sync + 'a;
 
 /// [`plan`], with what is beside the options.
 pub(crate) fn plan_beside<'a>(
@@ -165,7 +169,7 @@ pub(crate) fn plan_beside<'a>(
     match &options.source {
         DensitySource::Weights(_) => level(mesh, options, count, token),
         DensitySource::Uniform if beside.lengths.is_empty() => level(mesh, options, count, token),
-        _ => varying(mesh, options, count, (beside.lengths, &[]), token),
+        _ => varying(mesh, options, count, (beside, &[]), token),
     }
 }
 
@@ -203,7 +207,7 @@ fn varying<'a>(
     mesh: &'a TriMesh,
     options: &DensityOptions,
     count: Count,
-    (lengths, of_zones): (&[(u32, f64)], &[f64]),
+    (beside, of_zones): (Beside<'_>, &[f64]),
     token: &Token,
 ) -> Planned<'a> {
     let net = Net::new(mesh, token)?;
@@ -232,6 +236,7 @@ fn varying<'a>(
         _ => {}
     }
     token.check()?;
+    let place = |v: usize| beside.before.map_or(mesh.positions()[v], |before| before(mesh.positions()[v]));
     let (raw, sheets) = match &options.source {
         DensitySource::Sizes(sizes) => (sizes.clone(), None),
         DensitySource::Uniform => {
@@ -245,7 +250,7 @@ fn varying<'a>(
         }
         DensitySource::Error => (of_error(&net, target.unwrap_or(1.0), 1.0 / 6.0, token)?, None),
         DensitySource::ErrorMax => (of_error(&net, target.unwrap_or(1.0), 0.25, token)?, None),
-        _ => (of_curvature(&net, target.unwrap_or(1.0), token)?, None),
+        _ => (of_curvature(&net, &net.rims(place), target.unwrap_or(1.0), token)?, None),
     };
     let given = in_metric || matches!(options.source, DensitySource::Sizes(_) | DensitySource::Uniform);
     let mut field = SizeField::new(&net, if given { raw } else { fill_gaps(&net, raw) })?;
@@ -258,8 +263,8 @@ fn varying<'a>(
         Some(target) if !given => Some(Least { edge: resolved(&net, target), sheets }),
         _ => None,
     };
-    let beside = if in_metric { Vec::new() } else { net.by_vertex(lengths) };
-    let limits = Limits { least: least.as_ref(), of_zones, beside: &beside };
+    let lengths = if in_metric { Vec::new() } else { net.by_vertex(beside.lengths) };
+    let limits = Limits { least: least.as_ref(), of_zones, beside: &lengths };
     let (Bounded { field, graded, outside, points }, noise, smoothing_rounds) =
         without_noise(field, limits, &net, bounds, target, token)?;
     token.check()?;

@@ -12,7 +12,8 @@ use std::ops::Range;
 
 use glam::DVec3;
 
-use super::net::{self, Net};
+use super::net::Net;
+use super::normals;
 use crate::knn::{SeedIndex, Threads};
 use crate::tasks;
 use crate::token::{Stopped, Token};
@@ -145,7 +146,7 @@ struct Samples {
 }
 
 fn samples(net: &Net) -> Samples {
-    let vertex_normals = net::vertex_normals(net);
+    let vertex_normals = normals::vertex_normals(net);
     let (mut points, mut directions, mut spacing) = (Vec::new(), Vec::new(), Vec::new());
     for v in (0..net.vertices()).step_by(net.vertices().div_ceil(MOST_SAMPLES)) {
         let around = net.neighbours(v);
@@ -209,7 +210,7 @@ impl Grid {
 
     /// What to interpolate: the corners' normals, or the facet's own.
     fn normals(&self, of_vertices: &[DVec3]) -> [DVec3; 3] {
-        let own = net::facet_normal([self.base, self.base + self.along, self.base + self.across]);
+        let own = normals::facet_normal([self.base, self.base + self.along, self.base + self.across]);
         let corners = self.corners.map(|v| of_vertices[v as usize]);
         if corners.iter().all(|n| n.dot(own) > SMOOTH) { corners } else { [own; 3] }
     }

@@ -14,29 +14,36 @@ use crate::token::{Stopped, Token};
 const LEAST_CURVATURE: f64 = 1.0;
 
 /// Lengths up to a factor. Normals are smoothed over half of the edge length that `points` even points have: what is
-/// smaller cannot be kept anyway. At least one round, so that a scan's noise is not its curvature, at most 40.
-pub(super) fn of_curvature(net: &Net, points: f64, token: &Token) -> Result<Vec<f64>, Stopped> {
+/// smaller cannot be kept anyway. At least one round, so that a scan's noise is not its curvature, at most 40. `rims`: [`Net::rims`].
+pub(super) fn of_curvature(net: &Net, rims: &[[u32; 2]], points: f64, token: &Token) -> Result<Vec<f64>, Stopped> {
     let length = |k: [f64; 2]| k[0].abs().max(LEAST_CURVATURE).powf(-0.5);
-    of_principal(net, points, length, token)
+    of_principal(net, rims, points, length, token)
 }
 
 /// Triangles are at most so many times as long as wide.
 pub(crate) const LONGEST: f64 = 8.0;
 
-/// Lengths up to a factor by the Gaussian curvature, to the power of minus `power`.
+/// Lengths up to a factor by the Gaussian curvature, to the power of minus `power`. No rim is smoothed by itself: scans have straight
+/// rims beside jagged ones, and with the smaller curvature less noisy there their results are farther off (bunny, 0.16 to 0.20 %).
 pub(super) fn of_error(net: &Net, points: f64, power: f64, token: &Token) -> Result<Vec<f64>, Stopped> {
     let gauss = |[larger, smaller]: [f64; 2]| {
         let least = LEAST_CURVATURE.max(larger.abs()) / LONGEST;
         (larger * smaller).abs().max(least * least)
     };
-    of_principal(net, points, |k| gauss(k).powf(-power), token)
+    of_principal(net, &[], points, |k| gauss(k).powf(-power), token)
 }
 
-fn of_principal(net: &Net, points: f64, length: impl Fn([f64; 2]) -> f64, token: &Token) -> Result<Vec<f64>, Stopped> {
+fn of_principal(
+    net: &Net,
+    rims: &[[u32; 2]],
+    points: f64,
+    length: impl Fn([f64; 2]) -> f64,
+    token: &Token,
+) -> Result<Vec<f64>, Stopped> {
     let radius = 0.5 * net.outline.edge_length(points) / net.outline.extent / net.mean_edge();
     // A round moves by 6/7 of an edge's square in the mean: six neighbours and the vertex itself.
     let rounds = (radius * radius * 7.0 / 6.0).ceil().clamp(1.0, 40.0);
-    let curvature = curvature::of(net, rounds as usize, token)?;
+    let curvature = curvature::of(net, rims, rounds as usize, token)?;
     Ok(curvature.into_iter().map(|k| if k[0].is_nan() { f64::NAN } else { length(k) }).collect())
 }
 

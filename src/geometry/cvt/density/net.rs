@@ -1,9 +1,8 @@
-//! A surface as the density sees it: welded vertices, the edges between them, areas, normals.
+//! A surface as the density sees it: welded vertices, the edges between them, areas.
 //!
-//! Purpose: [`Net`] is built once, for curvature, feature size and gradation. Normals are weighted by angle, or smoothed.
+//! Purpose: [`Net`] is built once, for curvature, feature size and gradation.
 //! Invariant: positions are relative to the longest side of the bounding box, so that no units overflow; a class of coincident
-//! vertices is known by its lowest vertex; order depends on the mesh alone. Normals have unit length, or zero where the facets of
-//! a vertex cancel or have no area. The same bits with any number of threads.
+//! vertices is known by its lowest vertex; order depends on the mesh alone. The same bits with any number of threads.
 //! Must not know: where sizes come from.
 
 use std::ops::Range;
@@ -14,8 +13,10 @@ use rayon::prelude::*;
 use super::outline::Outline;
 use crate::mesh::TriMesh;
 use crate::mesh::adjacency::{Adjacency, EdgeKind};
-use crate::tasks;
 use crate::token::{Stopped, Token};
+
+/// Places are the same in units of this part of the extent: moved there and back, they are off by rounding.
+const SAME_PLACE: f64 = 1e-9;
 
 /// See the module's head.
 #[derive(Clone, Debug)]
@@ -106,6 +107,18 @@ impl Net {
         &self.ends[start..end]
     }
 
+    /// Boundary edges, by class. Edges along which a surface was divided are not of its boundary: there is another
+    /// in the same place, where `place` says that each vertex was (caller's units).
+    pub(super) fn rims(&self, place: impl Fn(usize) -> DVec3) -> Vec<[u32; 2]> {
+        let unit = self.outline.extent * SAME_PLACE;
+        let place = |v: u32| ((place(v as usize) - self.low) / unit).round().to_array().map(|x| x as i64);
+        let undirected = |a: [i64; 3], b: [i64; 3]| [a.min(b), a.max(b)];
+        let mut edges: Vec<_> = self.boundary.iter().map(|&[a, b]| (undirected(place(a), place(b)), [a, b])).collect();
+        edges.sort_unstable();
+        let alone = edges.chunk_by(|a, b| a.0 == b.0).filter(|edges| edges.len() == 1);
+        alone.map(|edges| edges[0].1).collect()
+    }
+
     /// Mean length of an edge, in units of the extent.
     pub(super) fn mean_edge(&self) -> f64 {
         self.ends.iter().map(|end| end.1).sum::<f64>() / self.ends.len().max(1) as f64
@@ -167,48 +180,29 @@ impl Net {
     }
 }
 
-/// Normals weighted by the angle of each facet at the vertex (Thürmer, Wüthrich 1998).
-pub(super) fn vertex_normals(net: &Net) -> Vec<DVec3> {
-    let mut sums = vec![DVec3::ZERO; net.vertices()];
-    for &(v, _) in &net.facets {
-        let p = v.map(|v| net.points[v as usize]);
-        let normal = facet_normal(p);
-        for e in 0..3 {
-            let (to, from) = (p[(e + 1) % 3] - p[e], p[(e + 2) % 3] - p[e]);
-            let angle = to.cross(from).length().atan2(to.dot(from));
-            sums[v[e] as usize] += angle * normal;
-        }
-    }
-    tasks::map(sums.len(), |v| sums[v].normalize_or_zero())
-}
-
-/// The normal of a facet with these corners, or zero.
-pub(super) fn facet_normal([a, b, c]: [DVec3; 3]) -> DVec3 {
-    // Edges first to unit length, so that the product of two short ones is no underflow.
-    (b - a).normalize_or_zero().cross((c - a).normalize_or_zero()).normalize_or_zero()
-}
-
-/// [`vertex_normals`] after `steps` rounds of means over each vertex and its neighbours by area. A radius of √steps edges.
-///
-/// Noise of a scan turns normals either way and averages out; on spheres, cylinders and planes the mean is the normal.
-pub(super) fn smoothed_normals(net: &Net, steps: usize, token: &Token) -> Result<Vec<DVec3>, Stopped> {
-    let mut normals = vertex_normals(net);
-    for _ in 0..steps {
-        token.check()?;
-        normals = tasks::map(normals.len(), |v| {
-            let around = net.neighbours(v).iter();
-            let sum: DVec3 = around.map(|&(to, _)| net.area[to as usize] * normals[to as usize]).sum();
-            (sum + net.area[v] * normals[v]).try_normalize().unwrap_or(normals[v])
-        });
-    }
-    Ok(normals)
-}
-
 #[cfg(test)]
 mod tests {
     #![allow(clippy::unwrap_used)]
 
     use super::*;
+
+    #[test]
+    fn edges_along_which_a_surface_was_divided_are_no_rims() {
+        // A triangle, and two of its copies moved aside.
+        let copies = |count: u32| {
+            let points =
+                (0..3 * count).map(|v| f64::from(v / 3) * 0.7 * DVec3::Z + DVec3::AXES[v as usize % 3]).collect();
+            TriMesh::new(points, (0..count).map(|k| [3 * k, 3 * k + 1, 3 * k + 2]).collect()).unwrap()
+        };
+        for (count, alone) in [(1, 3), (2, 0), (3, 0)] {
+            let mesh = copies(count);
+            let net = Net::new(&mesh, &Token::default()).unwrap();
+            assert_eq!(net.rims(|v| mesh.positions()[v]).len(), 3 * count as usize);
+            // Off by rounding.
+            let before = |v: usize| mesh.positions()[v] - (v / 3) as f64 * (0.7 + 1e-15) * DVec3::Z;
+            assert_eq!(net.rims(before).len(), alone);
+        }
+    }
 
     #[test]
     fn a_sliver_says_nothing_of_how_short_edges_are_and_small_facets_more_than_large_ones() {

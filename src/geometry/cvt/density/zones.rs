@@ -108,7 +108,7 @@ pub(super) fn plan<'a>(
         let near = options.zones.iter().filter(|zone| zone.part.distance(place) <= NEAR * zone.length);
         *length = near.map(|zone| zone.length).fold(*length, f64::min);
     }
-    let mut plan = varying(fine, &owned, count, (beside.lengths, &lengths), token)?;
+    let mut plan = varying(fine, &owned, count, (beside, &lengths), token)?;
     plan.sizes.iter_mut().for_each(|sizes| sizes.truncate(vertices));
     let mesh = match (divided.is_some(), plan.mesh) {
         // The plan's mesh is the one that was divided here, or made of it.

@@ -24,7 +24,7 @@ use crate::token::Token;
 
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum Mobility {
-    /// In the tangent plane.
+    /// In the tangent plane; on a boundary as [`Self::End`].
     Free,
     /// Along a direction, unit.
     Along(DVec3),
@@ -154,7 +154,12 @@ impl Shapes<'_> {
     fn better_place(&self, v: u32, cost: f64) -> Option<DVec3> {
         let share = self.steps.next(v)?;
         let (mesh, MotionBounds { mobility, envelope, off_curve }) = (&*self.mesh, self.bounds);
-        let (here, start, mobility) = (mesh.positions[v as usize], self.start[v as usize], mobility[v as usize]);
+        let (here, start) = (mesh.positions[v as usize], self.start[v as usize]);
+        let mobility = match mobility[v as usize] {
+            // Beyond its boundary the tangent plane is not near the surface.
+            Mobility::Free if mesh.is_on_boundary(v) => Mobility::End,
+            own => own,
+        };
         let ring = mesh.ring(v);
         let edge = ring.iter().map(|&f| perimeter(mesh.corners(f))).sum::<f64>() / (3 * ring.len()) as f64;
         let normal = mesh.vertex_normal(v);
@@ -315,6 +320,14 @@ mod tests {
         assert!(worst(&free) > worst(&wheel) + 5.0, "{} after {}", worst(&free), worst(&wheel));
         assert!(free.positions[0].distance(wheel.positions[0]) < 0.45);
         assert_eq!(free.positions[0].z, 0.0);
+        // A tooth of the boundary that no curve holds.
+        let tooth = [DVec3::ZERO, DVec3::X, DVec3::new(0.5, 0.2, 0.0)];
+        let mut mesh = LocalMesh::new(tooth.to_vec(), vec![[0, 1, 2]], HashSet::new());
+        let bounds = MotionBounds { mobility: &[Mobility::Free; 3], envelope: &envelope, off_curve: f64::INFINITY };
+        improve_shapes(&mut mesh, bounds, &Token::default());
+        for (p, q) in mesh.positions.iter().zip(tooth) {
+            assert!(p.distance(q) < 0.07, "{q} went to {p}");
+        }
     }
 
     #[test]

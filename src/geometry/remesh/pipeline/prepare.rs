@@ -92,7 +92,7 @@ pub(super) fn prepare<'a>(
 ) -> Result<Prepared<'a>> {
     let lengths_of_rims = rim_lengths(separated, asked.held.rims);
     let before = asked.apart.map(|apart| |p: DVec3| apart.back(p));
-    let before = before.as_ref().map(|before| before as &(dyn Fn(DVec3) -> DVec3 + Sync));
+    let before = before.as_ref().map(|before| before as &density::Before<'_>);
     let beside = Beside { lengths: &lengths_of_rims, before };
     let plan = density::plan_beside(separated, &options.density, options.seeds.count(), beside, token)?;
     let plan = plan.divided(token)?;
