@@ -65,6 +65,10 @@ pub(super) const MAX_HALVINGS: u8 = 4;
 pub(super) const DIRECTIONS: usize = 8;
 /// Share of a step along the normal: the surface is known better than the place on it.
 pub(super) const NORMAL_STEP: f64 = 0.5;
+/// Input vertices a cell from which on a patch has one in each cube with sides of this part of an edge: more take as many times as long, and
+/// hardly change what is nearest.
+pub(super) const DENSE_INPUT: usize = 64;
+pub(super) const CUBE_OF_POINTS: f64 = 0.125;
 /// Largest total move of a vertex where the distance is measured.
 pub(super) const FARTHEST_MOVE: f64 = 0.6;
 /// Largest total move in the tangent plane or along a curve where the distance is not measured.

@@ -114,6 +114,12 @@ impl Patch {
         for (&v, owner) in self.vertices.iter().zip(0..) {
             points.extend(reference.vertices.of(v).iter().map(|&p| (p, owner)));
         }
+        if points.len() > DENSE_INPUT * self.vertices.len() {
+            thin_out(&mut points, CUBE_OF_POINTS * self.mean_edge, |(p, owner)| {
+                let from = |&f: &u32| squared_distance(p, self.mesh.corners(f));
+                self.mesh.ring(owner).iter().map(from).fold(f64::INFINITY, f64::min)
+            });
+        }
         self.add_edge_midpoints(&mut points);
         for (position, owner) in points {
             let ring = context.mesh.ring(self.vertices[owner as usize]).iter();
@@ -270,5 +276,31 @@ impl Patch {
             self.put(v, p);
         }
         !turns
+    }
+}
+
+/// Keeps of the points of each owner one in each cube with such sides: that of the largest distance, and the first of several.
+fn thin_out(points: &mut Vec<(DVec3, u32)>, side: f64, distance: impl Fn((DVec3, u32)) -> f64) {
+    let keyed = |k: usize| {
+        let (p, owner) = points[k];
+        ((owner, (p / side).floor().to_array().map(|x| x as i64)), distance(points[k]), k)
+    };
+    let mut keyed: Vec<_> = (0..points.len()).map(keyed).collect();
+    keyed.sort_unstable_by(|a, b| a.0.cmp(&b.0).then(b.1.total_cmp(&a.1)).then(a.2.cmp(&b.2)));
+    keyed.dedup_by_key(|of| of.0);
+    *points = keyed.iter().map(|of| points[of.2]).collect();
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn of_points_in_a_cube_the_farthest_of_each_owner_stays() {
+        let at = |x: f64, y: f64, owner: u32| (DVec3::new(x, y, 0.0), owner);
+        let mut points =
+            vec![at(0.1, 0.3, 0), at(0.2, 0.5, 0), at(0.3, 0.5, 0), at(0.4, 0.1, 1), at(1.1, 0.0, 0), at(-0.1, 0.2, 0)];
+        thin_out(&mut points, 1.0, |(p, _)| p.y);
+        assert_eq!(points, [at(-0.1, 0.2, 0), at(0.2, 0.5, 0), at(1.1, 0.0, 0), at(0.4, 0.1, 1)]);
     }
 }
